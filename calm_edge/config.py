@@ -1,0 +1,177 @@
+"""One typed section a folder; the defaults are the paper's values where it gives them."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+from calm_edge.types import CalmEdgeError
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureConfig:
+    """device/ and the fixed-rate loop. primary / assistant: `driver:address`."""
+
+    primary: str = "v4l2:"
+    assistant: str = "v4l2:"
+    rate_hz: float = 10.0
+    width_px: int = 1280
+    height_px: int = 720
+    stale_after_ms: float = 500.0
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingConfig:
+    segment_s: float = 300.0
+    chunk_bytes: int = 1 << 20
+    flush_s: float = 1.0
+    jpeg_quality: int = 92
+    log_depth: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class FrontendConfig:
+    """Paper IV-A and its implementation details."""
+
+    flow_px: float = 25.0
+    flow_reference_width_px: int = 1241
+    max_keyframe_gap_s: float = 1.0
+    n_max: int = 15
+    n_overlap: int = 3
+    max_pair_gap_s: float = 0.5
+    tracker_points: int = 300
+    standstill_px: float = 0.3
+    lost_after_ms: float = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class BackboneConfig:
+    """`bundle`, `scripted:FOLDER` or the name of a folder under models/."""
+
+    name: str = "bundle"
+    hfov_deg: tuple[float, ...] = ()
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleConfig:
+    """spacing_m: metres between the optical centres; 0 leaves the world in spacings."""
+
+    spacing_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PoseGraphConfig:
+    """Paper IV-C: variances, in map units and radians."""
+
+    window: int = 3
+    rotation_variance: float = 0.05
+    translation_variance: float = 0.1
+    rig_prior_variance: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class MappingConfig:
+    """Paper VI. suppression_radius: map units (spacings)."""
+
+    grid: int = 24
+    depth_tolerance: float = 0.02
+    min_confidence: float = 0.5
+    suppression_radius: float = 0.75
+    stiffness: float = 1e-4
+    max_control_points: int = 150
+    max_points_per_submap: int = 300_000
+
+
+@dataclass(frozen=True, slots=True)
+class PoseOutputConfig:
+    """port: a serial device, empty for none. mounting_rpy_deg: body(FRD)<-camera."""
+
+    port: str = ""
+    baud: int = 115_200
+    rate_hz: float = 20.0
+    mounting_rpy_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    capture: CaptureConfig = field(default_factory=CaptureConfig)
+    recording: RecordingConfig = field(default_factory=RecordingConfig)
+    frontend: FrontendConfig = field(default_factory=FrontendConfig)
+    backbone: BackboneConfig = field(default_factory=BackboneConfig)
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    posegraph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+    mapping: MappingConfig = field(default_factory=MappingConfig)
+    pose_output: PoseOutputConfig = field(default_factory=PoseOutputConfig)
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Plain nested dict: what goes into every recording's metadata."""
+        return dataclasses.asdict(self)
+
+
+class ConfigError(CalmEdgeError):
+    """An unknown key or a value of the wrong kind."""
+
+
+def _coerce(where: str, kind: Any, value: Any) -> Any:
+    if get_origin(kind) is tuple:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            value = [value]
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"{where}: expected a list, got {value!r}")
+        return tuple(_coerce(where, get_args(kind)[0], v) for v in value)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if type(value) is not kind:
+        raise ConfigError(f"{where}: expected {kind.__name__}, got {value!r}")
+    return value
+
+
+def merge(config: Config, changes: dict[str, Any]) -> Config:
+    """A config with nested `changes` applied; raises ConfigError on unknown keys or kinds."""
+    sections = {f.name: getattr(config, f.name) for f in dataclasses.fields(Config)}
+    for section, values in changes.items():
+        if section not in sections:
+            raise ConfigError(f"{section}: no such section; known: {', '.join(sections)}")
+        if not isinstance(values, dict):
+            raise ConfigError(f"{section}: expected a table of keys")
+        kinds = get_type_hints(type(sections[section]))
+        for key, value in values.items():
+            if key not in kinds:
+                raise ConfigError(f"{section}.{key}: no such key; known: {', '.join(kinds)}")
+            value = _coerce(f"{section}.{key}", kinds[key], value)
+            sections[section] = dataclasses.replace(sections[section], **{key: value})
+    return Config(**sections)
+
+
+def parse_assignment(text: str) -> dict[str, Any]:
+    """`section.key=value` (a TOML value, or a bare word) -> nested dict; raises ConfigError."""
+    name, equals, value = text.partition("=")
+    section, dot, key = name.strip().partition(".")
+    if not (equals and dot and key):
+        raise ConfigError(f"--set {text}: expected section.key=value")
+    try:
+        parsed: Any = tomllib.loads(f"v = {value}")["v"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()
+    return {section: {key: parsed}}
+
+
+def load(path: Path | None, assignments: list[str] | None = None) -> Config:
+    """Defaults, then the TOML file, then `section.key=value` assignments; raises ConfigError."""
+    config = Config()
+    if path is not None:
+        try:
+            config = merge(config, tomllib.loads(path.read_text()))
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: not valid TOML: {error}") from None
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
+    for text in assignments or []:
+        config = merge(config, parse_assignment(text))
+    return config

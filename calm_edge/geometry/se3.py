@@ -1,0 +1,142 @@
+"""Rigid motions as stacks of 4x4 matrices: (..., 4, 4), twists (..., 6) = (translation, rotation)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+
+def hat(v: Float) -> Float:
+    """(..., 3) -> (..., 3, 3) cross-product matrices."""
+    v = np.asarray(v, np.float64)
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out
+
+
+def so3_exp(w: Float) -> Float:
+    """Rodrigues: (..., 3) rotation vectors [rad] -> (..., 3, 3)."""
+    w = np.asarray(w, np.float64)
+    theta2 = (w * w).sum(-1)[..., None, None]
+    theta = np.sqrt(theta2)
+    small = theta2 < 1e-12
+    safe = np.where(small, 1.0, theta)
+    a = np.where(small, 1 - theta2 / 6, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - theta2 / 24, (1 - np.cos(safe)) / safe**2)
+    W = hat(w)
+    return np.asarray(np.eye(3) + a * W + b * (W @ W))
+
+
+def so3_log(R: Float) -> Float:
+    """(..., 3, 3) -> (..., 3) rotation vectors [rad], accurate up to and including pi."""
+    R = np.asarray(R, np.float64)
+    # quaternion by the largest component: stable both at 0 and at pi
+    m = R
+    t = np.stack(
+        [
+            1 + m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2],
+            1 + m[..., 0, 0] - m[..., 1, 1] - m[..., 2, 2],
+            1 - m[..., 0, 0] + m[..., 1, 1] - m[..., 2, 2],
+            1 - m[..., 0, 0] - m[..., 1, 1] + m[..., 2, 2],
+        ],
+        -1,
+    )
+    a = m[..., 2, 1] - m[..., 1, 2]
+    b = m[..., 0, 2] - m[..., 2, 0]
+    c = m[..., 1, 0] - m[..., 0, 1]
+    d = m[..., 1, 0] + m[..., 0, 1]
+    e = m[..., 0, 2] + m[..., 2, 0]
+    f = m[..., 2, 1] + m[..., 1, 2]
+    rows = np.stack(
+        [
+            np.stack([t[..., 0], a, b, c], -1),
+            np.stack([a, t[..., 1], d, e], -1),
+            np.stack([b, d, t[..., 2], f], -1),
+            np.stack([c, e, f, t[..., 3]], -1),
+        ],
+        -2,
+    )
+    best = np.argmax(t, -1)
+    q = np.take_along_axis(rows, best[..., None, None], -2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    q = np.where(q[..., :1] < 0, -q, q)
+    s = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(s, q[..., :1])
+    factor = np.where(s < 1e-9, 2.0, angle / np.where(s < 1e-9, 1.0, s))
+    return np.asarray(q[..., 1:] * factor)
+
+
+def compose(R: Float, t: Float) -> Float:
+    """(..., 3, 3) and (..., 3) -> (..., 4, 4)."""
+    R, t = np.asarray(R, np.float64), np.asarray(t, np.float64)
+    shape = np.broadcast_shapes(R.shape[:-2], t.shape[:-1])
+    T = np.zeros((*shape, 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    return T
+
+
+def inverse(T: Float) -> Float:
+    """(..., 4, 4) -> (..., 4, 4), using the rigid structure."""
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return compose(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
+
+
+def _left_jacobian(w: Float) -> Float:
+    theta2 = (w * w).sum(-1)[..., None, None]
+    theta = np.sqrt(theta2)
+    small = theta2 < 1e-10
+    safe = np.where(small, 1.0, theta)
+    b = np.where(small, 0.5 - theta2 / 24, (1 - np.cos(safe)) / safe**2)
+    c = np.where(small, 1 / 6 - theta2 / 120, (safe - np.sin(safe)) / safe**3)
+    W = hat(w)
+    return np.asarray(np.eye(3) + b * W + c * (W @ W))
+
+
+def exp(xi: Float) -> Float:
+    """Twists (..., 6) = (translation, rotation) -> (..., 4, 4)."""
+    xi = np.asarray(xi, np.float64)
+    rho, w = xi[..., :3], xi[..., 3:]
+    return compose(so3_exp(w), (_left_jacobian(w) @ rho[..., None])[..., 0])
+
+
+def log(T: Float) -> Float:
+    """(..., 4, 4) -> twists (..., 6) = (translation, rotation)."""
+    w = so3_log(T[..., :3, :3])
+    rho = np.linalg.solve(_left_jacobian(w), T[..., :3, 3, None])[..., 0]
+    return np.concatenate([rho, w], -1)
+
+
+def interpolate(T_0: Float, T_1: Float, alpha: Float | float) -> Float:
+    """SE(3) geodesic from T_0 (alpha 0) to T_1 (alpha 1), (..., 4, 4); alpha may leave [0, 1].
+
+    Paper IV-B: the reference pose of an assistant frame between two primary frames.
+    """
+    xi = log(inverse(T_0) @ T_1)
+    return np.asarray(T_0 @ exp(xi * np.asarray(alpha, np.float64)[..., None]))
+
+
+def interpolate_at(t: Float, T: Float, query: Float) -> Float:
+    """Poses at times `query` (M,) from a sorted trajectory t (N,), T (N, 4, 4), N >= 2.
+
+    Beyond either end the nearest segment's velocity is extrapolated.
+    """
+    t, query = np.asarray(t, np.float64), np.asarray(query, np.float64)
+    i = np.clip(np.searchsorted(t, query, side="right") - 1, 0, len(t) - 2)
+    alpha = (query - t[i]) / (t[i + 1] - t[i])
+    return interpolate(T[i], T[i + 1], alpha)
+
+
+def transform(T: Float, p: Float) -> Float:
+    """T (4, 4) applied to points p (..., 3) -> (..., 3)."""
+    return np.asarray(p @ T[:3, :3].T + T[:3, 3])
+
+
+def adjoint(T: Float) -> Float:
+    """(4, 4) -> (6, 6), twists ordered (translation, rotation)."""
+    A = np.zeros((6, 6))
+    A[:3, :3] = A[3:, 3:] = T[:3, :3]
+    A[:3, 3:] = hat(T[:3, 3]) @ T[:3, :3]
+    return A

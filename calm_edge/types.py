@@ -1,0 +1,256 @@
+"""The nouns of calm-edge. Frozen: only these cross queues and processes.
+
+Frames: w world, s sub-map, c camera, p primary, a assistant. `T_a_b` takes b to a.
+Lengths: *map units* are camera spacings; *world units* are metres when
+`scale.spacing_m` is set, else map units. Times are host-monotonic nanoseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.frame import Eye, Frame
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Int = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+
+
+class CalmEdgeError(Exception):
+    """Anything a user can mend; its text is one line naming the thing and the mend."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keyframe:
+    """A frame worth reconstructing. `id` counts the keyframes of its own eye from 0."""
+
+    id: int
+    frame: Frame
+
+
+@dataclass(frozen=True, slots=True)
+class SubmapWindow:
+    """The keyframes of both eyes that become one sub-map (paper IV-A).
+
+    n_overlap: how many leading primary keyframes were the previous window's last.
+    loop_keyframe: a historical primary keyframe appended to the batch (IV-D), or None.
+    """
+
+    submap_id: int
+    primary: tuple[Keyframe, ...]
+    assistant: tuple[Keyframe, ...]
+    n_overlap: int
+    loop_keyframe: Keyframe | None = None
+
+    def keyframes(self) -> tuple[Keyframe, ...]:
+        """Batch order everywhere: primary, assistant, then the loop keyframe."""
+        loop = (self.loop_keyframe,) if self.loop_keyframe else ()
+        return self.primary + self.assistant + loop
+
+
+@dataclass(frozen=True, slots=True)
+class KitBelief:
+    """A Gaussian over what stays constant in one kit: optics of both eyes and the rig.
+
+    mean: (D,) information: (D, D). The layout is owned by `backbones/bundle/kit.py`.
+    """
+
+    mean: Float
+    information: Float
+
+
+@dataclass(frozen=True, slots=True)
+class Hints:
+    """What the caller knows of a batch of N images.
+
+    eyes: (N,) Eye values. t_ns: (N,). hfov_deg: one an eye, None where unknown.
+    kit: what earlier windows of the same kit taught, or None.
+    """
+
+    eyes: Int
+    t_ns: Int
+    hfov_deg: tuple[float | None, float | None] = (None, None)
+    kit: KitBelief | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Landmarks:
+    """Sparse points of a sub-map and the pixels that saw them: its matches.
+
+    points_s: (M, 3) map units before scale rectification, sub-map frame.
+    index: (O,) landmark of each observation. view: (O,) batch index of the image.
+    uv: (O, 2) pixels of the full image.
+    """
+
+    points_s: Float
+    index: Int
+    view: Int
+    uv: Float32
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """What a backbone says of N images: the paper's (K, T, D, C), section III.
+
+    K: (N, 3, 3) px of the full image. T_s_c: (N, 4, 4) camera->sub-map, OpenCV axes.
+    depth: (N, h, w) z-depth in the sub-map's own unit, 0 unknown; h, w may be smaller
+    than the image, pixel centres scale as cv2.resize does. None until densified.
+    confidence: (N, h, w) in [0, 1], larger is better; None with depth.
+    focal_log_sigma: (N,) one sigma of log focal, None where the model has no idea of it.
+    kit: this batch's own evidence on the kit (without the hints), or None.
+    """
+
+    K: Float
+    T_s_c: Float
+    depth: Float32 | None = None
+    confidence: Float32 | None = None
+    focal_log_sigma: Float | None = None
+    landmarks: Landmarks | None = None
+    kit: KitBelief | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Submap:
+    """A placed sub-map. Pixels and depth live in the log, not here.
+
+    primary_ids / assistant_ids: keyframe ids in batch order. t_ns: (N,) of that order.
+    T_s_c_raw: (N, 4, 4), K_raw: (N, 3, 3) as the backbone gave them, kept so that a later
+    K can re-rectify them. T_s_c: (N, 4, 4) rectified, in world units. K: (N, 3, 3) rectified px.
+    scale: world units a raw unit; depth is multiplied by it. T_w_s: (4, 4).
+    focal_log_sigma: (2,) an eye, as believed when the sub-map was placed.
+    """
+
+    id: int
+    primary_ids: tuple[int, ...]
+    assistant_ids: tuple[int, ...]
+    n_overlap: int
+    t_ns: Int
+    T_s_c_raw: Float
+    K_raw: Float
+    T_s_c: Float
+    K: Float
+    scale: float
+    T_w_s: Float
+    focal_log_sigma: Float
+
+    @property
+    def n_primary(self) -> int:
+        return len(self.primary_ids)
+
+    def T_w_c(self) -> Float:
+        """(N, 4, 4) camera->world of every view, batch order."""
+        return np.asarray(self.T_w_s @ self.T_s_c)
+
+
+@dataclass(frozen=True, slots=True)
+class LoopClosure:
+    """The primary keyframe `query_id` saw `match_id` again. T_match_query: (4, 4) world units."""
+
+    query_id: int
+    match_id: int
+    T_match_query: Float
+
+
+@dataclass(frozen=True, slots=True)
+class TestGroup:
+    """Fundamental matrices of one eye for the test bank (V-A). F: (P, 3, 3), x_b^T F x_a = 0.
+
+    pairs: (P, 2) keyframe ids (a, b). information: (P,) about log focal.
+    """
+
+    eye: Eye
+    F: Float
+    pairs: Int
+    information: Float
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Primary keyframe poses in the world: keyframe_ids (N,), t_ns (N,), T_w_c (N, 4, 4).
+
+    T_p_a: (4, 4) world units. epoch: grows each time poses already published moved.
+    """
+
+    keyframe_ids: Int
+    t_ns: Int
+    T_w_c: Float
+    T_p_a: Float
+    epoch: int
+
+
+class PoseStatus(StrEnum):
+    LIVE = "live"
+    LAGGING = "lagging"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSample:
+    """The pose that leaves the car, of one primary frame.
+
+    T_w_c: (4, 4) primary camera->world, world units. velocity_c: (3,) world units/s, camera
+    axes. covariance: (6, 6) of (translation, rotation) in camera axes, world units and rad.
+    """
+
+    t_ns: int
+    T_w_c: Float
+    velocity_c: Float
+    covariance: Float
+    epoch: int
+    status: PoseStatus
+
+
+@dataclass(frozen=True, slots=True)
+class AnchorTable:
+    """Anchors of the whole drive, as rows (paper VI-A, VI-B).
+
+    in sub-maps: anchor (R,), submap (R,), p_s (R, 3) world units, sub-map frame.
+    in frames: seen_anchor (Q,), seen_submap (Q,), seen_view (Q,) batch index, uv (Q, 2) px.
+    """
+
+    anchor: Int
+    submap: Int
+    p_s: Float
+    seen_anchor: Int
+    seen_submap: Int
+    seen_view: Int
+    uv: Float32
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalAnchors:
+    """Fused anchors (paper VI-C): p_w (A, 3) world units, n_observations (A,), active (A,) bool."""
+
+    p_w: Float
+    n_observations: Int
+    active: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class MapTile:
+    """A piece of the map: points_w (P, 3) float32 world units, color (P, 3) uint8 RGB."""
+
+    points_w: Float32
+    color: Bytes
+    submap_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class LocalizerUpdate:
+    """What one processed window changed: the new sub-map and the trajectory so far.
+
+    T_odom_correction: (4, 4) new world<-old world of the newest keyframe both share.
+    stage_ms: stage name -> milliseconds. kit: belief after this window.
+    """
+
+    submap: Submap
+    prediction: Prediction
+    trajectory: Trajectory
+    T_odom_correction: Float
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    kit: KitBelief | None = None

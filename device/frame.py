@@ -1,0 +1,56 @@
+"""A picture and the moment it was taken: the one thing every camera driver produces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Eye(IntEnum):
+    """Which of the two cameras: the primary carries the trajectory, the assistant the scale."""
+
+    PRIMARY = 0
+    ASSISTANT = 1
+
+
+class UnreadableImage(ValueError):
+    """The bytes of a frame are not a picture OpenCV can decode."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One picture of one eye.
+
+    sequence: counts the driver's frames, gaps mean drops.
+    t_ns: host-monotonic nanoseconds, of the exposure as far as the driver knows it.
+    image: (H, W, 3) uint8 BGR, or the camera's own JPEG bytes, untouched.
+    """
+
+    eye: Eye
+    sequence: int
+    t_ns: int
+    image: NDArray[np.uint8] | bytes
+
+    def bgr(self) -> NDArray[np.uint8]:
+        """The picture as (H, W, 3) uint8 BGR; raises UnreadableImage."""
+        return self._decode(cv2.IMREAD_COLOR)
+
+    def gray(self) -> NDArray[np.uint8]:
+        """The picture as (H, W) uint8; raises UnreadableImage."""
+        return self._decode(cv2.IMREAD_GRAYSCALE)
+
+    def _decode(self, flag: int) -> NDArray[np.uint8]:
+        if isinstance(self.image, bytes):
+            decoded = cv2.imdecode(np.frombuffer(self.image, np.uint8), flag)
+            if decoded is None:
+                raise UnreadableImage(
+                    f"{self.eye.name.lower()} frame {self.sequence}: not a readable image"
+                )
+            return np.asarray(decoded, np.uint8)
+        if flag == cv2.IMREAD_GRAYSCALE:
+            return np.asarray(cv2.cvtColor(self.image, cv2.COLOR_BGR2GRAY), np.uint8)
+        return self.image
