@@ -1,0 +1,43 @@
+# make demo: from nothing to a map. The other targets: setup test lint bench eval.
+.DEFAULT_GOAL := demo
+.PHONY: setup demo test lint bench eval
+
+PYTHON_SOURCES := calm_edge device tests
+CALM_EDGE := .venv/bin/python -m calm_edge.cli
+DEMO_DRIVE ?= demo/drive
+DEMO_OUT ?= build/demo
+# the spacing the demo rig was rendered with; without it the map is in spacings
+DEMO_SPACING_M ?= 0.5
+DEMO_PACE ?= lockstep
+
+setup: .venv/.stamp
+
+.venv/.stamp: requirements.txt requirements-dev.txt requirements-systemd.txt deploy/setup.sh
+	@deploy/setup.sh
+
+demo: setup
+	@rm -rf $(DEMO_OUT) && mkdir -p $(DEMO_OUT)
+	@echo "demo 1/3: record, replaying $(DEMO_DRIVE) through the real daemon" >&2
+	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace $(DEMO_PACE) --out $(DEMO_OUT)/recording
+	@echo "demo 2/3: map" >&2
+	$(CALM_EDGE) map $(DEMO_OUT)/recording --truth $(DEMO_DRIVE) --out $(DEMO_OUT)/map
+	@echo "demo 3/3: error against the ground truth" >&2
+	$(CALM_EDGE) eval $(DEMO_OUT)/map --truth $(DEMO_DRIVE)
+	@echo "recording: $(DEMO_OUT)/recording   report: $(DEMO_OUT)/map/report.html   map: $(DEMO_OUT)/map/map.ply"
+
+test: setup
+	.venv/bin/python -m pytest
+
+lint: setup
+	.venv/bin/ruff check $(PYTHON_SOURCES)
+	.venv/bin/ruff format --check $(PYTHON_SOURCES)
+	.venv/bin/mypy
+	.venv/bin/lint-imports
+
+bench: setup
+	@rm -rf build/bench
+	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace realtime --out build/bench
+	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
+
+eval: setup
+	.venv/bin/python -m tests.targets
