@@ -1,0 +1,50 @@
+"""The state every frame stream has: order of stamps and sequences, counts, the newest frame."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+from device.camera import CameraStats
+from device.frame import Frame
+
+Count = Literal["reconnects", "host_stamped", "corrupt"]
+
+
+class Stream:
+    """Owner of what one driver has seen so far."""
+
+    def __init__(self) -> None:
+        self.stats = CameraStats()
+        self.newest: Frame | None = None
+
+    def count(self, what: Count) -> None:
+        """One more of it."""
+        self.stats = dataclasses.replace(self.stats, **{what: getattr(self.stats, what) + 1})
+
+    def admit(self, frame: Frame, now_ns: int | None) -> Frame:
+        """The frame as it may leave the driver: later than its predecessor, not after now_ns.
+
+        Drivers do stamp into the future (virtual ones by 178 ms): such stamps are moved and
+        counted, never asserted. now_ns None: the stamps are not of a running clock.
+        """
+        t_ns = frame.t_ns if now_ns is None else min(frame.t_ns, now_ns)
+        drops = 0
+        if self.newest is not None:
+            t_ns = max(t_ns, self.newest.t_ns + 1)
+            drops = max(0, frame.sequence - self.newest.sequence - 1)
+        clamped = t_ns != frame.t_ns
+        self.stats = dataclasses.replace(
+            self.stats,
+            frames=self.stats.frames + 1,
+            drops=self.stats.drops + drops,
+            clamped=self.stats.clamped + clamped,
+        )
+        self.newest = dataclasses.replace(frame, t_ns=t_ns) if clamped else frame
+        return self.newest
+
+    def fresh(self, now_ns: int, max_age_ns: int) -> Frame | None:
+        """The newest frame, or None when it is older than max_age_ns: the staleness rule."""
+        if self.newest is None or now_ns - self.newest.t_ns > max_age_ns:
+            return None
+        return self.newest
