@@ -1,0 +1,65 @@
+"""How far a map is from the surfaces that were there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calm_edge.types import Float
+
+CROP_M = 40.0
+VOXEL_M = 0.15
+TRUNCATE_M = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class CloudError:
+    """Metres. accuracy: map to truth, completeness: truth to map, chamfer: their mean."""
+
+    accuracy_m: float
+    completeness_m: float
+    chamfer_m: float
+
+
+def crop(points: Float, path: Float, radius: float = CROP_M) -> Float:
+    """The points (N, 3) within `radius` of a path vertex (P, 3)."""
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(path).query(points, distance_upper_bound=radius, workers=-1)
+    return np.asarray(points[np.isfinite(distance)])
+
+
+def voxel_means(points: Float, size: float = VOXEL_M) -> Float:
+    """One point a filled cube of edge `size`: the mean of its points, (N, 3) -> (M, 3)."""
+    if len(points) == 0:
+        return points
+    cell = np.floor((points - points.min(0)) / size).astype(np.int64)
+    span = cell.max(0) + 1
+    key = (cell[:, 0] * span[1] + cell[:, 1]) * span[2] + cell[:, 2]
+    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    sums = [np.bincount(inverse, points[:, k], len(count)) for k in range(3)]
+    return np.stack(sums, 1) / count[:, None]
+
+
+def mean_distance(points: Float, to: Float, truncate: float = TRUNCATE_M) -> float:
+    """Mean distance of points (N, 3) to the nearest of `to` (M, 3), each at most `truncate`."""
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(to).query(points, distance_upper_bound=truncate, workers=-1)
+    return float(np.minimum(distance, truncate).mean())
+
+
+def compare(points: Float, truth: Float, path: Float) -> CloudError | None:
+    """Map (N, 3) against truth (M, 3), both metres in the truth's world, around path (P, 3).
+
+    Both are cropped to 40 m around the path and thinned to 0.15 m voxels; distances are
+    truncated at 5 m. None when either has nothing near the path.
+    """
+    finite = points[np.isfinite(points).all(1)]
+    ours = voxel_means(crop(np.asarray(finite, np.float64), path))
+    theirs = voxel_means(crop(np.asarray(truth, np.float64), path))
+    if len(ours) == 0 or len(theirs) == 0:
+        return None
+    accuracy, completeness = mean_distance(ours, theirs), mean_distance(theirs, ours)
+    return CloudError(accuracy, completeness, (accuracy + completeness) / 2)

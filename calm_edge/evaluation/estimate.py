@@ -1,0 +1,168 @@
+"""What calm-edge, or anybody, says of a drive, in the one form the evaluation compares."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calm_edge.evaluation.trajectory_file import EvaluationError, read_tum
+from calm_edge.types import Float, Float32, Int, LocalizerUpdate, PoseSample
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A trajectory and what came with it; None is what this kind of source does not know.
+
+    t_ns: (N,) T_w_c: (N, 4, 4) primary camera->world, world units. spacing_m: None when the
+    world is in spacings. focal_px, focal_sigma_percent: one an eye. pose_age_ms: {p50, p99}.
+    stage_ms: mean a sub-map, by stage. points_w: (P, 3) map points, world units.
+    """
+
+    source: str
+    t_ns: Int
+    T_w_c: Float
+    frames: int | None = None
+    keyframes: int | None = None
+    submaps: int | None = None
+    spacing_m: float | None = None
+    focal_px: tuple[float, float] | None = None
+    focal_sigma_percent: tuple[float | None, float | None] | None = None
+    pose_age_ms: dict[str, float] | None = None
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    points_w: Float32 | None = None
+
+
+def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
+    """Mean milliseconds a sub-map, by stage, over the updates that ran the stage."""
+    times: dict[str, list[float]] = defaultdict(list)
+    for update in updates:
+        for stage, ms in update.stage_ms.items():
+            times[stage].append(ms)
+    return {stage: float(np.mean(values)) for stage, values in times.items()}
+
+
+def pose_ages(live: Iterable[tuple[int, PoseSample]]) -> dict[str, float] | None:
+    """{p50, p99} ms from exposure to publishing of (publish time ns, pose); None without poses."""
+    ages = [(published - pose.t_ns) / 1e6 for published, pose in live]
+    if not ages:
+        return None
+    p50, p99 = np.percentile(ages, [50, 99])
+    return {"p50": float(p50), "p99": float(p99)}
+
+
+def from_updates(
+    source: str,
+    updates: Sequence[LocalizerUpdate],
+    live: Iterable[tuple[int, PoseSample]] = (),
+    frames: int | None = None,
+    spacing_m: float | None = None,
+) -> Estimate:
+    """The newest trajectory and focals of a run; `live` pairs a publish time ns with its pose."""
+    ages = pose_ages(live)
+    if not updates:
+        none = np.zeros(0, np.int64), np.zeros((0, 4, 4))
+        return Estimate(source, *none, frames, 0, 0, spacing_m or None, pose_age_ms=ages)
+    last = updates[-1]
+    submap, trajectory = last.submap, last.trajectory
+    eyes = (0, submap.n_primary) if submap.assistant_ids else (0, 0)
+    sigma = 100 * submap.focal_log_sigma
+    return Estimate(
+        source,
+        trajectory.t_ns,
+        trajectory.T_w_c,
+        frames,
+        len(trajectory.t_ns),
+        len({u.submap.id for u in updates}),
+        spacing_m or None,
+        (float(submap.K[eyes[0], 0, 0]), float(submap.K[eyes[1], 0, 0])),
+        (_finite(sigma[0]), _finite(sigma[1])),
+        ages,
+        mean_stages(updates),
+    )
+
+
+def from_tum(path: Path) -> Estimate:
+    """A TUM file; raises EvaluationError."""
+    t_ns, T_w_c = read_tum(path)
+    return Estimate(str(path), t_ns, T_w_c)
+
+
+def from_map(folder: Path) -> Estimate:
+    """A map folder: trajectory.tum, summary.json and, if there, map.ply; raises EvaluationError."""
+    t_ns, T_w_c = read_tum(folder / "trajectory.tum")
+    summary = _summary(folder / "summary.json")
+    where = folder / "summary.json"
+    cloud = folder / "map.ply"
+    sigma = _pair(where, summary, "focal_sigma_percent")
+    focal = _pair(where, summary, "focal_px")
+    return Estimate(
+        str(folder),
+        t_ns,
+        T_w_c,
+        summary.get("frames"),
+        summary.get("keyframes"),
+        summary.get("submaps"),
+        _finite(summary.get("spacing_m")) or None,
+        (focal[0], focal[1]) if focal and focal[0] and focal[1] else None,
+        sigma,
+        summary.get("pose_age_ms"),
+        summary.get("stage_ms") or {},
+        _points(cloud) if cloud.is_file() else None,
+    )
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    try:
+        summary = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise EvaluationError(f"{path}: not a readable summary ({error}); map again") from None
+    if not isinstance(summary, dict):
+        raise EvaluationError(f"{path}: not a summary; map again")
+    return summary
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) and np.isfinite(value) else None
+
+
+def _pair(
+    where: Path, summary: dict[str, Any], key: str
+) -> tuple[float | None, float | None] | None:
+    value = summary.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, list) or len(value) != 2:
+        raise EvaluationError(f"{where}: {key} must hold two numbers, one an eye")
+    return _finite(value[0]), _finite(value[1])
+
+
+def _points(path: Path) -> Float32:
+    from calm_edge.mapping.cloud_file import read_ply
+
+    return read_ply(path)[0]
+
+
+def _from_recording(path: Path) -> Estimate:
+    from calm_edge.recording.reader import Recording
+
+    recording = Recording(path)
+    updates = list(recording.updates())
+    return from_updates(str(path), updates)
+
+
+def read_estimate(target: Path) -> Estimate:
+    """A recording (folder or .mcap), a map folder or a TUM file; raises EvaluationError."""
+    target = Path(target)
+    if not target.exists():
+        raise EvaluationError(f"{target}: not found; give a recording, a map folder or a TUM file")
+    if target.is_dir():
+        if (target / "trajectory.tum").is_file():
+            return from_map(target)
+        return _from_recording(target)
+    return _from_recording(target) if target.suffix in {".mcap", ".part"} else from_tum(target)

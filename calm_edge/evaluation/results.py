@@ -1,0 +1,186 @@
+"""The numbers `calm-edge eval` prints."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from calm_edge.evaluation import cloud, trajectory
+from calm_edge.evaluation.estimate import Estimate, read_estimate
+from calm_edge.evaluation.sequences import Truth, read_truth
+from calm_edge.evaluation.trajectory_file import EvaluationError
+from calm_edge.frontend.sequence import ORIGIN_NS
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Int
+
+Alignment = Literal["se3", "sim3"]
+
+# Beyond this a focal is not known well enough for its error to mean anything.
+MAX_FOCAL_SIGMA_PERCENT = 5.0
+MIN_POSES = 3
+
+_TRAJECTORY_KEYS = (
+    "poses",
+    "path_m",
+    "coverage_percent",
+    "ate_se3_m",
+    "ate_sim3_m",
+    "sim3_scale",
+    "ate_percent",
+    "rpe_trans_percent",
+    "rpe_rot_deg_per_m",
+    "scale_mean",
+    "scale_std",
+)
+_MAP_KEYS = ("map_accuracy_m", "map_completeness_m", "map_chamfer_m")
+
+
+def common_origin(t_ns: Int, t_truth: Int) -> Int:
+    """Stamps t_ns (N,) on the truth's clock.
+
+    Ours carry the 1 s of SequenceFolder; another program's TUM file on the same folder has
+    the folder's own seconds. Whichever leaves more poses with a truth wins, ours on a tie.
+    """
+    shifted = t_ns + ORIGIN_NS
+    ours, theirs = (len(trajectory.associate(t, t_truth)[0]) for t in (t_ns, shifted))
+    return shifted if theirs > ours else t_ns
+
+
+def _between(truth: Truth, first: int, last: int) -> Float:
+    inside = (truth.t_ns >= first) & (truth.t_ns <= last)
+    return truth.T_w_c[inside]
+
+
+def _scale_figures(t_ns: Int, T_w_c: Float, truth: Truth) -> tuple[float, float] | None:
+    """Windows count frames, so keyframe poses are interpolated at the frames between them."""
+    inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
+    seconds = (t_ns - t_ns[0]) / 1e9
+    at_frames = se3.interpolate_at(seconds, T_w_c, (truth.t_ns[inside] - t_ns[0]) / 1e9)
+    return trajectory.scale_consistency(at_frames[:, :3, 3], truth.T_w_c[inside, :3, 3])
+
+
+def _trajectory_figures(
+    estimate: Estimate, truth: Truth, chosen: Alignment
+) -> tuple[dict[str, float | None], trajectory.Similarity]:
+    t_ns = common_origin(estimate.t_ns, truth.t_ns)
+    i, j = trajectory.associate(t_ns, truth.t_ns)
+    if len(i) < MIN_POSES:
+        raise EvaluationError(
+            f"{estimate.source}: {len(i)} poses within "
+            f"{trajectory.TOLERANCE_NS / 1e6:g} ms of a true pose, {MIN_POSES} are needed; "
+            "is it the truth of this drive?"
+        )
+    T, T_truth = estimate.T_w_c[i], truth.T_w_c[j]
+    p, p_truth = T[:, :3, 3], T_truth[:, :3, 3]
+    rigid = trajectory.align(p, p_truth, with_scale=False)
+    similar = trajectory.align(p, p_truth, with_scale=True)
+    used = rigid if chosen == "se3" else similar
+    ate_rigid = trajectory.ate(rigid.points(p), p_truth)
+    ate_similar = trajectory.ate(similar.points(p), p_truth)
+    path = trajectory.path_length(_between(truth, truth.t_ns[j[0]], truth.t_ns[j[-1]])[:, :3, 3])
+    whole = trajectory.path_length(truth.T_w_c[:, :3, 3])
+    segments = trajectory.rpe(used.poses(T), T_truth)
+    scales = _scale_figures(t_ns, estimate.T_w_c, truth)
+    figures: dict[str, float | None] = {
+        "poses": len(i),
+        "path_m": path,
+        "coverage_percent": 100 * path / whole if whole > 0 else None,
+        "ate_se3_m": ate_rigid,
+        "ate_sim3_m": ate_similar,
+        "sim3_scale": similar.scale,
+        "ate_percent": 100 * (ate_rigid if chosen == "se3" else ate_similar) / path
+        if path > 0
+        else None,
+        "rpe_trans_percent": segments[0] if segments else None,
+        "rpe_rot_deg_per_m": segments[1] if segments else None,
+        "scale_mean": scales[0] if scales else None,
+        "scale_std": scales[1] if scales else None,
+    }
+    return figures, used
+
+
+def _focal_figures(estimate: Estimate, K: Float | None) -> dict[str, list[float | None] | None]:
+    if estimate.focal_px is None:
+        keys = ("focal_px", "focal_sigma_percent", "focal_error_px", "focal_error_percent")
+        return dict.fromkeys(keys)
+    sigma = estimate.focal_sigma_percent or (None, None)
+    error_px: list[float | None] = [None, None]
+    error_percent: list[float | None] = [None, None]
+    for eye in range(2):
+        observed = sigma[eye]
+        if K is None or observed is None or observed > MAX_FOCAL_SIGMA_PERCENT:
+            continue
+        true = float(K[eye, 0, 0])
+        error_px[eye] = estimate.focal_px[eye] - true
+        error_percent[eye] = 100 * (estimate.focal_px[eye] - true) / true
+    return {
+        "focal_px": list(estimate.focal_px),
+        "focal_sigma_percent": list(sigma),
+        "focal_error_px": error_px,
+        "focal_error_percent": error_percent,
+    }
+
+
+def _map_figures(
+    estimate: Estimate, truth: Truth, motion: trajectory.Similarity | None
+) -> dict[str, float | None]:
+    if estimate.points_w is None or truth.cloud is None or motion is None:
+        return dict.fromkeys(_MAP_KEYS)
+    points = motion.points(np.asarray(estimate.points_w, np.float64))
+    error = cloud.compare(points, np.asarray(truth.cloud, np.float64), truth.T_w_c[:, :3, 3])
+    if error is None:
+        return dict.fromkeys(_MAP_KEYS)
+    values = (error.accuracy_m, error.completeness_m, error.chamfer_m)
+    return dict(zip(_MAP_KEYS, values, strict=True))
+
+
+def _plain(value: Any) -> Any:
+    """JSON has neither NaN nor infinity: both become None."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) -> dict[str, Any]:
+    """The figures of an estimate against the truth; what either lacks is None.
+
+    align: which alignment `ate_percent`, the RPE and the map use; None takes SE(3) when the
+    estimate is in metres, else Sim(3). `poses` counts those compared, `coverage_percent` is
+    the part of the true path they span; focal errors are signed, estimate minus truth.
+    Raises EvaluationError when the two do not overlap in time.
+    """
+    chosen: Alignment = align or ("se3" if estimate.spacing_m else "sim3")
+    figures: dict[str, float | None] = dict.fromkeys(_TRAJECTORY_KEYS)
+    motion = None
+    if len(estimate.t_ns) >= MIN_POSES and len(truth.t_ns):
+        figures, motion = _trajectory_figures(estimate, truth, chosen)
+    result = {
+        "frames": estimate.frames,
+        "keyframes": estimate.keyframes,
+        "submaps": estimate.submaps,
+        "align": chosen,
+        **figures,
+        **_focal_figures(estimate, truth.K),
+        **_map_figures(estimate, truth, motion),
+        "pose_age_ms": estimate.pose_age_ms,
+        "stage_ms": estimate.stage_ms or None,
+    }
+    plain = _plain(result)
+    assert isinstance(plain, dict)
+    return plain
+
+
+def evaluate(target: Path, truth_folder: Path, align: Alignment | None = None) -> dict[str, Any]:
+    """The keys of `calm-edge eval --json` for a recording, a map folder or a TUM file.
+
+    Raises EvaluationError (or SequenceError for bad time files), one line naming the mend.
+    """
+    truth = read_truth(Path(truth_folder))
+    return compare(read_estimate(Path(target)), truth, align)

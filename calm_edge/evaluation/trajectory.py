@@ -1,0 +1,140 @@
+"""How far a trajectory is from the truth: alignment, ATE, RPE and scale consistency.
+
+Poses are T_w_c (N, 4, 4), camera->world. A truth is in metres, an estimate in its own unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Int
+
+SEGMENT_M = 10.0
+WINDOW_FRAMES = 100
+WINDOW_STRIDE = 5
+TOLERANCE_NS = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Similarity:
+    """target = scale * R @ source + t. R: (3, 3), t: (3,) target unit."""
+
+    scale: float
+    R: Float
+    t: Float
+
+    def points(self, p: Float) -> Float:
+        """(..., 3) source points -> target."""
+        return np.asarray(self.scale * (p @ self.R.T) + self.t)
+
+    def poses(self, T: Float) -> Float:
+        """(..., 4, 4) source poses -> target; positions scale, rotations do not."""
+        return se3.compose(self.R @ T[..., :3, :3], self.points(T[..., :3, 3]))
+
+
+def align(source: Float, target: Float, with_scale: bool) -> Similarity:
+    """Least-squares similarity or rigid motion (scale 1) taking source (N, 3) to target (N, 3).
+
+    Umeyama, "Least-squares estimation of transformation parameters between two point
+    patterns", 1991, Eqs. (34)-(43). N >= 2; a straight path leaves its roll at the smallest turn.
+    """
+    mean_s, mean_t = source.mean(0), target.mean(0)
+    ds, dt = source - mean_s, target - mean_t
+    U, D, Vt = np.linalg.svd(dt.T @ ds / len(source))
+    S = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt)) or 1.0])
+    R = (U * S) @ Vt
+    variance = float((ds**2).sum(1).mean())
+    scale = float((D * S).sum()) / variance if with_scale and variance > 0 else 1.0
+    return Similarity(scale, R, mean_t - scale * R @ mean_s)
+
+
+def associate(t: Int, t_truth: Int, tolerance_ns: int = TOLERANCE_NS) -> tuple[Int, Int]:
+    """Nearest stamps of two sorted series -> indices (M,) and (M,), each used at most once.
+
+    An equal stamp always wins; of several claims on one truth stamp the nearest is kept.
+    """
+    if len(t) == 0 or len(t_truth) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    right = np.clip(np.searchsorted(t_truth, t), 1, max(len(t_truth) - 1, 1))
+    left = right - 1
+    right = np.minimum(right, len(t_truth) - 1)
+    nearest = np.where(np.abs(t - t_truth[left]) <= np.abs(t_truth[right] - t), left, right)
+    gap = np.abs(t - t_truth[nearest])
+    best: dict[int, int] = {}
+    for i in np.flatnonzero(gap <= tolerance_ns):
+        j = int(nearest[i])
+        if j not in best or gap[i] < gap[best[j]]:
+            best[j] = int(i)
+    pairs = sorted((i, j) for j, i in best.items())
+    index = np.array(pairs, np.int64).reshape(-1, 2)
+    return index[:, 0], index[:, 1]
+
+
+def path_length(p: Float) -> float:
+    """Length of the polyline p (N, 3), in its unit."""
+    return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
+
+
+def ate(p: Float, p_truth: Float) -> float:
+    """Root mean square distance of aligned positions (N, 3), (N, 3)."""
+    return float(np.sqrt(((p - p_truth) ** 2).sum(1).mean()))
+
+
+def rpe(T: Float, T_truth: Float, segment_m: float = SEGMENT_M) -> tuple[float, float] | None:
+    """Relative error over segments of the truth -> (percent of length, degrees a metre).
+
+    From every pose i to the first pose j whose path from i is at least `segment_m` long:
+    error = (truth_i^-1 truth_j)^-1 (T_i^-1 T_j), its translation over the segment's own
+    length and its rotation angle over the same; the mean of all segments. T must already
+    have the truth's unit. None when the path is shorter than one segment.
+    """
+    steps = np.linalg.norm(np.diff(T_truth[:, :3, 3], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    end = np.searchsorted(along, along + segment_m - 1e-9)
+    start = np.flatnonzero(end < len(along))
+    if len(start) == 0:
+        return None
+    end = end[start]
+    length = along[end] - along[start]
+    moved = se3.inverse(T[start]) @ T[end]
+    moved_truth = se3.inverse(T_truth[start]) @ T_truth[end]
+    error = se3.inverse(moved_truth) @ moved
+    trans = np.linalg.norm(error[:, :3, 3], axis=1) / length
+    angle = np.linalg.norm(se3.so3_log(error[:, :3, :3]), axis=1) / length
+    return float(100 * trans.mean()), float(np.degrees(angle.mean()))
+
+
+def window_scales(
+    p: Float, p_truth: Float, window: int = WINDOW_FRAMES, stride: int = WINDOW_STRIDE
+) -> Float:
+    """Scale of every sliding window against the truth, divided by the first window's: (W,).
+
+    p, p_truth: (N, 3) positions of the same frames. A window's scale is the ratio of the
+    spreads about the window's mean: unlike a least-squares scale it does not shrink when
+    positions are noisy. Windows standing still are left out. Paper, Scale Consistency
+    Analysis: 100 frames, stride 5.
+    """
+    scales = []
+    for i in range(0, len(p) - window + 1, stride):
+        spread = np.linalg.norm(p[i : i + window] - p[i : i + window].mean(0))
+        truth = p_truth[i : i + window]
+        spread_truth = np.linalg.norm(truth - truth.mean(0))
+        if spread > 0 and spread_truth > 1e-6:
+            scales.append(spread / spread_truth)
+    return np.array(scales) / scales[0] if scales else np.zeros(0)
+
+
+def scale_consistency(p: Float, p_truth: Float) -> tuple[float, float] | None:
+    """(mean |scale - 1|, standard deviation of scale) over the windows; None under two windows.
+
+    Paper, Scale Consistency Analysis. p, p_truth: (N, 3) of the same frames; N >= 105.
+    """
+    if len(p) < WINDOW_FRAMES + WINDOW_STRIDE:
+        return None
+    scales = window_scales(p, p_truth)
+    if len(scales) < 2:
+        return None
+    return float(np.abs(scales - 1).mean()), float(scales.std())

@@ -1,0 +1,105 @@
+"""Known errors must be measured as what they are."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calm_edge.evaluation import trajectory
+from calm_edge.geometry import se3
+from tests.evaluation.worlds import curve, stamps
+
+
+def _moved(T: np.ndarray, scale: float, w: np.ndarray, t: np.ndarray) -> np.ndarray:
+    R = se3.so3_exp(w)
+    return se3.compose(R @ T[:, :3, :3], scale * T[:, :3, 3] @ R.T + t)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.floats(0.05, 20),
+    st.lists(st.floats(-3, 3), min_size=3, max_size=3),
+    st.lists(st.floats(-100, 100), min_size=3, max_size=3),
+)
+def test_a_similarity_is_found_and_undone(scale: float, w: list[float], t: list[float]) -> None:
+    truth = curve(60)
+    T = _moved(truth, scale, np.array(w), np.array(t))
+    found = trajectory.align(T[:, :3, 3], truth[:, :3, 3], with_scale=True)
+    assert found.scale == pytest.approx(1 / scale, rel=1e-9)
+    assert np.allclose(found.poses(T), truth, atol=1e-6)
+
+
+def test_rigid_alignment_leaves_the_scale_error_standing() -> None:
+    truth = curve()
+    T = _moved(truth, 1.1, np.array([0.3, 1.0, -2.0]), np.array([5.0, 6, 7]))
+    p, p_truth = T[:, :3, 3], truth[:, :3, 3]
+    rigid = trajectory.align(p, p_truth, with_scale=False)
+    spread = np.sqrt(((p_truth - p_truth.mean(0)) ** 2).sum(1).mean())
+    assert rigid.scale == 1
+    assert trajectory.ate(rigid.points(p), p_truth) == pytest.approx(0.1 * spread, rel=1e-9)
+
+
+def test_alignment_never_mirrors() -> None:
+    p = np.random.default_rng(0).normal(size=(30, 3))
+    found = trajectory.align(p * [1, 1, -1], p, with_scale=True)
+    assert np.linalg.det(found.R) == pytest.approx(1)
+
+
+def test_ate_of_known_noise() -> None:
+    truth = curve(3000)[:, :3, 3]
+    noisy = truth + np.random.default_rng(1).normal(0, 0.2, truth.shape)
+    aligned = trajectory.align(noisy, truth, with_scale=False).points(noisy)
+    assert trajectory.ate(aligned, truth) == pytest.approx(0.2 * np.sqrt(3), rel=0.03)
+
+
+def test_rpe_of_known_drift() -> None:
+    n = 101
+    truth = se3.compose(np.tile(np.eye(3), (n, 1, 1)), np.arange(n)[:, None] * [0, 0, 1.0])
+    longer = truth.copy()
+    longer[:, 2, 3] *= 1.03
+    assert trajectory.rpe(longer, truth) == pytest.approx((3.0, 0.0), abs=1e-9)
+    # a camera that turns 0.2 degrees a metre while the path stays: only rotation is wrong
+    turning = truth.copy()
+    turning[:, :3, :3] = se3.so3_exp(np.radians(0.2) * np.arange(n)[:, None] * [0, 0, 1.0])
+    trans, rot = trajectory.rpe(turning, truth) or (0, 0)
+    assert (trans, rot) == pytest.approx((0.0, 0.2), abs=1e-9)
+
+
+def test_rpe_is_blind_to_where_the_world_is_and_null_on_short_paths() -> None:
+    truth = curve(60)
+    T = np.asarray(se3.exp(np.array([4.0, 5, 6, 0.5, 1, 2])) @ truth)
+    assert trajectory.rpe(T, truth) == pytest.approx((0, 0), abs=1e-6)
+    assert trajectory.rpe(truth[:8], truth[:8]) is None
+
+
+def test_scale_windows_follow_a_growing_scale() -> None:
+    n = 301
+    truth = np.arange(n)[:, None] * [0, 0, 1.0]
+    steps = np.where(np.arange(n) < 150, 1.0, 1.2)[:, None] * [0, 0, 1.0]
+    scales = trajectory.window_scales(np.cumsum(steps, 0), truth)
+    assert len(scales) == 41
+    assert scales[0] == 1 and scales[-1] == pytest.approx(1.2)
+    figures = trajectory.scale_consistency(np.cumsum(steps, 0), truth)
+    assert figures == pytest.approx((np.mean(scales - 1), np.std(scales)))
+
+
+def test_scale_consistency_ignores_the_unit_and_needs_105_frames() -> None:
+    p = curve(105)[:, :3, 3]
+    assert trajectory.scale_consistency(0.3 * p, p) == pytest.approx((0, 0), abs=1e-12)
+    assert trajectory.scale_consistency(p[:104], p[:104]) is None
+
+
+def test_association_prefers_the_exact_stamp_and_uses_each_once() -> None:
+    truth = stamps(5)
+    t = np.sort(np.array([truth[0] + 4_000_000, truth[2] - 3_000_000, truth[2], truth[4] + 1]))
+    i, j = trajectory.associate(t, truth)
+    assert i.tolist() == [0, 2, 3]
+    assert j.tolist() == [0, 2, 4]
+
+
+def test_association_beyond_tolerance_and_of_nothing() -> None:
+    truth = stamps(3)
+    assert len(trajectory.associate(truth + 11_000_000, truth)[0]) == 0
+    assert len(trajectory.associate(truth + 10_000_000, truth)[0]) == 3
+    assert len(trajectory.associate(truth[:0], truth)[0]) == 0
+    assert trajectory.associate(truth, truth[1:2])[0].tolist() == [1]

@@ -1,0 +1,51 @@
+"""Drives whose error is known because it was put there."""
+
+import numpy as np
+
+from calm_edge.geometry import se3
+from calm_edge.types import LocalizerUpdate, Prediction, Submap, Trajectory
+
+STEP_NS = 100_000_000
+
+
+def curve(n: int = 240) -> np.ndarray:
+    """(n, 4, 4) a winding drive, about a metre a frame, in all three axes."""
+    u = np.linspace(0, 1, n)
+    angle = 1.2 * np.sin(2 * np.pi * u)
+    forward = np.stack([np.sin(angle), 0.1 * np.sin(9 * u), np.cos(angle)], 1)
+    position = np.concatenate([np.zeros((1, 3)), np.cumsum(forward[:-1], 0)])
+    return se3.compose(se3.so3_exp(np.stack([0 * u, angle, 0.05 * np.sin(7 * u)], 1)), position)
+
+
+def stamps(n: int) -> np.ndarray:
+    return np.arange(n, dtype=np.int64) * STEP_NS + 1_000_000_000
+
+
+def update(
+    T_w_c: np.ndarray,
+    t_ns: np.ndarray,
+    focal: tuple[float, float] = (500.0, 600.0),
+    sigma: tuple[float, float] = (0.01, 0.01),
+    submap_id: int = 0,
+    scale: float = 1.0,
+    stage_ms: dict[str, float] | None = None,
+) -> LocalizerUpdate:
+    """An update with a sub-map of two primary and one assistant view and this trajectory."""
+    K = np.stack([np.diag([f, f, 1.0]) for f in (focal[0], focal[0], focal[1])])
+    eye = np.tile(np.eye(4), (3, 1, 1))
+    submap = Submap(
+        submap_id,
+        (0, 1),
+        (0,),
+        0,
+        t_ns[[0, 1, 0]],
+        eye,
+        K,
+        eye,
+        K,
+        scale,
+        T_w_c[-1],
+        np.array(sigma),
+    )
+    trajectory = Trajectory(np.arange(len(t_ns)), t_ns, T_w_c, np.eye(4), submap_id)
+    return LocalizerUpdate(submap, Prediction(K, eye), trajectory, np.eye(4), stage_ms or {})
