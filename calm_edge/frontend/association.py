@@ -1,0 +1,128 @@
+"""Windows of keyframes from two streams, synchronous or not (paper IV-A)."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from calm_edge.config import FrontendConfig
+from calm_edge.types import CalmEdgeError, Keyframe, SubmapWindow
+from device.frame import Frame
+
+MIN_PAIRS = 3
+
+
+class WindowError(CalmEdgeError):
+    """The frontend section asks for windows that cannot be built."""
+
+
+def is_thin(window: SubmapWindow) -> bool:
+    """Fewer than MIN_PAIRS assistant keyframes: its scale rests on little or nothing."""
+    return len(window.assistant) < MIN_PAIRS
+
+
+class WindowBuilder:
+    """Groups primary keyframes by N_max with N_overlap kept, each with its closest assistant frame.
+
+    A keyframe's association is final once an assistant frame at or after its stamp has come, or the
+    primary stream is `max_pair_gap_s` past it; so it does not depend on which eye came first.
+    One assistant frame chosen by two keyframes is one assistant keyframe (de-duplication).
+    """
+
+    def __init__(self, config: FrontendConfig) -> None:
+        if not 0 < config.n_overlap < config.n_max:
+            raise WindowError(
+                f"frontend.n_overlap = {config.n_overlap}: must lie between 1 and n_max - 1 = "
+                f"{config.n_max - 1}"
+            )
+        self.config = config
+        self.n_assistant = 0
+        self._gap_ns = int(config.max_pair_gap_s * 1e9)
+        self._seen: deque[Frame] = deque()
+        self._open: deque[Keyframe] = deque()
+        self._paired: list[tuple[Keyframe, Keyframe | None]] = []
+        self._n_overlap = 0
+        self._submap_id = 0
+        self._last_assistant: Keyframe | None = None
+
+    def add_assistant(self, frame: Frame) -> tuple[SubmapWindow, ...]:
+        """An assistant frame came; the windows it completes."""
+        if self._seen and frame.t_ns <= self._seen[-1].t_ns:
+            return ()
+        self._seen.append(frame)
+        return self._settle(self._open[0].frame.t_ns if self._open else frame.t_ns)
+
+    def add_keyframe(self, keyframe: Keyframe) -> tuple[SubmapWindow, ...]:
+        """A primary keyframe was chosen; the windows it completes."""
+        self._open.append(keyframe)
+        return self._settle(keyframe.frame.t_ns)
+
+    def advance(self, t_ns: int) -> tuple[SubmapWindow, ...]:
+        """The primary stream reached t_ns; the windows that now wait no longer."""
+        return self._settle(t_ns)
+
+    def flush(self) -> tuple[SubmapWindow, ...]:
+        """The stream ended: every keyframe gets its window.
+
+        One more window is made when at least one keyframe is in no window yet and two are known; it
+        reaches back to N_max / 2 + 1 primary keyframes, so that a short tail is still well posed.
+        """
+        while self._open:
+            self._pair(self._open.popleft())
+        windows = self._emit_full()
+        n_new = len(self._paired) - self._n_overlap
+        if n_new < 1 or len(self._paired) < 2:
+            return windows
+        reach = max(n_new + self.config.n_overlap, self.config.n_max // 2 + 1)
+        return (*windows, self._emit(min(reach, len(self._paired)), n_new))
+
+    def _settle(self, t_ns: int) -> tuple[SubmapWindow, ...]:
+        newest = self._seen[-1].t_ns if self._seen else None
+        while self._open:
+            stamp = self._open[0].frame.t_ns
+            if (newest is None or newest < stamp) and t_ns - stamp < self._gap_ns:
+                break
+            self._pair(self._open.popleft())
+        if not self._open:
+            # a later keyframe is stamped t_ns or later: keep what may still be its closest
+            while len(self._seen) > 1 and self._seen[1].t_ns <= t_ns - self._gap_ns:
+                self._seen.popleft()
+        return self._emit_full()
+
+    def _pair(self, keyframe: Keyframe) -> None:
+        stamp = keyframe.frame.t_ns
+        near = [f for f in self._seen if abs(f.t_ns - stamp) <= self._gap_ns]
+        closest = min(near, key=lambda f: (abs(f.t_ns - stamp), f.t_ns), default=None)
+        assistant = None
+        if closest is not None:
+            assistant = self._last_assistant
+            if assistant is None or assistant.frame.t_ns != closest.t_ns:
+                assistant = Keyframe(self.n_assistant, closest)
+                self.n_assistant += 1
+                self._last_assistant = assistant
+        self._paired.append((keyframe, assistant))
+
+    def _emit_full(self) -> tuple[SubmapWindow, ...]:
+        windows: list[SubmapWindow] = []
+        while True:
+            n_new = self.config.n_max - (self.config.n_overlap if self._submap_id else 0)
+            if len(self._paired) - self._n_overlap < n_new:
+                return tuple(windows)
+            end = self._n_overlap + n_new
+            later, self._paired = self._paired[end:], self._paired[:end]
+            windows.append(self._emit(self.config.n_max, n_new))
+            self._paired += later
+
+    def _emit(self, n_primary: int, n_new: int) -> SubmapWindow:
+        used = self._paired[-n_primary:]
+        assistant = {a.id: a for _, a in used if a is not None}
+        window = SubmapWindow(
+            self._submap_id,
+            tuple(p for p, _ in used),
+            tuple(assistant[i] for i in sorted(assistant)),
+            n_primary - n_new,
+        )
+        # the tail window may reach back further than N_overlap: keep what it could need
+        self._paired = self._paired[-self.config.n_max :]
+        self._n_overlap = len(self._paired)
+        self._submap_id += 1
+        return window

@@ -1,0 +1,81 @@
+"""Keyframe selection by image disparity (paper IV-A): tau_flow at a reference width."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.config import FrontendConfig
+from calm_edge.frontend.flow import corners, follow
+from calm_edge.types import Bytes, Float32, Keyframe
+from device.frame import Frame
+
+# A mean that a passing car cannot carry: this share is cut at each end, and half the
+# tracks must have moved by MOVING_SHARE of the threshold.
+TRIM = 0.1
+MOVING_SHARE = 0.2
+# Below this share of surviving tracks the scene has changed: a turn, or an exit from a tunnel.
+SURVIVING_SHARE = 0.3
+MIN_TRACKS = 20
+CORNERS = 400
+
+
+def robust_mean(disparity: NDArray[np.floating]) -> float:
+    """Mean of disparities (M,) px without the smallest and largest tenth; 0 when empty."""
+    if len(disparity) == 0:
+        return 0.0
+    cut = int(TRIM * len(disparity))
+    return float(np.sort(disparity)[cut : len(disparity) - cut].mean())
+
+
+class KeyframeSelector:
+    """Chooses the primary frames worth reconstructing; owns the tracks since the last keyframe.
+
+    Tracks run frame to frame, so a motion larger than Lucas-Kanade's reach still accumulates. While
+    nothing moves the reference image stays the same one, so that noise cannot add up to motion.
+    """
+
+    def __init__(self, config: FrontendConfig) -> None:
+        self.config = config
+        self.count = 0
+        self._reference: Bytes | None = None
+        self._keyframe_t_ns = 0
+        self._n_detected = 0
+        self._at_keyframe: Float32 = np.zeros((0, 2), np.float32)
+        self._uv: Float32 = self._at_keyframe
+
+    def consider(self, frame: Frame, gray: Bytes) -> Keyframe | None:
+        """The frame as a Keyframe when it is one, else None. gray: its picture, (H, W) uint8."""
+        if self._reference is None or gray.shape != self._reference.shape:
+            return self._accept(frame, gray)
+        if self._n_detected < MIN_TRACKS:
+            # nothing to measure with (darkness, fog): start over from here
+            self._detect(gray)
+            return None
+        moved, good = follow(self._reference, gray, self._uv)
+        threshold = self.config.flow_px * gray.shape[1] / self.config.flow_reference_width_px
+        disparity = np.linalg.norm(moved - self._at_keyframe, axis=1)[good]
+        alive = int(good.sum())
+        if alive < max(MIN_TRACKS, SURVIVING_SHARE * self._n_detected):
+            return self._accept(frame, gray)
+        mean, median = robust_mean(disparity), float(np.median(disparity))
+        overdue = frame.t_ns - self._keyframe_t_ns > self.config.max_keyframe_gap_s * 1e9
+        if median > MOVING_SHARE * threshold and (mean > threshold or overdue):
+            return self._accept(frame, gray)
+        step = np.linalg.norm(moved - self._uv, axis=1)[good]
+        if float(np.median(step)) >= self.config.standstill_px:
+            self._reference = gray
+            self._uv, self._at_keyframe = moved[good], self._at_keyframe[good]
+        return None
+
+    def _accept(self, frame: Frame, gray: Bytes) -> Keyframe:
+        keyframe = Keyframe(self.count, frame)
+        self.count += 1
+        self._keyframe_t_ns = frame.t_ns
+        self._detect(gray)
+        return keyframe
+
+    def _detect(self, gray: Bytes) -> None:
+        self._reference = gray
+        self._uv = self._at_keyframe = corners(gray, CORNERS)
+        self._n_detected = len(self._uv)

@@ -1,0 +1,73 @@
+"""The points of a placed sub-map that a frame can be located against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calm_edge.frontend.flow import corners
+from calm_edge.geometry import pinhole, se3
+from calm_edge.types import Bytes, Float, Float32, Int, LocalizerUpdate
+
+# Keyframes back from the newest whose own points are taken: older ones have left the view.
+RECENT_VIEWS = 4
+MIN_CONFIDENCE = 0.5
+CORNERS = 600
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkCloud:
+    """p_w (M, 3) world units; uv (M, 2) px where each was last seen, in keyframe_id (M,)."""
+
+    p_w: Float
+    uv: Float32
+    keyframe_id: Int
+
+
+def of_update(update: LocalizerUpdate, count: int, gray: Bytes | None = None) -> LandmarkCloud:
+    """At most `count` points of the newest keyframes, newest first.
+
+    A point keeps its depth and is put on the ray of the view that saw it last, so that it agrees
+    with that view's rectified pose and K. Without landmarks: corners of `gray` (H, W), the newest
+    primary keyframe, where its depth is confident.
+    """
+    submap, prediction = update.submap, update.prediction
+    first = max(0, submap.n_primary - RECENT_VIEWS)
+    if prediction.landmarks is not None:
+        marks = prediction.landmarks
+        keep = (marks.view >= first) & (marks.view < submap.n_primary)
+        index, view, uv = marks.index[keep], marks.view[keep], marks.uv[keep]
+        # newest view first, then the first row of each landmark
+        order = np.lexsort((index, -view))
+        index, view, uv = index[order], view[order], uv[order]
+        _, once = np.unique(index, return_index=True)
+        once = np.sort(once)
+        index, view, uv = index[once], view[once], uv[once]
+        T_c_s = se3.inverse(submap.T_s_c_raw[view])
+        depth = (T_c_s[:, :3, :3] @ marks.points_s[index][..., None])[:, 2, 0] + T_c_s[:, 2, 3]
+    else:
+        view, uv, depth = _from_depth(update, gray)
+    front = np.isfinite(depth) & (depth > 0)
+    view, uv, depth = view[front], np.asarray(uv[front], np.float32), depth[front]
+    step = max(1, -(-len(view) // count))
+    view, uv, depth = view[::step], uv[::step], depth[::step] * submap.scale
+    p_c = pinhole.back_project(submap.K[view], uv.astype(np.float64), depth)
+    T_w_c = submap.T_w_c()[view]
+    p_w = (T_w_c[:, :3, :3] @ p_c[..., None])[..., 0] + T_w_c[:, :3, 3]
+    ids = np.array(submap.primary_ids, np.int64)[view]
+    return LandmarkCloud(p_w, uv, ids)
+
+
+def _from_depth(update: LocalizerUpdate, gray: Bytes | None) -> tuple[Int, Float32, Float]:
+    """View, pixel and raw depth of corners of the newest primary view; empty without depth."""
+    prediction, view = update.prediction, update.submap.n_primary - 1
+    if prediction.depth is None or gray is None:
+        return np.zeros(0, np.int64), np.zeros((0, 2), np.float32), np.zeros(0)
+    depth = prediction.depth[view].astype(np.float64)
+    if prediction.confidence is not None:
+        depth = np.where(prediction.confidence[view] >= MIN_CONFIDENCE, depth, 0.0)
+    uv = corners(gray, CORNERS)
+    scale = np.array([depth.shape[1] / gray.shape[1], depth.shape[0] / gray.shape[0]])
+    column, row = ((uv + 0.5) * scale).astype(np.int64).T
+    return np.full(len(uv), view, np.int64), uv, depth[row, column]

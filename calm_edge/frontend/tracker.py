@@ -1,0 +1,214 @@
+"""A pose for every primary frame against the newest sub-map's points: KLT + PnP.
+
+The world of its poses is smooth odometry: a new sub-map moves `T_map_odom`, never a pose
+(REP-105). Only after tracking was lost does the pose jump, and the epoch grows.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from calm_edge.config import FrontendConfig
+from calm_edge.frontend import landmark_cloud
+from calm_edge.frontend.flow import follow
+from calm_edge.frontend.pnp import PoseFit, locate, reprojection
+from calm_edge.geometry import se3
+from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
+
+MIN_INLIERS = 12
+# Frames kept so that a sub-map that comes late can be followed from its keyframes to now.
+REMEMBERED = 60
+HOP = 4
+VELOCITY_WINDOW_NS = 300_000_000
+INLIER_PX = 3.0
+
+
+@dataclass(slots=True)
+class _Past:
+    t_ns: int
+    gray: Bytes
+    keyframe_id: int | None
+    T_m_c: Float | None
+
+
+@dataclass(slots=True)
+class _Tracks:
+    """Points followed: p_m (M, 3) map frame, uv (M, 2) px in the image `seen_in`."""
+
+    K: Float
+    p_m: Float
+    uv: Float32
+    seen_in: Bytes
+
+
+class Tracker:
+    """Owner of the live pose. Feed every primary frame to `track` and every update to `attach`."""
+
+    def __init__(self, config: FrontendConfig) -> None:
+        self.config = config
+        self.T_map_odom: Float = np.eye(4)
+        self.epoch = 0
+        self.lagging = False
+        self._tracks: _Tracks | None = None
+        self._past: deque[_Past] = deque(maxlen=REMEMBERED)
+        self._path: deque[tuple[int, Float]] = deque()
+        self._ever_tracked = False
+
+    def track(self, t_ns: int, gray: Bytes, keyframe_id: int | None = None) -> PoseSample:
+        """The pose of the frame exposed at t_ns; without a fresh track LOST, all NaN."""
+        guess = self._predict(t_ns)
+        fit = self._follow(gray, guess)
+        T_m_c = None if fit is None else fit.T_w_c
+        self._past.append(_Past(t_ns, gray, keyframe_id, T_m_c))
+        if fit is None:
+            # a blurred frame or two may be bridged; after that the track is gone
+            if self._path and t_ns - self._path[-1][0] > self.config.lost_after_ms * 1e6:
+                self._tracks = None
+                self._path.clear()
+            nothing = np.full((4, 4), np.nan), np.full(3, np.nan), np.full((6, 6), np.nan)
+            return PoseSample(t_ns, *nothing, self.epoch, PoseStatus.LOST)
+        T_o_c = se3.inverse(self.T_map_odom) @ fit.T_w_c
+        velocity = self._velocity(t_ns, T_o_c)
+        status = PoseStatus.LAGGING if self.lagging else PoseStatus.LIVE
+        return PoseSample(t_ns, T_o_c, velocity, fit.covariance, self.epoch, status)
+
+    def attach(self, update: LocalizerUpdate) -> bool:
+        """Takes over a new sub-map's points where its keyframes are remembered; False if it cannot.
+
+        The points are followed from their keyframes to the newest frame in hops. When that fails
+        the old points stay: an old track is better than none, and is said to be LOST in time.
+        """
+        newest_id = update.submap.primary_ids[-1]
+        place = {p.keyframe_id: i for i, p in enumerate(self._past) if p.keyframe_id is not None}
+        newest = self._past[place[newest_id]].gray if newest_id in place else None
+        cloud = landmark_cloud.of_update(update, self.config.tracker_points, newest)
+        T_w_c = dict(zip(update.submap.primary_ids, update.submap.T_w_c(), strict=False))
+        starts = sorted({place[i] for i in cloud.keyframe_id.tolist() if i in place})
+        if not starts:
+            return False
+        K = update.submap.K[update.submap.n_primary - 1]
+        born = np.array([place.get(i, -1) for i in cloud.keyframe_id.tolist()])
+        known = {place[i]: T for i, T in T_w_c.items() if i in place}
+        p_m, uv, T_now, gray = self._bring_forward(K, cloud.p_w, cloud.uv, born, known)
+        fit = locate(K, p_m, uv, T_now, self._threshold(gray))
+        if fit is None or fit.n_inliers < 2 * MIN_INLIERS:
+            return False
+        self._switch(fit)
+        self._tracks = _Tracks(K, p_m[fit.inlier], uv[fit.inlier], gray)
+        return True
+
+    def _threshold(self, gray: Bytes) -> float:
+        return float(max(2.0, INLIER_PX * gray.shape[1] / self.config.flow_reference_width_px))
+
+    def _follow(self, gray: Bytes, T_predicted: Float | None) -> PoseFit | None:
+        tracks = self._tracks
+        if tracks is None or T_predicted is None or len(tracks.p_m) < MIN_INLIERS:
+            return None
+        if tracks.seen_in.shape != gray.shape:
+            return None
+        moved, good = follow(tracks.seen_in, gray, tracks.uv, self._guess(T_predicted))
+        p_m, uv = tracks.p_m[good], moved[good]
+        step = np.linalg.norm(uv - tracks.uv[good], axis=1)
+        fit = locate(tracks.K, p_m, uv, T_predicted, self._threshold(gray))
+        if fit is None or fit.n_inliers < MIN_INLIERS:
+            return None
+        # while nothing moves the image tracked from stays, so that noise cannot become drift
+        if np.median(step) >= self.config.standstill_px:
+            self._tracks = _Tracks(tracks.K, p_m[fit.inlier], uv[fit.inlier], gray)
+        return fit
+
+    def _guess(self, T_predicted: Float) -> Float32 | None:
+        """Where the tracks should be: their shift under the predicted motion, (M, 2) px."""
+        tracks, last = self._tracks, self._path[-1][1] if self._path else None
+        if tracks is None or last is None:
+            return None
+        there, _ = reprojection(tracks.K, tracks.p_m, T_predicted)
+        here, _ = reprojection(tracks.K, tracks.p_m, self.T_map_odom @ last)
+        with np.errstate(invalid="ignore"):
+            shift = there - here
+        shift[~np.isfinite(shift).all(1)] = 0.0
+        return np.asarray(tracks.uv + shift, np.float32)
+
+    def _predict(self, t_ns: int) -> Float | None:
+        """The pose at t_ns at constant velocity, map frame."""
+        if not self._path:
+            return None
+        t_1, T_1 = self._path[-1]
+        if len(self._path) > 1:
+            t_0, T_0 = self._path[-2]
+            T_1 = se3.interpolate(T_0, T_1, (t_ns - t_0) / (t_1 - t_0))
+        return np.asarray(self.T_map_odom @ T_1)
+
+    def _velocity(self, t_ns: int, T_o_c: Float) -> Float:
+        """(3,) world units/s, camera axes: finite difference over the velocity window."""
+        self._path.append((t_ns, T_o_c))
+        while len(self._path) > 2 and t_ns - self._path[1][0] >= VELOCITY_WINDOW_NS:
+            self._path.popleft()
+        t_0, T_0 = self._path[0]
+        if t_0 == t_ns:
+            return np.full(3, np.nan)
+        moved = T_o_c[:3, 3] - T_0[:3, 3]
+        return np.asarray(T_o_c[:3, :3].T @ moved / ((t_ns - t_0) * 1e-9))
+
+    def _switch(self, fit: PoseFit) -> None:
+        """The newest frame has a pose in the new map: carry the odometry over to it."""
+        newest = self._past[-1]
+        if newest.T_m_c is not None:
+            T_o_c = self._path[-1][1]
+            self.T_map_odom = fit.T_w_c @ se3.inverse(T_o_c)
+            T_new_old = fit.T_w_c @ se3.inverse(newest.T_m_c)
+            for past in self._past:
+                past.T_m_c = None if past.T_m_c is None else T_new_old @ past.T_m_c
+        else:
+            # the odometry was cut: its frame stays where it was, and the pose jumps
+            self.epoch += self._ever_tracked
+            for past in self._past:
+                past.T_m_c = None
+            self._path.clear()
+            self._path.append((newest.t_ns, se3.inverse(self.T_map_odom) @ fit.T_w_c))
+        newest.T_m_c = fit.T_w_c
+        self._ever_tracked = True
+
+    def _bring_forward(
+        self, K: Float, p_w: Float, uv: Float32, born: np.ndarray, known: dict[int, Float]
+    ) -> tuple[Float, Float32, Float, Bytes]:
+        """Points (M, 3) seen at uv (M, 2) in remembered frame `born` (M,), followed to the newest.
+
+        known: world poses of remembered keyframes. Returns the survivors' points and pixels, a
+        guess of the newest frame's pose, and its image.
+        """
+        past, last = list(self._past), len(self._past) - 1
+        starts = sorted(set(born[born >= 0].tolist()))
+        stops = sorted({*starts, *range(starts[-1], last, HOP), last})
+        alive = np.zeros((0,), np.int64)
+        now: Float32 = np.zeros((0, 2), np.float32)
+        gray = past[stops[0]].gray
+        T = known[stops[0]]
+        for here, there in itertools.pairwise([*stops, last]):
+            T = known.get(here, T)
+            fresh = np.flatnonzero(born == here)
+            alive, now = np.concatenate([alive, fresh]), np.concatenate([now, uv[fresh]])
+            if here == there:
+                break
+            for a, b in self._hops(here, there):
+                T_a, T_b = past[a].T_m_c, past[b].T_m_c
+                guess = None
+                if T_a is not None and T_b is not None:
+                    T = T @ se3.inverse(T_a) @ T_b
+                    seen, _ = reprojection(K, p_w[alive], T)
+                    guess = np.where(np.isfinite(seen), seen, now).astype(np.float32)
+                ahead = past[b].gray
+                now, good = follow(gray, ahead, now, guess)
+                alive, now, gray = alive[good], now[good], ahead
+        return p_w[alive], now, T, gray
+
+    def _hops(self, here: int, there: int) -> list[tuple[int, int]]:
+        """Steps from one remembered frame to another: one leap where both poses are known."""
+        past = self._past
+        if past[here].T_m_c is not None and past[there].T_m_c is not None:
+            return [(here, there)]
+        return list(itertools.pairwise(range(here, there + 1)))

@@ -1,0 +1,156 @@
+"""The live pose against an exact wall: accuracy, standstill, late sub-maps, honest loss."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calm_edge.config import FrontendConfig
+from calm_edge.frontend.tracker import Tracker
+from calm_edge.geometry import se3
+from calm_edge.types import Float, PoseSample, PoseStatus
+from tests.frontend.plane_world import PlaneWorld, drive
+
+PERIOD_NS = 100_000_000
+WORLD = PlaneWorld()
+
+
+def stamp(i: int) -> int:
+    return 1_000_000_000 + i * PERIOD_NS
+
+
+def feed(tracker: Tracker, T_w_c: Float, first: int = 0, step: int = 3) -> list[PoseSample]:
+    """Every `step`-th frame is a keyframe, its id counted by frame / step."""
+    return [
+        tracker.track(
+            stamp(first + i),
+            WORLD.render(T),
+            (first + i) // step if (first + i) % step == 0 else None,
+        )
+        for i, T in enumerate(T_w_c)
+    ]
+
+
+def error(samples: list[PoseSample], T_w_c: Float) -> float:
+    """Largest relative position error against the first sample, metres."""
+    mine = np.stack([s.T_w_c for s in samples])
+    relative = se3.inverse(mine[0]) @ mine
+    truth = se3.inverse(T_w_c[0]) @ T_w_c
+    return float(np.abs(relative[:, :3, 3] - truth[:, :3, 3]).max())
+
+
+def attached(poses: Float, upto: int, **options: object) -> Tracker:
+    tracker = Tracker(FrontendConfig())
+    feed(tracker, poses[:upto])
+    ids = [0, 1, 2]
+    update = WORLD.update(0, ids, [stamp(3 * i) for i in ids], poses[[0, 3, 6]], **options)  # type: ignore[arg-type]
+    assert tracker.attach(update)
+    return tracker
+
+
+def test_before_any_submap_the_pose_is_lost_and_holds_no_number() -> None:
+    samples = feed(Tracker(FrontendConfig()), drive(2))
+    assert all(s.status is PoseStatus.LOST for s in samples)
+    assert all(np.isnan(s.T_w_c).all() for s in samples)
+
+
+@pytest.mark.parametrize("options", [{}, {"with_depth": True}, {"raw_scale": 3.0}])
+def test_a_late_submap_is_followed_from_its_keyframes_to_now(options: dict[str, object]) -> None:
+    poses = drive(24)
+    tracker = attached(poses, 12, **options)
+    samples = feed(tracker, poses[12:], 12)
+    assert all(s.status is PoseStatus.LIVE for s in samples)
+    assert error(samples, poses[12:]) < 0.02
+    np.testing.assert_allclose(samples[0].T_w_c, poses[12], atol=0.02)
+    truth = poses[-1, :3, :3].T @ (poses[-1] - poses[-4])[:3, 3] / 0.3
+    np.testing.assert_allclose(samples[-1].velocity_c, truth, atol=0.1)
+
+
+def test_the_covariance_is_a_covariance_of_the_right_size() -> None:
+    poses = drive(20)
+    samples = feed(attached(poses, 10), poses[10:], 10)
+    for sample, T in zip(samples, poses[10:], strict=True):
+        assert np.linalg.eigvalsh(sample.covariance).min() > 0
+        miss = se3.log(se3.inverse(sample.T_w_c) @ T)
+        assert miss @ np.linalg.solve(sample.covariance, miss) < 200
+        assert np.sqrt(sample.covariance[0, 0]) < 0.2
+
+
+def test_standing_still_is_a_live_pose_without_velocity() -> None:
+    poses = drive(12)
+    tracker = attached(poses, 12)
+    rng = np.random.default_rng(1)
+    still = WORLD.render(poses[11])
+    samples = []
+    for i in range(30):
+        noisy = np.clip(still + rng.normal(0, 3, still.shape), 0, 255).astype(np.uint8)
+        samples.append(tracker.track(stamp(12 + i), noisy))
+    assert all(s.status is PoseStatus.LIVE for s in samples)
+    assert np.abs(samples[-1].velocity_c).max() < 0.05
+    assert np.linalg.norm(samples[-1].T_w_c[:3, 3] - samples[0].T_w_c[:3, 3]) < 0.01
+
+
+def test_darkness_is_lost_at_once_and_a_short_one_is_bridged() -> None:
+    poses = drive(30)
+    tracker = attached(poses, 10)
+    good = feed(tracker, poses[10:14], 10)
+    dark = np.zeros_like(WORLD.render(poses[0]))
+    assert tracker.track(stamp(14), dark).status is PoseStatus.LOST
+    back = tracker.track(stamp(15), WORLD.render(poses[15]))
+    assert back.status is PoseStatus.LIVE and back.epoch == good[-1].epoch
+    for i in range(16, 21):
+        assert tracker.track(stamp(i), dark).status is PoseStatus.LOST
+    after = tracker.track(stamp(21), WORLD.render(poses[21]))
+    assert after.status is PoseStatus.LOST and np.isnan(after.T_w_c).all()
+
+
+def test_running_out_of_points_is_lost() -> None:
+    poses = drive(60, step_m=0.5)
+    tracker = attached(poses, 8)
+    statuses = [s.status for s in feed(tracker, poses[8:], 8)]
+    assert statuses[0] is PoseStatus.LIVE and statuses[-1] is PoseStatus.LOST
+
+
+def test_a_new_submap_elsewhere_moves_the_map_and_not_the_pose() -> None:
+    poses = drive(30)
+    tracker = attached(poses, 10)
+    before = feed(tracker, poses[10:18], 10)
+    moved = se3.exp(np.array([2.0, -1.0, 0.5, 0.0, 0.3, 0.0]))
+    update = WORLD.update(
+        1, [3, 4, 5], [stamp(9), stamp(12), stamp(15)], poses[[9, 12, 15]], T_map_world=moved
+    )
+    assert tracker.attach(update)
+    after = feed(tracker, poses[18:], 18)
+    assert error(before + after, poses[10:]) < 0.03
+    assert {s.epoch for s in before + after} == {0}
+    np.testing.assert_allclose(tracker.T_map_odom, moved, atol=0.03)
+
+
+def test_recovering_from_loss_is_a_new_epoch() -> None:
+    poses = drive(30)
+    tracker = attached(poses, 10)
+    feed(tracker, poses[10:12], 10)
+    dark = np.zeros_like(WORLD.render(poses[0]))
+    for i in range(12, 18):
+        tracker.track(stamp(i), dark)
+    feed(tracker, poses[18:25], 18)
+    update = WORLD.update(1, [6, 7], [stamp(18), stamp(21)], poses[[18, 21]])
+    assert tracker.attach(update)
+    samples = feed(tracker, poses[25:], 25)
+    assert all(s.status is PoseStatus.LIVE and s.epoch == 1 for s in samples)
+    np.testing.assert_allclose(samples[-1].T_w_c, poses[-1], atol=0.03)
+
+
+def test_a_submap_whose_keyframes_are_forgotten_is_refused() -> None:
+    poses = drive(10)
+    tracker = Tracker(FrontendConfig())
+    feed(tracker, poses)
+    update = WORLD.update(0, [70, 71], [stamp(0), stamp(3)], poses[[0, 3]])
+    assert not tracker.attach(update)
+
+
+def test_lagging_is_said() -> None:
+    poses = drive(14)
+    tracker = attached(poses, 10)
+    tracker.lagging = True
+    assert feed(tracker, poses[10:], 10)[0].status is PoseStatus.LAGGING
