@@ -51,7 +51,7 @@ class CameraStats:
 
 
 class Camera(Protocol):
-    """A source of frames, used from one thread; stop() may come from another."""
+    """A source of frames, read and stopped by one thread."""
 
     spec: CameraSpec
 

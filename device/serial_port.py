@@ -149,8 +149,10 @@ class SerialPort:
     def _close(self) -> None:
         port, self._port = self._port, None
         if port is not None:
+            # unsent bytes are thrown away, or the kernel waits up to 30 s for a stalled reader;
             # a vanished device fails to close as well, and there is nothing more to lose
             try:
+                port.reset_output_buffer()
                 port.close()
             except (OSError, termios.error) as error:
                 log.debug("%s: close: %s", self.path, error)

@@ -1,0 +1,226 @@
+"""The Video4Linux2 calls we use, as packed structs of 64-bit Linux (<linux/videodev2.h>)."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import mmap
+import os
+import select
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+QUERYCAP = 0x80685600
+ENUM_FMT = 0xC0405602
+S_FMT = 0xC0D05605
+S_PARM = 0xC0CC5616
+REQBUFS = 0xC0145608
+QUERYBUF = 0xC0585609
+QBUF = 0xC058560F
+DQBUF = 0xC0585611
+STREAMON = 0x40045612
+STREAMOFF = 0x40045613
+
+CAP_VIDEO_CAPTURE = 0x00000001
+CAP_STREAMING = 0x04000000
+CAP_DEVICE_CAPS = 0x80000000
+BUF_TYPE_VIDEO_CAPTURE = 1
+FIELD_NONE = 1
+MEMORY_MMAP = 1
+BUF_FLAG_ERROR = 0x0040
+BUF_FLAG_TIMESTAMP_MASK = 0xE000
+BUF_FLAG_TIMESTAMP_MONOTONIC = 0x2000
+
+# trailing pad bytes stand for fields we leave at zero
+CAPABILITY = struct.Struct("=16s32s32sIII12x")
+FMTDESC = struct.Struct("=III32sI16x")
+# the pix member of the union, which is 200 bytes long and aligned to 8
+FORMAT = struct.Struct("=I4xIIIIII176x")
+# type; capability, capturemode, timeperframe numerator and denominator
+STREAMPARM = struct.Struct("=IIIII184x")
+REQUESTBUFFERS = struct.Struct("=III8x")
+# index type bytesused flags field | tv_sec tv_usec | timecode | sequence memory | offset | length
+BUFFER = struct.Struct("=IIIII4xqq16xIII4xI12x")
+
+
+@dataclass(frozen=True, slots=True)
+class Capability:
+    """What a node is. capabilities: of this node, where the driver tells nodes apart."""
+
+    driver: str
+    card: str
+    bus_info: str
+    capabilities: int
+
+    @property
+    def captures(self) -> bool:
+        """A node that streams pictures; the metadata node beside it does not."""
+        wanted = CAP_VIDEO_CAPTURE | CAP_STREAMING
+        return self.capabilities & wanted == wanted
+
+
+@dataclass(frozen=True, slots=True)
+class PixelFormat:
+    """fourcc as 4 characters; stride_bytes: of a row, 0 for compressed formats."""
+
+    fourcc: str
+    width_px: int
+    height_px: int
+    stride_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Buffer:
+    """A filled buffer. t_ns: None when the driver has no monotonic stamp for it."""
+
+    index: int
+    sequence: int
+    bytes_used: int
+    t_ns: int | None
+    corrupt: bool
+
+
+class VideoIO(Protocol):
+    """The operating system under the driver; every call may raise OSError."""
+
+    def nodes(self) -> list[str]:
+        """Paths of the video nodes, in the order of their numbers."""
+        ...
+
+    def open(self, path: str) -> int: ...
+
+    def close(self, fd: int) -> None: ...
+
+    def ioctl(self, fd: int, request: int, argument: bytearray) -> None:
+        """Changes the argument in place."""
+        ...
+
+    def map(self, fd: int, length: int, offset: int) -> mmap.mmap | bytearray: ...
+
+    def unmap(self, memory: mmap.mmap | bytearray) -> None: ...
+
+    def wait(self, fd: int, timeout_s: float) -> bool:
+        """True once there is something to fetch, be it an error."""
+        ...
+
+
+class LinuxVideoIO:
+    """The real one."""
+
+    def nodes(self) -> list[str]:
+        found = [p for p in Path("/dev").glob("video*") if p.name[5:].isdecimal()]
+        return [str(p) for p in sorted(found, key=lambda p: int(p.name[5:]))]
+
+    def open(self, path: str) -> int:
+        return os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+
+    def close(self, fd: int) -> None:
+        os.close(fd)
+
+    def ioctl(self, fd: int, request: int, argument: bytearray) -> None:
+        fcntl.ioctl(fd, request, argument)
+
+    def map(self, fd: int, length: int, offset: int) -> mmap.mmap | bytearray:
+        return mmap.mmap(fd, length, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset)
+
+    def unmap(self, memory: mmap.mmap | bytearray) -> None:
+        if isinstance(memory, mmap.mmap):
+            memory.close()
+
+    def wait(self, fd: int, timeout_s: float) -> bool:
+        return bool(select.select([fd], [], [], timeout_s)[0])
+
+
+def _text(field: bytes) -> str:
+    return field.partition(b"\0")[0].decode(errors="replace")
+
+
+def query_capability(io: VideoIO, fd: int) -> Capability:
+    """QUERYCAP; raises OSError."""
+    argument = bytearray(CAPABILITY.size)
+    io.ioctl(fd, QUERYCAP, argument)
+    driver, card, bus_info, _, capabilities, device_caps = CAPABILITY.unpack(argument)
+    if capabilities & CAP_DEVICE_CAPS:
+        capabilities = device_caps
+    return Capability(_text(driver), _text(card), _text(bus_info), capabilities)
+
+
+def formats(io: VideoIO, fd: int) -> Iterator[str]:
+    """The fourccs ENUM_FMT lists; raises OSError."""
+    for index in range(64):
+        argument = bytearray(FMTDESC.pack(index, BUF_TYPE_VIDEO_CAPTURE, 0, b"", 0))
+        try:
+            io.ioctl(fd, ENUM_FMT, argument)
+        except OSError as error:
+            # EINVAL is how the list ends
+            if error.errno == errno.EINVAL:
+                return
+            raise
+        fourcc: int = FMTDESC.unpack(argument)[4]
+        yield fourcc.to_bytes(4, "little").decode("latin-1")
+
+
+def set_format(io: VideoIO, fd: int, fourcc: str, width_px: int, height_px: int) -> PixelFormat:
+    """S_FMT: what the camera settled on may differ in everything; raises OSError."""
+    code = int.from_bytes(fourcc.encode("latin-1"), "little")
+    argument = bytearray(
+        FORMAT.pack(BUF_TYPE_VIDEO_CAPTURE, width_px, height_px, code, FIELD_NONE, 0, 0)
+    )
+    io.ioctl(fd, S_FMT, argument)
+    _, width, height, got, _, stride, _ = FORMAT.unpack(argument)
+    return PixelFormat(got.to_bytes(4, "little").decode("latin-1"), width, height, stride)
+
+
+def set_rate(io: VideoIO, fd: int, rate_hz: float) -> float:
+    """S_PARM: the rate in Hz the camera settled on, 0 if it does not say; raises OSError."""
+    per_frame = (1000, round(rate_hz * 1000))
+    argument = bytearray(STREAMPARM.pack(BUF_TYPE_VIDEO_CAPTURE, 0, 0, *per_frame))
+    io.ioctl(fd, S_PARM, argument)
+    _, _, _, numerator, denominator = STREAMPARM.unpack(argument)
+    return float(denominator / numerator) if numerator else 0.0
+
+
+def request_buffers(io: VideoIO, fd: int, count: int) -> int:
+    """REQBUFS: how many there are now; 0 frees them; raises OSError."""
+    argument = bytearray(REQUESTBUFFERS.pack(count, BUF_TYPE_VIDEO_CAPTURE, MEMORY_MMAP))
+    io.ioctl(fd, REQBUFS, argument)
+    return int(REQUESTBUFFERS.unpack(argument)[0])
+
+
+def _buffer_argument(index: int) -> bytearray:
+    fields = (index, BUF_TYPE_VIDEO_CAPTURE, 0, 0, 0, 0, 0, 0, MEMORY_MMAP, 0, 0)
+    return bytearray(BUFFER.pack(*fields))
+
+
+def map_buffer(io: VideoIO, fd: int, index: int) -> mmap.mmap | bytearray:
+    """QUERYBUF and mmap; raises OSError."""
+    argument = _buffer_argument(index)
+    io.ioctl(fd, QUERYBUF, argument)
+    *_, offset, length = BUFFER.unpack(argument)
+    return io.map(fd, length, offset)
+
+
+def queue_buffer(io: VideoIO, fd: int, index: int) -> None:
+    """QBUF: the driver may fill it; raises OSError."""
+    io.ioctl(fd, QBUF, _buffer_argument(index))
+
+
+def dequeue_buffer(io: VideoIO, fd: int) -> Buffer:
+    """DQBUF; raises OSError, BlockingIOError when none is filled."""
+    argument = _buffer_argument(0)
+    io.ioctl(fd, DQBUF, argument)
+    index, _, used, flags, _, tv_sec, tv_usec, sequence, *_ = BUFFER.unpack(argument)
+    monotonic = flags & BUF_FLAG_TIMESTAMP_MASK == BUF_FLAG_TIMESTAMP_MONOTONIC
+    t_ns = tv_sec * 1_000_000_000 + tv_usec * 1000
+    # some drivers claim the clock and fill in nothing
+    stamp = t_ns if monotonic and t_ns > 0 else None
+    return Buffer(index, sequence, used, stamp, bool(flags & BUF_FLAG_ERROR))
+
+
+def stream(io: VideoIO, fd: int, on: bool) -> None:
+    """STREAMON or STREAMOFF; raises OSError."""
+    argument = bytearray(struct.pack("=i", BUF_TYPE_VIDEO_CAPTURE))
+    io.ioctl(fd, STREAMON if on else STREAMOFF, argument)

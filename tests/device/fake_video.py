@@ -1,0 +1,186 @@
+"""A kernel with video nodes, for the v4l2 driver: offsets as printed by a C program that includes
+<linux/videodev2.h>, on purpose not taken from the driver's own structs.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import struct
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from device.clock import ManualClock
+
+JPEG = b"\xff\xd8 picture %d \xff\xd9"
+MONOTONIC = 0x2000
+ERROR = 0x40
+
+
+@dataclass
+class Shot:
+    """A picture the camera will take: due on the clock, stamped, with buffer flags."""
+
+    due_ns: int
+    sequence: int
+    data: bytes
+    stamp_ns: int
+    flags: int = MONOTONIC
+
+
+@dataclass
+class FakeCamera:
+    bus_info: str
+    card: str = "Fake"
+    fourccs: tuple[str, ...] = ("YUYV", "MJPG")
+    capabilities: int = 0x85200001
+    device_caps: int = 0x04200001
+    stride: int = 0
+    size: tuple[int, int] | None = None
+    fails: dict[int, int] = field(default_factory=dict)
+    open_errno: int = 0
+    shots: deque[Shot] = field(default_factory=deque)
+    gone: bool = False
+    asked: dict[str, object] = field(default_factory=dict)
+    queued: deque[int] = field(default_factory=deque)
+    memory: list[bytearray] = field(default_factory=list)
+    streaming: bool = False
+
+    def film(self, start_ns: int, n: int, period_ns: int, sequence: int = 0) -> None:
+        """n JPEGs from start_ns on, stamped when they are due."""
+        for k in range(n):
+            t_ns = start_ns + k * period_ns
+            self.shots.append(Shot(t_ns, sequence + k, JPEG % (sequence + k), t_ns))
+
+
+class FakeVideoIO:
+    def __init__(self, clock: ManualClock, cameras: dict[str, FakeCamera]) -> None:
+        self.clock = clock
+        self.cameras = cameras
+        self.open_fds: dict[int, FakeCamera] = {}
+        self._next_fd = 100
+
+    def nodes(self) -> list[str]:
+        return sorted(path for path, camera in self.cameras.items() if not camera.gone)
+
+    def open(self, path: str) -> int:
+        camera = self.cameras.get(path)
+        if camera is None or camera.gone:
+            raise OSError(errno.ENOENT, "No such file or directory")
+        if camera.open_errno:
+            raise OSError(camera.open_errno, os.strerror(camera.open_errno))
+        self._next_fd += 1
+        self.open_fds[self._next_fd] = camera
+        return self._next_fd
+
+    def close(self, fd: int) -> None:
+        del self.open_fds[fd]
+
+    def map(self, fd: int, length: int, offset: int) -> bytearray:
+        memory = self.open_fds[fd].memory[offset // 0x1000]
+        assert len(memory) == length
+        return memory
+
+    def unmap(self, memory: object) -> None:
+        pass
+
+    def wait(self, fd: int, timeout_s: float) -> bool:
+        camera = self.open_fds[fd]
+        if camera.gone:
+            return True
+        limit_ns = self.clock.now_ns() + int(timeout_s * 1e9)
+        due_ns = camera.shots[0].due_ns if camera.shots else limit_ns + 1
+        self.clock.sleep_until_ns(min(due_ns, limit_ns))
+        return due_ns <= limit_ns
+
+    def ioctl(self, fd: int, request: int, argument: bytearray) -> None:
+        camera = self.open_fds[fd]
+        if camera.gone:
+            raise OSError(errno.ENODEV, "No such device")
+        assert len(argument) == (request >> 16) & 0x3FFF
+        number = request & 0xFF
+        if number in camera.fails:
+            raise OSError(camera.fails[number], os.strerror(camera.fails[number]))
+        handlers = {
+            0x00: self._querycap,
+            0x02: self._enum_fmt,
+            0x05: self._s_fmt,
+            0x16: self._s_parm,
+            0x08: self._reqbufs,
+            0x09: self._querybuf,
+            0x0F: self._qbuf,
+            0x11: self._dqbuf,
+            0x12: self._streamon,
+            0x13: self._streamoff,
+        }
+        handlers[number](camera, argument)
+
+    def _querycap(self, camera: FakeCamera, a: bytearray) -> None:
+        a[0:4], a[16 : 16 + len(camera.card)] = b"fake", camera.card.encode()
+        a[48 : 48 + len(camera.bus_info)] = camera.bus_info.encode()
+        struct.pack_into("=II", a, 84, camera.capabilities, camera.device_caps)
+
+    def _enum_fmt(self, camera: FakeCamera, a: bytearray) -> None:
+        index, kind = struct.unpack_from("=II", a, 0)
+        assert kind == 1
+        if index >= len(camera.fourccs):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        a[44:48] = camera.fourccs[index].encode()
+
+    def _s_fmt(self, camera: FakeCamera, a: bytearray) -> None:
+        kind, _, width, height = struct.unpack_from("=IIII", a, 0)
+        assert kind == 1
+        fourcc = a[16:20].decode()
+        width, height = camera.size or (width, height)
+        struct.pack_into("=II", a, 8, width, height)
+        struct.pack_into("=I", a, 24, camera.stride if fourcc == "YUYV" else 0)
+        camera.asked["format"] = (fourcc, width, height)
+
+    def _s_parm(self, camera: FakeCamera, a: bytearray) -> None:
+        camera.asked["rate"] = struct.unpack_from("=II", a, 12)
+
+    def _reqbufs(self, camera: FakeCamera, a: bytearray) -> None:
+        (count, kind, memory) = struct.unpack_from("=III", a, 0)
+        assert (kind, memory) == (1, 1)
+        camera.memory = [bytearray(0x1000 * 4) for _ in range(count)]
+        camera.queued.clear()
+
+    def _querybuf(self, camera: FakeCamera, a: bytearray) -> None:
+        (index,) = struct.unpack_from("=I", a, 0)
+        struct.pack_into("=I", a, 64, index * 0x1000)
+        struct.pack_into("=I", a, 72, len(camera.memory[index]))
+
+    def _qbuf(self, camera: FakeCamera, a: bytearray) -> None:
+        index, kind = struct.unpack_from("=II", a, 0)
+        assert kind == 1 and struct.unpack_from("=I", a, 60) == (1,)
+        assert index not in camera.queued and index < len(camera.memory)
+        camera.queued.append(index)
+
+    def _dqbuf(self, camera: FakeCamera, a: bytearray) -> None:
+        if not camera.shots or camera.shots[0].due_ns > self.clock.now_ns():
+            raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+        assert camera.streaming and camera.queued
+        shot, index = camera.shots.popleft(), camera.queued.popleft()
+        camera.memory[index][: len(shot.data)] = shot.data
+        struct.pack_into("=IIII", a, 0, index, 1, len(shot.data), shot.flags)
+        seconds, rest_ns = divmod(shot.stamp_ns, 10**9)
+        struct.pack_into("=qq", a, 24, seconds, rest_ns // 1000)
+        struct.pack_into("=I", a, 56, shot.sequence)
+
+    def _streamon(self, camera: FakeCamera, a: bytearray) -> None:
+        assert camera.queued
+        camera.streaming = True
+
+    def _streamoff(self, camera: FakeCamera, a: bytearray) -> None:
+        camera.streaming = False
+        camera.queued.clear()
+
+
+def yuyv(rgb_gray: int, width: int, height: int, stride: int) -> bytes:
+    """A gray picture with padded rows, studio range as YUYV."""
+    rows = np.full((height, stride), 77, np.uint8)
+    rows[:, 0 : 2 * width : 2] = round(16 + rgb_gray * 219 / 255)
+    rows[:, 1 : 2 * width : 2] = 128
+    return rows.tobytes()

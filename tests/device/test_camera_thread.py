@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from device.camera import CameraSpec
+from device.camera_thread import CameraState, CameraThread
+from device.clock import Clock, ManualClock, SystemClock
+from device.drivers.replay import ReplayCamera
+from device.drivers.v4l2 import V4l2Camera
+from device.errors import CameraError
+from device.frame import Eye, Frame, UnreadableImage
+from tests.device.fake_video import FakeVideoIO
+
+
+def frames(n: int, period_ns: int = 1_000_000) -> list[Frame]:
+    return [Frame(Eye.PRIMARY, k, k * period_ns, b"x") for k in range(n)]
+
+
+def threaded(source: object, clock: Clock | None = None, **options: int) -> CameraThread:
+    spec = CameraSpec(Eye.PRIMARY, "replay")
+    camera = ReplayCamera(spec, clock or ManualClock(), frames=source)  # type: ignore[arg-type]
+    return CameraThread(camera, **options)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 5
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.001)
+
+
+def test_frames_arrive_in_order_and_only_once() -> None:
+    thread = threaded(frames(30), SystemClock())
+    thread.start()
+    got: list[Frame] = []
+    while thread.state is CameraState.RUNNING:
+        got += thread.drain()
+    got += thread.drain()
+    thread.stop()
+    assert [f.sequence for f in got] == list(range(30))
+    assert thread.state is CameraState.FINISHED and thread.error is None
+    assert thread.drain() == []
+
+
+def test_overflow_keeps_the_newest_and_is_counted() -> None:
+    thread = threaded(frames(10), capacity=4)
+    thread.start()
+    until(lambda: thread.state is CameraState.FINISHED)
+    assert [f.sequence for f in thread.drain()] == [6, 7, 8, 9]
+    assert thread.overflow == 6
+
+
+def test_an_error_becomes_state_and_frames_before_it_stay(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def broken() -> Iterator[Frame]:
+        yield from frames(2)
+        raise UnreadableImage("primary frame 2: not a readable image")
+
+    thread = threaded(broken())
+    thread.start()
+    until(lambda: thread.state is CameraState.FAILED)
+    assert thread.error is not None and "not a readable image" in thread.error
+    assert len(thread.drain()) == 2
+    thread.stop()
+    assert thread.state is CameraState.FAILED
+    assert not thread.camera.connected
+
+
+def test_a_camera_that_is_not_there_is_said_to_the_caller() -> None:
+    clock = ManualClock()
+    spec = CameraSpec(Eye.PRIMARY, "v4l2", "usb-1")
+    thread = CameraThread(V4l2Camera(spec, clock, io=FakeVideoIO(clock, {})))
+    with pytest.raises(CameraError, match="usb-1"):
+        thread.start()
+    assert thread.state is CameraState.STOPPED
+
+
+def test_stop_is_quick_closes_the_camera_and_may_be_repeated() -> None:
+    thread = threaded(frames(3, period_ns=10**12), SystemClock(), capacity=4)
+    thread.start()
+    until(lambda: len(thread.drain()) == 1)
+    began = time.monotonic()
+    thread.stop()
+    thread.stop()
+    assert time.monotonic() - began < 1
+    assert thread.state is CameraState.STOPPED
+    assert not thread.camera.connected

@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from device.serial_port import SerialPort
+
+
+class Line:
+    """A pty behind a stable name, as udev would give it."""
+
+    def __init__(self, name: Path) -> None:
+        self.name = name
+        self.master = self.slave = -1
+
+    def plug(self) -> None:
+        self.master, self.slave = os.openpty()
+        os.set_blocking(self.master, False)
+        self.name.unlink(missing_ok=True)
+        self.name.symlink_to(os.ttyname(self.slave))
+
+    def unplug(self) -> None:
+        for fd in (self.master, self.slave):
+            if fd >= 0:
+                os.close(fd)
+        self.master = self.slave = -1
+        self.name.unlink(missing_ok=True)
+
+    def read(self) -> bytes:
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            while chunk := os.read(self.master, 65536):
+                data += chunk
+        return data
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Iterator[Line]:
+    line = Line(tmp_path / "tty")
+    line.plug()
+    yield line
+    line.unplug()
+
+
+@pytest.fixture
+def port(line: Line) -> Iterator[SerialPort]:
+    port = SerialPort(str(line.name), 115_200, buffer_bytes=1000, retry_s=0.02)
+    port.start()
+    yield port
+    port.stop()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 5
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.002)
+
+
+def test_bytes_arrive_unchanged_and_in_order(line: Line, port: SerialPort) -> None:
+    messages = [bytes(range(256))[k : k + 60] for k in (0, 40, 80, 120, 196)]
+    for message in messages:
+        assert port.write(message)
+    until(lambda: port.stats().written == 5)
+    assert line.read() == b"".join(messages)
+    assert port.connected and port.error is None
+
+
+def test_a_stalled_reader_costs_whole_messages_and_no_time(line: Line, port: SerialPort) -> None:
+    sent = [b"<%05d" % k + b"." * 90 + b">" for k in range(1000)]
+    began = time.monotonic()
+    for message in sent:
+        assert port.write(message)
+    assert time.monotonic() - began < 1
+    until(lambda: port.stats().dropped > 0)
+    received = b""
+
+    def drained() -> bool:
+        nonlocal received
+        received += line.read()
+        stats = port.stats()
+        return stats.written + stats.dropped == 1000 and len(received) == 97 * stats.written
+
+    until(drained)
+    arrived = [received[k : k + 97] for k in range(0, len(received), 97)]
+    assert set(arrived) <= set(sent) and arrived == sorted(arrived)
+    # the oldest gave way: the newest is always among what arrives
+    assert arrived[-1] == sent[-1]
+
+
+def test_a_message_larger_than_the_buffer_is_refused(port: SerialPort) -> None:
+    assert not port.write(b"x" * 1001)
+    assert port.stats().dropped == 1
+
+
+def test_a_vanished_port_is_opened_again(line: Line, port: SerialPort) -> None:
+    port.write(b"before")
+    until(lambda: port.stats().written == 1)
+    line.unplug()
+
+    def lost() -> bool:
+        port.write(b"into the void")
+        return not port.connected
+
+    until(lost)
+    until(lambda: "tty" in (port.error or ""))
+    line.plug()
+    until(lambda: port.connected)
+    port.write(b"after")
+    until(lambda: b"after" in line.read())
+    assert port.stats().reconnects == 1 and port.error is None
+
+
+@pytest.mark.parametrize(("name", "baud"), [("missing", 115_200), ("tty", -5)])
+def test_what_cannot_be_opened_is_an_error_text_and_no_exception(
+    line: Line, name: str, baud: int
+) -> None:
+    port = SerialPort(str(line.name.with_name(name)), baud, retry_s=0.02)
+    port.start()
+    until(lambda: port.error is not None)
+    assert port.write(b"x")
+    assert "cannot be opened" in (port.error or "")
+    port.stop()
+
+
+def test_stop_is_quick_although_the_reader_sleeps(line: Line, port: SerialPort) -> None:
+    for _ in range(300):
+        port.write(b"x" * 900)
+        time.sleep(0.0005)
+    began = time.monotonic()
+    port.stop()
+    port.stop()
+    assert time.monotonic() - began < 1
+    assert not port.connected
+    assert not port.write(b"late")

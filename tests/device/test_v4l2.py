@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from device.camera import CameraSpec
+from device.clock import ManualClock
+from device.drivers.v4l2 import V4l2Camera
+from device.errors import CameraError
+from device.frame import Eye, Frame
+from tests.device.fake_video import ERROR, JPEG, MONOTONIC, FakeCamera, FakeVideoIO, Shot, yuyv
+
+S = 1_000_000_000
+MS = 1_000_000
+COPY = 0x4000
+
+
+class Bench:
+    """One fake camera on usb-1, opened and running at 10 s."""
+
+    def __init__(self, address: str = "usb-1", **camera: object) -> None:
+        self.clock = ManualClock(10 * S)
+        self.device = FakeCamera("usb-1", **camera)  # type: ignore[arg-type]
+        self.io = FakeVideoIO(self.clock, {"/dev/video0": self.device})
+        spec = CameraSpec(Eye.PRIMARY, "v4l2", address, width_px=8, height_px=4)
+        self.camera = V4l2Camera(spec, self.clock, io=self.io)
+        self.camera.start()
+
+    def shoot(self, sequence: int, **changes: object) -> None:
+        """A picture due and stamped now, unless told otherwise."""
+        now_ns = self.clock.now_ns()
+        shot = Shot(now_ns, sequence, JPEG % sequence, now_ns, MONOTONIC)
+        for name, value in changes.items():
+            setattr(shot, name, value)
+        self.device.shots.append(shot)
+
+    def read(self) -> Frame:
+        frame = self.camera.read(0.0)
+        assert frame is not None
+        return frame
+
+    def replug(self, path: str) -> FakeCamera:
+        """The same camera comes back on another node, its driver counting from 0."""
+        self.device = FakeCamera("usb-1")
+        self.io.cameras = {"/dev/video0": FakeCamera("usb-7"), path: self.device}
+        return self.device
+
+
+def test_jpeg_bytes_are_untouched() -> None:
+    bench = Bench()
+    bench.shoot(0)
+    assert bench.read().image == JPEG % 0
+
+
+def test_yuyv_is_converted_once_and_row_padding_is_left_out() -> None:
+    bench = Bench(fourccs=("YUYV",), stride=20)
+    bench.shoot(0, data=yuyv(200, 8, 4, 20))
+    image = bench.read().image
+    assert isinstance(image, np.ndarray)
+    assert image.shape == (4, 8, 3) and image.dtype == np.uint8
+    assert np.abs(image.astype(int) - 200).max() <= 1
+
+
+def test_yuyv_columns_and_colours_keep_their_places() -> None:
+    bench = Bench(fourccs=("YUYV",))
+    rows = np.full((4, 16), 128, np.uint8)
+    rows[:, 0::2] = 16
+    rows[:, 8::2] = 81
+    rows[:, 9::4], rows[:, 11::4] = 90, 240
+    bench.shoot(0, data=rows.tobytes())
+    image = bench.read().image
+    assert isinstance(image, np.ndarray)
+    # the left half is black, the right half is red, in BGR
+    assert image[:, :4].max() < 8
+    assert image[:, 4:, 2].min() > 240 and image[:, 4:, :2].max() < 16
+
+
+def test_the_stamp_is_the_buffers_own() -> None:
+    bench = Bench()
+    bench.shoot(0, stamp_ns=10 * S - 30 * MS)
+    assert bench.read().t_ns == 10 * S - 30 * MS
+    assert bench.camera.stats().host_stamped == 0
+
+
+@pytest.mark.parametrize("changes", [{"flags": 0}, {"flags": COPY}, {"stamp_ns": 0}])
+def test_without_a_monotonic_stamp_the_host_stamps_and_counts(changes: dict[str, int]) -> None:
+    bench = Bench()
+    bench.shoot(0, **{"stamp_ns": 123 * MS} | changes)
+    assert bench.read().t_ns == 10 * S
+    assert bench.camera.stats().host_stamped == 1
+
+
+def test_a_stamp_in_the_future_is_clamped() -> None:
+    bench = Bench()
+    bench.shoot(0, stamp_ns=10 * S + 178 * MS)
+    assert bench.read().t_ns == 10 * S
+    assert bench.camera.stats().clamped == 1
+
+
+@pytest.mark.parametrize("changes", [{"flags": MONOTONIC | ERROR}, {"data": b""}, {"data": b"no"}])
+def test_unusable_buffers_are_counted_not_delivered(changes: dict[str, object]) -> None:
+    bench = Bench()
+    bench.shoot(0, **changes)
+    bench.shoot(1, due_ns=10 * S + MS)
+    frame = bench.camera.read(0.1)
+    assert frame is not None and frame.sequence == 1
+    assert bench.camera.stats().corrupt == 1
+
+
+def test_short_yuyv_is_corrupt() -> None:
+    bench = Bench(fourccs=("YUYV",))
+    bench.shoot(0, data=yuyv(9, 8, 3, 16))
+    assert bench.camera.read(0.0) is None
+    assert bench.camera.stats().corrupt == 1
+
+
+def unplug(bench: Bench) -> None:
+    bench.device.gone = True
+
+
+def input_output_error(bench: Bench) -> None:
+    bench.device.fails[0x11] = errno.EIO
+    bench.shoot(9)
+
+
+@pytest.mark.parametrize("lose", [unplug, input_output_error])
+def test_a_lost_camera_is_found_again_by_its_bus(lose: Callable[[Bench], None]) -> None:
+    bench = Bench("/dev/video0")
+    bench.shoot(5)
+    assert bench.read().sequence == 5
+    lose(bench)
+    assert bench.camera.read(0.5) is None
+    assert bench.clock.now_ns() == 10 * S + 500 * MS
+    assert not bench.camera.connected and not bench.io.open_fds
+
+    # another camera has taken the old node number meanwhile
+    bench.replug("/dev/video4").film(12 * S, 3, 100 * MS)
+    frames = [bench.camera.read(3.0) for _ in range(3)]
+    assert [f and f.sequence for f in frames] == [6, 7, 8]
+    assert [f and f.t_ns for f in frames] == [12 * S, 12 * S + 100 * MS, 12 * S + 200 * MS]
+    stats = bench.camera.stats()
+    assert (stats.reconnects, stats.drops) == (1, 0)
+    assert bench.camera.connected
+
+
+def test_a_missing_camera_is_tried_once_a_second_and_never_raises() -> None:
+    bench = Bench()
+    attempts: list[int] = []
+    bench.device.gone = True
+
+    def nodes() -> list[str]:
+        attempts.append(bench.clock.now_ns())
+        return []
+
+    bench.io.nodes = nodes  # type: ignore[method-assign]
+    for _ in range(50):
+        assert bench.camera.read(0.1) is None
+    assert attempts == [11 * S, 12 * S, 13 * S, 14 * S, 15 * S]
+    assert bench.camera.stats().reconnects == 0
+
+
+def test_a_camera_that_came_back_denied_is_tried_again() -> None:
+    bench = Bench()
+    bench.device.gone = True
+    bench.camera.read(0.1)
+    bench.replug("/dev/video1").open_errno = errno.EACCES
+    assert bench.camera.read(2.0) is None
+    bench.device.open_errno = 0
+    bench.device.film(13 * S, 1, MS)
+    assert bench.camera.read(2.0) is not None
+
+
+def test_start_without_the_camera_says_so() -> None:
+    clock = ManualClock()
+    io = FakeVideoIO(clock, {})
+    with pytest.raises(CameraError, match="primary camera v4l2:usb-3: not there"):
+        V4l2Camera(CameraSpec(Eye.PRIMARY, "v4l2", "usb-3"), clock, io=io).start()
+
+
+def test_format_is_what_the_camera_settled_on() -> None:
+    bench = Bench(size=(640, 480))
+    form = bench.camera.format
+    assert form is not None and (form.width_px, form.height_px) == (640, 480)
+    bench.camera.stop()
+    assert bench.camera.format is None

@@ -1,0 +1,127 @@
+"""The packed structs against the kernel's own header, compiled."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from device.drivers import v4l2_ioctl as v4l2
+
+HEADER = Path("/usr/include/linux/videodev2.h")
+# name in the header -> our value: sizes, offsets and request numbers
+EXPECTED = {
+    "sizeof(struct v4l2_capability)": v4l2.CAPABILITY.size,
+    "sizeof(struct v4l2_fmtdesc)": v4l2.FMTDESC.size,
+    "sizeof(struct v4l2_format)": v4l2.FORMAT.size,
+    "sizeof(struct v4l2_streamparm)": v4l2.STREAMPARM.size,
+    "sizeof(struct v4l2_requestbuffers)": v4l2.REQUESTBUFFERS.size,
+    "sizeof(struct v4l2_buffer)": v4l2.BUFFER.size,
+    "VIDIOC_QUERYCAP": v4l2.QUERYCAP,
+    "VIDIOC_ENUM_FMT": v4l2.ENUM_FMT,
+    "VIDIOC_S_FMT": v4l2.S_FMT,
+    "VIDIOC_S_PARM": v4l2.S_PARM,
+    "VIDIOC_REQBUFS": v4l2.REQBUFS,
+    "VIDIOC_QUERYBUF": v4l2.QUERYBUF,
+    "VIDIOC_QBUF": v4l2.QBUF,
+    "VIDIOC_DQBUF": v4l2.DQBUF,
+    "VIDIOC_STREAMON": v4l2.STREAMON,
+    "VIDIOC_STREAMOFF": v4l2.STREAMOFF,
+    "V4L2_CAP_VIDEO_CAPTURE": v4l2.CAP_VIDEO_CAPTURE,
+    "V4L2_CAP_STREAMING": v4l2.CAP_STREAMING,
+    "V4L2_CAP_DEVICE_CAPS": v4l2.CAP_DEVICE_CAPS,
+    "V4L2_BUF_TYPE_VIDEO_CAPTURE": v4l2.BUF_TYPE_VIDEO_CAPTURE,
+    "V4L2_FIELD_NONE": v4l2.FIELD_NONE,
+    "V4L2_MEMORY_MMAP": v4l2.MEMORY_MMAP,
+    "V4L2_BUF_FLAG_ERROR": v4l2.BUF_FLAG_ERROR,
+    "V4L2_BUF_FLAG_TIMESTAMP_MASK": v4l2.BUF_FLAG_TIMESTAMP_MASK,
+    "V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC": v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC,
+}
+# the fields we read or write, each given a value that names it
+FILLED = {
+    "struct v4l2_capability": (
+        v4l2.CAPABILITY,
+        {".capabilities": (4, 11), ".device_caps": (5, 12), ".version": (3, 13)},
+    ),
+    "struct v4l2_fmtdesc": (v4l2.FMTDESC, {".index": (0, 11), ".pixelformat": (4, 12)}),
+    "struct v4l2_format": (
+        v4l2.FORMAT,
+        {
+            ".type": (0, 11),
+            ".fmt.pix.width": (1, 12),
+            ".fmt.pix.height": (2, 13),
+            ".fmt.pix.pixelformat": (3, 14),
+            ".fmt.pix.field": (4, 15),
+            ".fmt.pix.bytesperline": (5, 16),
+            ".fmt.pix.sizeimage": (6, 17),
+        },
+    ),
+    "struct v4l2_streamparm": (
+        v4l2.STREAMPARM,
+        {
+            ".type": (0, 11),
+            ".parm.capture.timeperframe.numerator": (3, 12),
+            ".parm.capture.timeperframe.denominator": (4, 13),
+        },
+    ),
+    "struct v4l2_requestbuffers": (
+        v4l2.REQUESTBUFFERS,
+        {".count": (0, 11), ".type": (1, 12), ".memory": (2, 13)},
+    ),
+    "struct v4l2_buffer": (
+        v4l2.BUFFER,
+        {
+            ".index": (0, 11),
+            ".type": (1, 12),
+            ".bytesused": (2, 13),
+            ".flags": (3, 14),
+            ".field": (4, 15),
+            ".timestamp.tv_sec": (5, 16),
+            ".timestamp.tv_usec": (6, 17),
+            ".sequence": (7, 18),
+            ".memory": (8, 19),
+            ".m.offset": (9, 20),
+            ".length": (10, 21),
+        },
+    ),
+}
+
+
+def compiled(tmp_path: Path, body: str) -> list[str]:
+    """Lines that a C program with the header prints."""
+    source, program = tmp_path / "probe.c", tmp_path / "probe"
+    source.write_text(
+        "#include <linux/videodev2.h>\n#include <stdio.h>\n#include <string.h>\n"
+        f"int main(void) {{\n{body}\nreturn 0;\n}}\n"
+    )
+    subprocess.run(["gcc", "-w", "-o", program, source], check=True)
+    return subprocess.run([program], check=True, capture_output=True, text=True).stdout.split()
+
+
+needs_header = pytest.mark.skipif(
+    not (shutil.which("gcc") and HEADER.exists()), reason="no gcc or no kernel headers"
+)
+
+
+@needs_header
+def test_sizes_and_numbers_are_the_headers(tmp_path: Path) -> None:
+    body = "\n".join(f'printf("%lu\\n", (unsigned long)({name}));' for name in EXPECTED)
+    assert dict(zip(EXPECTED, map(int, compiled(tmp_path, body)), strict=True)) == EXPECTED
+
+
+@needs_header
+def test_fields_lie_where_the_header_puts_them(tmp_path: Path) -> None:
+    body = "\n".join(
+        f"{{ {kind} s; memset(&s, 0, sizeof s);\n"
+        + "".join(f"s{name} = {value};\n" for name, (_, value) in fields.items())
+        + 'for (unsigned i = 0; i < sizeof s; i++) printf("%02x", ((unsigned char *)&s)[i]);\n'
+        + 'printf("\\n"); }'
+        for kind, (_, fields) in FILLED.items()
+    )
+    for text, (layout, fields) in zip(compiled(tmp_path, body), FILLED.values(), strict=True):
+        values = layout.unpack(bytes.fromhex(text))
+        assert {name: values[k] for name, (k, _) in fields.items()} == {
+            name: value for name, (_, value) in fields.items()
+        }
