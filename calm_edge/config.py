@@ -49,18 +49,26 @@ class FrontendConfig:
 
 @dataclass(frozen=True, slots=True)
 class BackboneConfig:
-    """`bundle`, `scripted:FOLDER` or the name of a folder under models/."""
+    """`bundle`, `scripted:FOLDER` or the name of a folder under models/.
+
+    resolve_windows: how many recent windows can be solved again when the kit is known better.
+    """
 
     name: str = "bundle"
     hfov_deg: tuple[float, ...] = ()
     seed: int = 0
+    resolve_windows: int = 400
 
 
 @dataclass(frozen=True, slots=True)
 class ScaleConfig:
-    """spacing_m: metres between the optical centres; 0 leaves the world in spacings."""
+    """spacing_m: metres between the optical centres; 0 leaves the world in spacings.
+
+    average_placement: place by all common frames instead of the paper's first one.
+    """
 
     spacing_m: float = 0.0
+    average_placement: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +83,11 @@ class PoseGraphConfig:
 
 @dataclass(frozen=True, slots=True)
 class MappingConfig:
-    """Paper VI. suppression_radius: map units (spacings)."""
+    """Paper VI. suppression_radius, max_range, cloud_voxel: map units (spacings).
+
+    max_range: z-depth beyond which a pixel is neither anchor nor point.
+    cloud_voxel: the cloud keeps one point a voxel (0.1 m for cameras half a metre apart).
+    """
 
     grid: int = 24
     depth_tolerance: float = 0.02
@@ -84,6 +96,8 @@ class MappingConfig:
     stiffness: float = 1e-4
     max_control_points: int = 150
     max_points_per_submap: int = 300_000
+    max_range: float = 60.0
+    cloud_voxel: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)

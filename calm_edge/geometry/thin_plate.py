@@ -1,0 +1,165 @@
+"""Thin-plate spline in space: a smooth deformation through control points (paper VI-D)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.geometry import se3
+
+Float = NDArray[np.float64]
+Kind = Literal["thin_plate", "rigid", "translation", "identity"]
+
+TILE = 8192
+# singular values of the controls below this share of the largest count as no extent at all
+FLAT = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class ThinPlate:
+    """Phi(x) = x A + t + sum_i w_i |x - p_i|, all in coordinates (x - centre) / size.
+
+    centre: (3,) and size: scalar, in the points' unit. controls: (N, 3) p_i, weights: (N, 3) w_i,
+    affine: (4, 3) rows of A, then t; all without unit. kind: which fall-back `fit` ended in.
+    """
+
+    centre: Float
+    size: float
+    controls: Float
+    weights: Float
+    affine: Float
+    kind: Kind
+
+    def apply(self, points: NDArray[np.floating]) -> Float:
+        """(M, 3) -> (M, 3), same unit; works in tiles of 8192 points, so memory is O(N)."""
+        from scipy.spatial.distance import cdist
+
+        points = np.asarray(points, np.float64)
+        out = np.empty_like(points)
+        for start in range(0, len(points), TILE):
+            x = (points[start : start + TILE] - self.centre) / self.size
+            y = x @ self.affine[:3] + self.affine[3]
+            if len(self.controls):
+                y += cdist(x, self.controls) @ self.weights
+            out[start : start + TILE] = y * self.size + self.centre
+        return out
+
+    def determinants(self, points: NDArray[np.floating]) -> Float:
+        """det dPhi/dx (M,) at points (M, 3); <= 0 where the deformation folds."""
+        x = (np.asarray(points, np.float64) - self.centre) / self.size
+        return np.asarray(np.linalg.det(self._jacobian(x)))
+
+    def worst_at_controls(self) -> Float:
+        """(N,) smallest det dPhi/dx over all directions of approach to each control point.
+
+        |x - p_i| has a cusp at p_i: next to it the Jacobian is J + w_i e^T with e any unit
+        vector, whose determinant is at least det(J) (1 - |J^-1 w_i|).
+        """
+        J = self._jacobian(self.controls)
+        det = np.linalg.det(J)
+        safe = np.where(np.abs(det)[:, None, None] > 1e-9, J, np.eye(3))
+        reach = np.linalg.norm(np.linalg.solve(safe, self.weights[..., None])[..., 0], axis=-1)
+        return np.where(np.abs(det) > 1e-9, det * (1 - reach), 0.0)
+
+    def _jacobian(self, x: Float) -> Float:
+        """(M, 3, 3) dPhi_a/dx_b at normalised points; a control's own cusp is left out."""
+        from scipy.spatial.distance import cdist
+
+        J = np.broadcast_to(self.affine[:3].T, (len(x), 3, 3)).copy()
+        if len(self.controls):
+            r = cdist(x, self.controls)
+            g = np.divide(1.0, r, out=np.zeros_like(r), where=r > 1e-12)
+            outer = (self.weights[:, :, None] * self.controls[:, None, :]).reshape(-1, 9)
+            J += (g @ self.weights)[:, :, None] * x[:, None, :] - (g @ outer).reshape(-1, 3, 3)
+        return J
+
+
+def fit(source: Float, target: Float, stiffness: float) -> ThinPlate:
+    """The thin plate taking source (N, 3) towards target (N, 3), same unit (paper VI-D, U(r) = r).
+
+    Minimises sum |Phi(p_i) - q_i|^2 + stiffness * bending energy. Stiffness has no unit: points
+    are centred and divided by their RMS radius first, so a map in metres and one in spacings bend
+    alike; 0 interpolates. Fall-backs, decided on the extent of `source` alone: at least 4
+    points that span space give a thin plate, points that span a plane a rigid motion, points on a
+    line or at one place a translation, none the identity. Rows that are not finite are ignored.
+    Raises ValueError on unequal shapes or a negative stiffness.
+    """
+    source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
+        raise ValueError(f"control points: expected two (N, 3), got {source.shape}, {target.shape}")
+    if not stiffness >= 0:
+        raise ValueError(f"stiffness: expected >= 0, got {stiffness}")
+    finite = np.isfinite(source).all(1) & np.isfinite(target).all(1)
+    source, target = source[finite], target[finite]
+    if not len(source):
+        return _affine_only(np.zeros(3), np.eye(3), np.zeros(3), "identity")
+    centre, singular = _extent(source)
+    size = float(np.sqrt((singular**2).sum() / len(source)))
+    if len(source) < 4 or singular[2] <= FLAT * singular[0]:
+        return fit_rigid(source, target)
+    x, y = (source - centre) / size, (target - centre) / size
+    solution = _solve(x, y, stiffness)
+    if solution is None:
+        return fit_rigid(source, target)
+    return ThinPlate(centre, size, x, solution[: len(x)], solution[len(x) :], "thin_plate")
+
+
+def fit_rigid(source: Float, target: Float) -> ThinPlate:
+    """Least-squares rigid motion of (N, 3) finite pairs, N >= 1, as a plate without controls.
+
+    A translation when the points have no extent to turn about (a line or a single place).
+    """
+    centre, singular = _extent(source)
+    shift = target.mean(0) - centre
+    if len(source) < 3 or singular[1] <= FLAT * singular[0]:
+        return _affine_only(centre, np.eye(3), shift, "translation")
+    U, _, Vt = np.linalg.svd((source - centre).T @ (target - target.mean(0)))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    return _affine_only(centre, U @ flip @ Vt, shift, "rigid")
+
+
+def to_transform(plate: ThinPlate) -> Float:
+    """(4, 4) of a plate without control points; raises ValueError when it has some."""
+    if len(plate.controls):
+        raise ValueError("a thin plate with control points is not a rigid motion")
+    R = plate.affine[:3].T
+    return se3.compose(R, plate.centre + plate.affine[3] * plate.size - R @ plate.centre)
+
+
+def _affine_only(centre: Float, A: Float, t: Float, kind: Kind) -> ThinPlate:
+    none = np.empty((0, 3))
+    return ThinPlate(centre, 1.0, none, none, np.vstack([A, t]), kind)
+
+
+def _extent(points: Float) -> tuple[Float, Float]:
+    """Centre (3,) and the three singular values of the centred points, largest first."""
+    centre = points.mean(0)
+    singular = np.linalg.svd(points - centre, compute_uv=False)
+    return centre, np.pad(singular, (0, 3 - len(singular)))
+
+
+def _solve(x: Float, y: Float, stiffness: float) -> Float | None:
+    """(N + 4, 3) weights, A and t; None when the system is singular.
+
+    -|x| is the conditionally positive kernel in space, so with U(r) = r the stiffness is
+    subtracted from the diagonal: added, it would pull towards a singular system.
+    """
+    from scipy.spatial.distance import cdist
+
+    n = len(x)
+    # conflicting targets at one place need some stiffness to have a solution at all
+    stiffness = max(stiffness, 1e-10)
+    L = np.zeros((n + 4, n + 4))
+    L[:n, :n] = cdist(x, x) - stiffness * np.eye(n)
+    L[:n, n : n + 3], L[:n, n + 3] = x, 1.0
+    L[n:, :n] = L[:n, n:].T
+    rhs = np.vstack([y, np.zeros((4, 3))])
+    try:
+        solution = np.linalg.solve(L, rhs)
+    except np.linalg.LinAlgError:
+        return None
+    good = np.isfinite(solution).all() and np.abs(L @ solution - rhs).max() < 1e-6
+    return np.asarray(solution) if good else None

@@ -1,0 +1,45 @@
+"""Building and joining the rows of an AnchorTable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from calm_edge.mapping.views import Sightings
+from calm_edge.types import AnchorTable, Float, Int
+
+
+def empty() -> AnchorTable:
+    """No anchors."""
+    none = np.empty(0, np.int64)
+    no_uv = np.empty((0, 2), np.float32)
+    return AnchorTable(none, none, np.empty((0, 3)), none, none, none, no_uv)
+
+
+def from_sightings(submap_id: int, anchor: Int, p_s: Float, sightings: Sightings) -> AnchorTable:
+    """Rows of anchors (M,) at p_s (M, 3) in one sub-map, with every view that agrees."""
+    row, view = np.nonzero(sightings.agrees)
+    return AnchorTable(
+        anchor,
+        np.full(len(anchor), submap_id, np.int64),
+        p_s,
+        anchor[row],
+        np.full(len(row), submap_id, np.int64),
+        view.astype(np.int64),
+        sightings.uv[row, view],
+    )
+
+
+def join(tables: Iterable[AnchorTable]) -> AnchorTable:
+    """The rows of all tables, in order."""
+    tables = [empty(), *tables]
+    return AnchorTable(
+        np.concatenate([t.anchor for t in tables]),
+        np.concatenate([t.submap for t in tables]),
+        np.concatenate([t.p_s for t in tables]),
+        np.concatenate([t.seen_anchor for t in tables]),
+        np.concatenate([t.seen_submap for t in tables]),
+        np.concatenate([t.seen_view for t in tables]),
+        np.concatenate([t.uv for t in tables]),
+    )

@@ -1,0 +1,99 @@
+"""Binary PLY: points and colours, written tile by tile."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+import numpy as np
+
+from calm_edge.types import Bytes, CalmEdgeError, Float32, MapTile
+
+VERTEX = np.dtype([("p", "<f4", 3), ("color", "u1", 3)])
+PROPERTIES = [f"property float {a}" for a in "xyz"] + [
+    f"property uchar {c}" for c in ("red", "green", "blue")
+]
+
+
+class CloudError(CalmEdgeError):
+    """A cloud that cannot be written or read."""
+
+
+def _header(count: int) -> bytes:
+    # the comment pads the header to one length, so the count can be patched at the end
+    pad = "." * (20 - len(str(count)))
+    lines = ["ply", "format binary_little_endian 1.0", f"comment calm-edge {pad}"]
+    lines += [f"element vertex {count}", *PROPERTIES, "end_header", ""]
+    return "\n".join(lines).encode("ascii")
+
+
+class CloudWriter:
+    """Writes tiles to `path`.part; the file takes its name on a clean exit. Context manager.
+
+    Raises CloudError when the disk refuses or the file exists. count: points so far.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._part = path.with_name(path.name + ".part")
+        self.count = 0
+        if path.exists():
+            raise CloudError(f"{path}: exists already; choose another output folder")
+        try:
+            self._file: BinaryIO = self._part.open("wb")
+            self._file.write(_header(0))
+        except OSError as error:
+            raise CloudError(f"{path}: cannot be written ({error.strerror})") from None
+
+    def write(self, tile: MapTile) -> None:
+        """Append one tile's points."""
+        vertices = np.empty(len(tile.points_w), VERTEX)
+        vertices["p"], vertices["color"] = tile.points_w, tile.color
+        try:
+            self._file.write(vertices.tobytes())
+        except OSError as error:
+            raise CloudError(f"{self._path}: cannot be written ({error.strerror})") from None
+        self.count += len(vertices)
+
+    def __enter__(self) -> CloudWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is not None:
+            self._file.close()
+            self._part.unlink(missing_ok=True)
+            return
+        try:
+            self._file.seek(0)
+            self._file.write(_header(self.count))
+            self._file.close()
+            self._part.rename(self._path)
+        except OSError as failure:
+            raise CloudError(f"{self._path}: cannot be written ({failure.strerror})") from None
+
+
+def read_cloud(path: Path) -> tuple[Float32, Bytes]:
+    """Points (P, 3) and colours (P, 3) RGB of a PLY that CloudWriter wrote; raises CloudError."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise CloudError(f"{path}: cannot be read ({error.strerror})") from None
+    head, end, body = raw.partition(b"end_header\n")
+    lines = head.decode("ascii", "replace").splitlines()
+    counts = [line.split()[2] for line in lines if line.startswith("element vertex ")]
+    ours = [line for line in lines if line.startswith("property")] == PROPERTIES
+    if not (end and ours and len(counts) == 1 and counts[0].isdigit()):
+        raise CloudError(f"{path}: not a cloud that calm-edge wrote")
+    count = int(counts[0])
+    if len(body) != count * VERTEX.itemsize:
+        raise CloudError(
+            f"{path}: holds {len(body) // VERTEX.itemsize} of {count} points; map it again"
+        )
+    vertices = np.frombuffer(body, VERTEX)
+    return vertices["p"].copy(), vertices["color"].copy()

@@ -1,0 +1,73 @@
+"""Anchors of one sub-map: a random confident pixel a grid cell, verified (paper VI-A)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.mapping import anchor_rows
+from calm_edge.mapping.views import DenseViews, confirmed, lift, sight
+from calm_edge.types import AnchorTable, Int
+
+Bool = NDArray[np.bool_]
+
+
+def cell_of(views: DenseViews, view: Int, uv: NDArray[np.floating], grid: int) -> Int:
+    """Grid cell (...) in [0, grid^2) of image pixels uv (..., 2) in views (...)."""
+    height, width = views.inverse_depth.shape[1:]
+    share = (views.to_map(view, uv) + 0.5) / [width, height]
+    column, row = np.moveaxis(np.clip((share * grid).astype(np.int64), 0, grid - 1), -1, 0)
+    return np.asarray(row * grid + column)
+
+
+def draw_candidates(
+    usable: Bool, wanted: Bool, grid: int, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Flat pixel indices (M,): one random usable pixel of each wanted cell that has any.
+
+    usable: (h, w). wanted: (grid^2,).
+    """
+    height, width = usable.shape
+    row = np.arange(height) * grid // height
+    column = np.arange(width) * grid // width
+    pixel = np.flatnonzero(usable)
+    cell = (row[:, None] * grid + column).reshape(-1)[pixel]
+    pixel = pixel[np.argsort(cell, kind="stable")]
+    count = np.bincount(cell, minlength=grid * grid)
+    first = np.cumsum(count) - count
+    pick = first + (rng.random(grid * grid) * count).astype(np.int64)
+    return np.asarray(pixel[pick[wanted & (count > 0)]])
+
+
+def extract(
+    views: DenseViews,
+    submap_id: int,
+    seeds: AnchorTable,
+    first_id: int,
+    grid: int,
+    tolerance: float,
+    rng: np.random.Generator,
+) -> AnchorTable:
+    """`seeds` (already placed in this sub-map) and new anchors numbered from first_id.
+
+    Frame by frame (both eyes, batch order) the cells without an anchor get a candidate (paper
+    VI-A.2). Every anchor is projected into all frames when it is made, so "project the established
+    anchors onto frame t" is a look-up; an anchor hidden in frame t does not fill its cell there.
+    """
+    n_views, _, width = views.inverse_depth.shape
+    filled = np.zeros((n_views, grid * grid), bool)
+    filled[seeds.seen_view, cell_of(views, seeds.seen_view, seeds.uv, grid)] = True
+    tables = [seeds]
+    for t in range(n_views):
+        pixel = draw_candidates(views.usable[t], ~filled[t], grid, rng)
+        own = np.full(len(pixel), t)
+        uv = views.to_image(own, np.stack([pixel % width, pixel // width], -1))
+        p_s = lift(views, own, uv, 1 / views.inverse_depth[t].reshape(-1)[pixel].astype(float))
+        sightings = sight(views, p_s, tolerance)
+        keep = confirmed(sightings, own)
+        ids = np.arange(first_id, first_id + int(keep.sum()))
+        first_id += len(ids)
+        table = anchor_rows.from_sightings(submap_id, ids, p_s[keep], sightings.of(keep))
+        filled[table.seen_view, cell_of(views, table.seen_view, table.uv, grid)] = True
+        tables.append(table)
+    return anchor_rows.join(tables)

@@ -1,0 +1,152 @@
+"""The dense views of one sub-map, and the three things anchors ask of them (paper VI-A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.geometry import pinhole, se3
+from calm_edge.types import Bytes, CalmEdgeError, Float, Float32, Int, Submap
+
+Bool = NDArray[np.bool_]
+
+
+class MappingError(CalmEdgeError):
+    """A sub-map that cannot be mapped."""
+
+
+@dataclass(frozen=True, slots=True)
+class DenseViews:
+    """Depth maps of one sub-map in batch order.
+
+    inverse_depth: (N, h, w) 1/z in 1/world units, 0 unknown. usable: (N, h, w) confident and
+    within range. K: (N, 3, 3) px of the full image. T_s_c: (N, 4, 4) world units.
+    map_per_image: (N, 2) depth-map pixels an image pixel, (x, y).
+    """
+
+    inverse_depth: Float32
+    usable: Bool
+    K: Float
+    T_s_c: Float
+    map_per_image: Float
+
+    def to_map(self, view: Int, uv: NDArray[np.floating]) -> Float:
+        """Image px (..., 2) -> depth-map px (..., 2) of views (...), as cv2.resize maps them."""
+        return np.asarray((uv + 0.5) * self.map_per_image[view] - 0.5)
+
+    def to_image(self, view: Int, xy: NDArray[np.floating]) -> Float:
+        """Depth-map px (..., 2) -> image px (..., 2) of views (...)."""
+        return np.asarray((xy + 0.5) / self.map_per_image[view] - 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """Where M points fall in the N views: uv (M, N, 2) image px, agrees (M, N), floats (M, N).
+
+    agrees: the view's own depth is the point's within tolerance. floats: the view sees through it.
+    """
+
+    uv: Float32
+    agrees: Bool
+    floats: Bool
+
+    def of(self, points: Int | Bool) -> Sightings:
+        """The same of some of the points."""
+        return Sightings(self.uv[points], self.agrees[points], self.floats[points])
+
+
+def prepare(
+    submap: Submap,
+    depth: Float32,
+    confidence: NDArray[np.float32] | Bytes,
+    image_size: Int,
+    min_confidence: float,
+    max_range: float,
+) -> DenseViews:
+    """A sub-map's raw depth (N, h, w), raw unit, and confidence (N, h, w) made ready for mapping.
+
+    confidence: [0, 1], or bytes of 255ths. image_size: (N, 2) width, height of the full images,
+    px. max_range: world units of z-depth. Raises MappingError when the arrays do not fit the
+    sub-map.
+    """
+    n = len(submap.T_s_c)
+    if depth.ndim != 3 or len(depth) != n or depth.shape != confidence.shape:
+        raise MappingError(
+            f"sub-map {submap.id}: {n} views but depth {depth.shape}, confidence "
+            f"{confidence.shape}; densify it again"
+        )
+    if min(depth.shape[1:]) < 2 or image_size.shape != (n, 2):
+        raise MappingError(
+            f"sub-map {submap.id}: depth {depth.shape} or image sizes {image_size.shape} too small"
+        )
+    known = np.isfinite(depth) & (depth > 0)
+    z = np.where(known, depth, 1.0) * np.float32(submap.scale)
+    floor = min_confidence * (255 if confidence.dtype == np.uint8 else 1)
+    height, width = depth.shape[1:]
+    return DenseViews(
+        np.where(known, 1 / z, 0).astype(np.float32),
+        known & (confidence > floor) & (z <= max_range),
+        submap.K,
+        submap.T_s_c,
+        np.array([width, height]) / image_size,
+    )
+
+
+def lift(views: DenseViews, view: Int, uv: NDArray[np.floating], z: NDArray[np.floating]) -> Float:
+    """Image pixels uv (M, 2) of views (M,) at z-depths (M,) -> (M, 3), sub-map frame."""
+    p_c = pinhole.back_project(views.K[view], np.asarray(uv, np.float64), np.asarray(z))
+    T = views.T_s_c[view]
+    return np.asarray((T[:, :3, :3] @ p_c[..., None])[..., 0] + T[:, :3, 3])
+
+
+def sample(views: DenseViews, view: Int, uv: NDArray[np.floating]) -> Float:
+    """z-depth (...) of views (...) at image pixels uv (..., 2), world units; 0 where not usable.
+
+    Bilinear in inverse depth, which is exact on planes (a nearest pixel is off by several percent
+    on a road at small depth maps); the nearest pixel where a neighbour is unknown.
+    """
+    _, height, width = views.inverse_depth.shape
+    xy = views.to_map(view, uv)
+    top = np.array([width, height]) - 1.0
+    inside = ((xy >= -0.5) & (xy <= top + 0.5)).all(-1)
+    xy = np.clip(xy, 0, top)
+    nearest = np.rint(xy).astype(np.int64)
+    at = (view * height + nearest[..., 1]) * width + nearest[..., 0]
+    inverse = views.inverse_depth.reshape(-1)
+    low = np.minimum(xy.astype(np.int64), top.astype(np.int64) - 1)
+    corner = (view * height + low[..., 1]) * width + low[..., 0]
+    a, b, c, d = (inverse[corner + offset] for offset in (0, 1, width, width + 1))
+    fx, fy = np.moveaxis(xy - low, -1, 0)
+    blend = (1 - fy) * ((1 - fx) * a + fx * b) + fy * ((1 - fx) * c + fx * d)
+    value = np.where((a > 0) & (b > 0) & (c > 0) & (d > 0), blend, inverse[at])
+    good = inside & views.usable.reshape(-1)[at]
+    return np.asarray(np.divide(1.0, value, out=np.zeros(value.shape), where=good))
+
+
+def sight(views: DenseViews, p_s: Float, tolerance: float) -> Sightings:
+    """Points (M, 3), sub-map frame, in every view: |z - D(u)| <= tolerance D(u) (paper VI-A.1)."""
+    T_c_s = se3.inverse(views.T_s_c)
+    p_c = np.einsum("nij,mj->mni", T_c_s[:, :3, :3], p_s) + T_c_s[:, :3, 3]
+    z = p_c[..., 2]
+    uv = pinhole.project(views.K, p_c)
+    view = np.broadcast_to(np.arange(len(T_c_s)), z.shape)
+    seen = sample(views, view, uv)
+    known = (seen > 0) & (z > 0)
+    return Sightings(
+        np.clip(uv, -1e6, 1e6).astype(np.float32),
+        known & (np.abs(z - seen) <= tolerance * seen),
+        known & (z < (1 - tolerance) * seen),
+    )
+
+
+def confirmed(sightings: Sightings, own_view: Int) -> Bool:
+    """(M,) points that another view than their own agrees with, and no fewer than see through them.
+
+    A view in which the point is hidden says nothing: only seeing through it speaks against it.
+    """
+    others = sightings.agrees.copy()
+    others[np.arange(len(own_view)), own_view] = False
+    n = others.sum(1)
+    return np.asarray((n >= 1) & (n >= sightings.floats.sum(1)))

@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from calm_edge.geometry import se3
+
+numbers = st.floats(-5, 5, allow_nan=False)
+vectors = st.lists(numbers, min_size=3, max_size=3).map(np.array)
+
+
+@st.composite
+def twists(draw: st.DrawFn, most: float = 3.0) -> np.ndarray:
+    """A twist whose rotation stays below `most` rad, down to exactly none."""
+    axis = draw(vectors)
+    angle = draw(st.floats(0, most) | st.sampled_from([0.0, 1e-9, 1e-6, 1e-4]))
+    norm = np.linalg.norm(axis)
+    return np.concatenate([draw(vectors), axis / norm * angle if norm > 1e-3 else np.zeros(3)])
+
+
+def as_generator(xi: np.ndarray) -> np.ndarray:
+    out = np.zeros((4, 4))
+    out[:3, :3], out[:3, 3] = se3.hat(xi[3:]), xi[:3]
+    return out
+
+
+@given(vectors, vectors)
+def test_hat_is_the_cross_product(a, b):
+    np.testing.assert_allclose(se3.hat(a) @ b, np.cross(a, b), atol=1e-12)
+
+
+@given(twists())
+def test_exp_is_the_matrix_exponential(xi):
+    np.testing.assert_allclose(se3.exp(xi), expm(as_generator(xi)), atol=1e-9)
+
+
+@given(twists())
+def test_log_undoes_exp(xi):
+    np.testing.assert_allclose(se3.log(se3.exp(xi)), xi, atol=1e-7)
+
+
+@given(vectors, st.floats(3.0, np.pi) | st.just(np.pi))
+def test_so3_log_up_to_and_including_half_a_turn(axis, angle):
+    norm = np.linalg.norm(axis)
+    axis = axis / norm if norm > 1e-3 else np.array([0.0, 1.0, 0.0])
+    R = se3.so3_exp(axis * angle)
+    w = se3.so3_log(R)
+    # at pi both signs of the axis are the same rotation
+    np.testing.assert_allclose(se3.so3_exp(w), R, atol=1e-7)
+    assert np.linalg.norm(w) == pytest.approx(angle, abs=1e-6)
+
+
+@given(twists(), twists())
+def test_inverse_and_composition(a, b):
+    T, S = se3.exp(a), se3.exp(b)
+    np.testing.assert_allclose(se3.inverse(T) @ T, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(se3.inverse(T @ S), se3.inverse(S) @ se3.inverse(T), atol=1e-8)
+
+
+@given(twists(), twists(1.0))
+def test_adjoint_moves_a_twist_across_a_pose(a, b):
+    T = se3.exp(a)
+    np.testing.assert_allclose(
+        T @ se3.exp(b) @ se3.inverse(T), se3.exp(se3.adjoint(T) @ b), atol=1e-7
+    )
+
+
+@given(twists(), vectors)
+def test_transform_matches_homogeneous_coordinates(xi, p):
+    T = se3.exp(xi)
+    np.testing.assert_allclose(se3.transform(T, p), (T @ [*p, 1.0])[:3], atol=1e-9)
+
+
+@given(twists(), twists(2.5), st.floats(0, 1))
+def test_interpolation_runs_along_the_geodesic(a, b, alpha):
+    T_0 = se3.exp(a)
+    T_1 = T_0 @ se3.exp(b)
+    np.testing.assert_allclose(se3.interpolate(T_0, T_1, 0.0), T_0, atol=1e-9)
+    np.testing.assert_allclose(se3.interpolate(T_0, T_1, 1.0), T_1, atol=1e-6)
+    np.testing.assert_allclose(
+        se3.interpolate(T_0, T_1, alpha), T_0 @ se3.exp(alpha * b), atol=1e-6
+    )
+
+
+def test_interpolate_at_keeps_constant_velocity_inside_and_beyond():
+    xi = np.array([1.0, 0.2, -0.3, 0.01, 0.05, -0.02])
+    t = np.array([0.0, 1.0, 2.5])
+    T = se3.exp(xi * t[:, None])
+    query = np.array([-0.5, 0.0, 0.7, 1.0, 2.0, 2.5, 3.0])
+    np.testing.assert_allclose(
+        se3.interpolate_at(t, T, query), se3.exp(xi * query[:, None]), atol=1e-9
+    )
+
+
+@settings(max_examples=30)
+@given(st.lists(twists(), min_size=2, max_size=4))
+def test_stacks_agree_with_single_poses(xis):
+    stack = np.array(xis)
+    T = se3.exp(stack)
+    for i, xi in enumerate(xis):
+        np.testing.assert_allclose(T[i], se3.exp(xi), atol=1e-12)
+        np.testing.assert_allclose(se3.inverse(T)[i], se3.inverse(T[i]), atol=1e-12)
+        np.testing.assert_allclose(se3.log(T)[i], se3.log(T[i]), atol=1e-12)
