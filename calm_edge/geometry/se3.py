@@ -1,4 +1,4 @@
-"""Rigid motions as stacks of 4x4 matrices: (..., 4, 4), twists (..., 6) = (translation, rotation)."""
+"""Rigid motions as stacks (..., 4, 4); twists are (..., 6) = (translation, rotation)."""
 
 from __future__ import annotations
 
@@ -135,8 +135,44 @@ def transform(T: Float, p: Float) -> Float:
 
 
 def adjoint(T: Float) -> Float:
-    """(4, 4) -> (6, 6), twists ordered (translation, rotation)."""
-    A = np.zeros((6, 6))
-    A[:3, :3] = A[3:, 3:] = T[:3, :3]
-    A[:3, 3:] = hat(T[:3, 3]) @ T[:3, :3]
+    """(..., 4, 4) -> (..., 6, 6), twists ordered (translation, rotation)."""
+    A = np.zeros((*T.shape[:-2], 6, 6))
+    A[..., :3, :3] = A[..., 3:, 3:] = T[..., :3, :3]
+    A[..., :3, 3:] = hat(T[..., :3, 3]) @ T[..., :3, :3]
     return A
+
+
+def right_jacobian_inverse(xi: Float) -> Float:
+    """(..., 6) -> (..., 6, 6): J with log(exp(xi) exp(d)) = xi + J d + O(d^2), rotation < 2 pi.
+
+    I + ad/2 + a ad^2 + b ad^4: the Bernoulli series, folded by the characteristic polynomial
+    of ad, ad^5 + 2 theta^2 ad^3 + theta^4 ad = 0; a and b follow from (theta/2) cot(theta/2)
+    and its derivative.
+    """
+    ad = np.zeros((*xi.shape[:-1], 6, 6))
+    ad[..., :3, :3] = ad[..., 3:, 3:] = hat(xi[..., 3:])
+    ad[..., :3, 3:] = hat(xi[..., :3])
+    theta2 = (xi[..., 3:] ** 2).sum(-1)
+    small = theta2 < 1e-3
+    theta = np.sqrt(np.where(small, 1.0, theta2))
+    half_cot = 0.5 / np.tan(theta / 2)
+    missing = 1 - theta * half_cot
+    slope = theta * half_cot - (theta / 2 / np.sin(theta / 2)) ** 2
+    quartic = slope / 2 + missing
+    a = np.where(small, 1 / 12 - theta2**2 / 30240, (missing + quartic) / theta**2)
+    b = np.where(small, -1 / 720 - theta2 / 15120, quartic / theta**4)
+    ad2 = ad @ ad
+    return np.asarray(
+        np.eye(6) + ad / 2 + a[..., None, None] * ad2 + b[..., None, None] * (ad2 @ ad2)
+    )
+
+
+def mean(T: Float, iterations: int = 20) -> Float:
+    """The average of poses (N, 4, 4) on the manifold -> (4, 4): zero mean twist around it."""
+    average = np.asarray(T[0], np.float64)
+    for _ in range(iterations):
+        step = log(inverse(average) @ T).mean(0)
+        average = average @ exp(step)
+        if np.abs(step).max() < 1e-14:
+            break
+    return average
