@@ -1,0 +1,107 @@
+"""The Foxglove view of our nouns: what a stock Foxglove shows without knowing calm-edge.
+
+These messages are for looking at (unit quaternions, no status); the exact nouns go beside them.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from calm_edge.geometry.se3 import so3_log
+from calm_edge.types import Float, PoseSample, Trajectory
+from device.frame import Eye
+
+WORLD_FRAME = "world"
+_LEVELS = (
+    (logging.CRITICAL, Log.FATAL),
+    (logging.ERROR, Log.ERROR),
+    (logging.WARNING, Log.WARNING),
+    (logging.INFO, Log.INFO),
+    (logging.NOTSET, Log.DEBUG),
+)
+
+
+def timestamp(t_ns: int) -> Timestamp:
+    """Host-monotonic nanoseconds -> protobuf Timestamp, exact."""
+    return Timestamp(seconds=t_ns // 10**9, nanos=t_ns % 10**9)
+
+
+def camera_frame(eye: Eye) -> str:
+    """The Foxglove frame id of an eye: `primary` or `assistant`."""
+    return eye.name.lower()
+
+
+def _quaternions(R: Float) -> Float:
+    """(N, 3, 3) -> (N, 4) unit quaternions x, y, z, w."""
+    w = so3_log(R)
+    half = np.linalg.norm(w, axis=-1, keepdims=True) / 2
+    # sin(half) / (2 half), finite at zero: numpy's sinc carries a pi
+    return np.concatenate([w * np.sinc(half / np.pi) / 2, np.cos(half)], -1)
+
+
+def poses(T: Float) -> list[Pose]:
+    """(N, 4, 4) rigid transforms -> Foxglove poses."""
+    made = []
+    for t, q in zip(T[:, :3, 3], _quaternions(T[:, :3, :3]), strict=True):
+        pose = Pose()
+        pose.position.x, pose.position.y, pose.position.z = t.tolist()
+        o = pose.orientation
+        o.x, o.y, o.z, o.w = q.tolist()
+        made.append(pose)
+    return made
+
+
+def image(eye: Eye, t_ns: int, data: bytes) -> CompressedImage:
+    """An encoded picture, its bytes untouched."""
+    kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
+    return CompressedImage(
+        timestamp=timestamp(t_ns), frame_id=camera_frame(eye), data=data, format=kind
+    )
+
+
+def odometry(sample: PoseSample) -> Odometry:
+    """The live pose: primary camera in the world, velocity and covariance in camera axes."""
+    message = Odometry(
+        timestamp=timestamp(sample.t_ns),
+        frame_id=WORLD_FRAME,
+        body_frame_id=camera_frame(Eye.PRIMARY),
+        pose=poses(sample.T_w_c[None])[0],
+        pose_covariance=sample.covariance.ravel().tolist(),
+    )
+    v = message.linear_velocity
+    v.x, v.y, v.z = sample.velocity_c.tolist()
+    return message
+
+
+def trajectory(value: Trajectory, t_ns: int) -> PosesInFrame:
+    """Every keyframe pose so far, in the world."""
+    return PosesInFrame(timestamp=timestamp(t_ns), frame_id=WORLD_FRAME, poses=poses(value.T_w_c))
+
+
+def frame_transform(child: str, T_w_child: Float, t_ns: int) -> FrameTransform:
+    """T_w_child (4, 4) as the transform of `child` in the world."""
+    pose = poses(T_w_child[None])[0]
+    message = FrameTransform(
+        timestamp=timestamp(t_ns),
+        parent_frame_id=WORLD_FRAME,
+        child_frame_id=child,
+        rotation=pose.orientation,
+    )
+    p = pose.position
+    message.translation.x, message.translation.y, message.translation.z = p.x, p.y, p.z
+    return message
+
+
+def log(t_ns: int, level: int, message: str, name: str) -> Log:
+    """A line of the log; level as in Python's logging."""
+    mapped = next(found for least, found in _LEVELS if level >= least)
+    return Log(timestamp=timestamp(t_ns), level=mapped, message=message, name=name)

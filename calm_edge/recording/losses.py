@@ -1,0 +1,31 @@
+"""What a damaged file has lost, in one line each."""
+
+from __future__ import annotations
+
+from calm_edge.recording.scan import SegmentIndex
+
+
+def describe(index: SegmentIndex) -> list[str]:
+    """One line for each thing the file lost: which file, from when on, how much was recovered."""
+    lines = []
+    if index.cut and not index.data_ended:
+        end = index.end_ns
+        since = "all of it" if end is None else f"everything after t = {end / 1e9:.3f} s"
+        lines.append(
+            f"{index.path}: {index.cut}; lost: {since} ({index.cut_bytes} bytes unreadable); "
+            f"recovered: {index.n_messages} messages"
+        )
+    elif index.cut:
+        lines.append(
+            f"{index.path}: {index.cut}, behind the last message; "
+            f"recovered: all {index.n_messages} messages"
+        )
+    if index.damaged:
+        lines.append(
+            f"{index.path}: {len(index.damaged)} damaged pieces left out "
+            f"({sum(c.size for c in index.damaged)} bytes); "
+            f"recovered: {index.n_messages} messages"
+        )
+    if index.loose_messages:
+        lines.append(f"{index.path}: {index.loose_messages} messages outside of chunks left out")
+    return lines

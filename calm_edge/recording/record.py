@@ -1,0 +1,140 @@
+"""Our own protobuf records: a JSON header and named raw arrays, so that no bit of a noun is lost.
+
+Every schema `calm_edge.<Noun>` has the same two fields:
+`header` (JSON text: every scalar field by its dotted name; null where an optional is None) and
+`arrays` (name, numpy dtype string with byte order, shape, C-ordered bytes). The schema travels in
+each file as a FileDescriptorSet, so any protobuf tool opens it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import types
+from enum import Enum
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError, Message
+from numpy.typing import NDArray
+
+from calm_edge.recording.errors import RecordingError
+
+NOUNS = ("Submap", "Window", "PoseSample")
+
+Noun = TypeVar("Noun")
+Arrays = dict[str, NDArray[Any]]
+
+
+def _descriptor() -> descriptor_pb2.FileDescriptorProto:
+    field = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(
+        name="calm_edge/records.proto", package="calm_edge", syntax="proto3"
+    )
+    array = file.message_type.add(name="Array")
+    one, many = field.LABEL_OPTIONAL, field.LABEL_REPEATED
+    array.field.add(name="name", number=1, type=field.TYPE_STRING, label=one)
+    array.field.add(name="dtype", number=2, type=field.TYPE_STRING, label=one)
+    array.field.add(name="shape", number=3, type=field.TYPE_INT64, label=many)
+    array.field.add(name="data", number=4, type=field.TYPE_BYTES, label=one)
+    for name in NOUNS:
+        noun = file.message_type.add(name=name)
+        noun.field.add(name="header", number=1, type=field.TYPE_STRING, label=one)
+        noun.field.add(
+            name="arrays",
+            number=2,
+            type=field.TYPE_MESSAGE,
+            label=many,
+            type_name=".calm_edge.Array",
+        )
+    return file
+
+
+_pool = descriptor_pool.DescriptorPool()
+_pool.AddSerializedFile(_descriptor().SerializeToString())
+
+
+def message_class(name: str) -> type[Message]:
+    """The protobuf class of `calm_edge.<name>`, name one of NOUNS."""
+    return message_factory.GetMessageClass(_pool.FindMessageTypeByName(f"calm_edge.{name}"))
+
+
+def flatten(noun: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
+    """A frozen dataclass -> (JSON-ready scalars, arrays), both by dotted field name."""
+    header: dict[str, Any] = {}
+    arrays: Arrays = {}
+    for field in dataclasses.fields(noun):
+        value, name = getattr(noun, field.name), prefix + field.name
+        if isinstance(value, np.ndarray):
+            arrays[name] = value
+        elif dataclasses.is_dataclass(value):
+            # {} says "present": an optional dataclass may hold nothing but arrays
+            header[name] = {}
+            inner_header, inner_arrays = flatten(value, name + ".")
+            header.update(inner_header)
+            arrays.update(inner_arrays)
+        elif isinstance(value, Enum):
+            header[name] = value.value
+        elif isinstance(value, np.generic):
+            header[name] = value.item()
+        elif isinstance(value, tuple):
+            header[name] = [v.item() if isinstance(v, np.generic) else v for v in value]
+        elif isinstance(value, dict):
+            header[name] = {str(k): float(v) for k, v in value.items()}
+        else:
+            header[name] = value
+    return header, arrays
+
+
+def unflatten(kind: type[Noun], header: dict[str, Any], arrays: Arrays, prefix: str = "") -> Noun:
+    """The inverse of `flatten`; absent fields take their defaults; raises RecordingError."""
+    values: dict[str, Any] = {}
+    hints: dict[str, Any] = get_type_hints(kind)
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        name = prefix + field.name
+        hint: Any = hints[field.name]
+        if get_origin(hint) in (Union, types.UnionType):
+            hint = next(a for a in get_args(hint) if a is not type(None))
+        if name in arrays:
+            values[field.name] = arrays[name]
+        elif name in header:
+            value = header[name]
+            if value is None:
+                values[field.name] = None
+            elif isinstance(hint, type) and dataclasses.is_dataclass(hint):
+                values[field.name] = unflatten(hint, header, arrays, name + ".")
+            elif get_origin(hint) is tuple:
+                values[field.name] = tuple(value)
+            elif isinstance(hint, type):
+                values[field.name] = hint(value)
+            else:
+                values[field.name] = value
+    try:
+        return kind(**values)
+    except TypeError as error:
+        raise RecordingError(f"{kind.__name__}: incomplete record ({error})") from None
+
+
+def encode(name: str, header: dict[str, Any], arrays: Arrays) -> bytes:
+    """Header and arrays -> serialised `calm_edge.<name>`."""
+    message: Any = message_class(name)()
+    message.header = json.dumps(header)
+    for key, value in arrays.items():
+        message.arrays.add(name=key, dtype=value.dtype.str, shape=value.shape, data=value.tobytes())
+    return bytes(message.SerializeToString())
+
+
+def decode(name: str, data: bytes) -> tuple[dict[str, Any], Arrays]:
+    """Serialised `calm_edge.<name>` -> (header, writable arrays); raises RecordingError."""
+    message: Any = message_class(name)()
+    try:
+        message.ParseFromString(data)
+        header = json.loads(message.header)
+        arrays = {
+            a.name: np.frombuffer(a.data, np.dtype(a.dtype)).reshape(tuple(a.shape)).copy()
+            for a in message.arrays
+        }
+    except (DecodeError, ValueError, TypeError) as error:
+        raise RecordingError(f"calm_edge.{name}: not a record of ours ({error})") from None
+    return header, arrays

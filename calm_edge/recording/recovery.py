@@ -1,0 +1,206 @@
+"""Makes a whole recording of a cut one, beside it, and proves the copy by reading it again."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+from mcap.records import Channel, Schema
+from mcap.writer import CompressionType, Writer
+
+from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.losses import describe
+from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
+from calm_edge.recording.segment import PART, segment_files
+
+
+class Outcome(IntEnum):
+    """The exit code of `recover` and `validate`."""
+
+    ALL = 0
+    FAILED = 1
+    WITH_LOSS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingReport:
+    """messages: topic -> count of what is whole. losses: one line each; for FAILED, why."""
+
+    outcome: Outcome
+    messages: dict[str, int]
+    losses: tuple[str, ...]
+    files: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Message:
+    channel: Channel
+    schema: Schema | None
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+def validate(path: Path) -> RecordingReport:
+    """Check every byte of a recording folder or file; nothing is written. Never raises."""
+    messages: dict[str, int] = {}
+    losses: list[str] = []
+    read: list[Path] = []
+    try:
+        files = _files(path)
+    except RecordingError as error:
+        return RecordingReport(Outcome.FAILED, {}, (str(error),), ())
+    for file in files:
+        try:
+            index = scan(file, check=True)
+        except RecordingError as error:
+            losses.append(str(error))
+            continue
+        losses += describe(index)
+        read.append(file)
+        for topic, (n, _) in _digest(index).items():
+            messages[topic] = messages.get(topic, 0) + n
+    if not read:
+        return RecordingReport(Outcome.FAILED, {}, tuple(losses), ())
+    outcome = Outcome.WITH_LOSS if losses else Outcome.ALL
+    return RecordingReport(outcome, messages, tuple(losses), tuple(read))
+
+
+def recover(source: Path, target: Path) -> RecordingReport:
+    """Rewrite what can be read of `source` (file -> new file, folder -> new folder).
+
+    The source is left as it is. Each new file is read again and compared with its source,
+    topic by topic. Raises RecordingError when the target exists; FAILED says why in `losses`.
+    """
+    if target.exists():
+        raise RecordingError(f"{target}: exists already; name another target")
+    messages: dict[str, int] = {}
+    losses: list[str] = []
+    written: list[Path] = []
+    try:
+        files = _files(source)
+        if source.is_dir():
+            target.mkdir(parents=True)
+    except RecordingError as error:
+        return RecordingReport(Outcome.FAILED, {}, (str(error),), ())
+    except OSError as error:
+        return RecordingReport(
+            Outcome.FAILED, {}, (f"{target}: cannot be written ({error.strerror})",), ()
+        )
+    for file in files:
+        copy = target / file.name.removesuffix(PART) if source.is_dir() else target
+        try:
+            index = scan(file, check=True)
+            if index.n_messages == 0:
+                losses += [*describe(index), f"{file}: holds no whole message; not copied"]
+                continue
+            counts = _copy(index, copy)
+        except RecordingError as error:
+            losses.append(str(error))
+            continue
+        losses += describe(index)
+        written.append(copy)
+        for topic, n in counts.items():
+            messages[topic] = messages.get(topic, 0) + n
+    if not written:
+        return RecordingReport(Outcome.FAILED, messages, tuple(losses), ())
+    outcome = Outcome.WITH_LOSS if losses else Outcome.ALL
+    return RecordingReport(outcome, messages, tuple(losses), tuple(written))
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.exists():
+        raise RecordingError(f"{path}: no such recording; name a recording folder or MCAP file")
+    files = segment_files(path) if path.is_dir() else [path]
+    if not files:
+        raise RecordingError(f"{path}: holds no recording (no NNNN.mcap in it)")
+    return files
+
+
+def _messages(index: SegmentIndex) -> Iterator[_Message]:
+    """Every message of a checked file in its order, a chunk in memory at a time."""
+    columns = [
+        (chunk, offset, size, index.channels[channel], sequence, log, publish)
+        for channel, rows in index.rows.items()
+        if channel in index.channels
+        for chunk, offset, size, sequence, log, publish in zip(
+            rows.chunk,
+            rows.offset,
+            rows.size,
+            rows.sequence,
+            rows.log_time,
+            rows.publish_time,
+            strict=True,
+        )
+    ]
+    columns.sort(key=lambda row: row[:2])
+    loaded, data = -1, b""
+    try:
+        with index.path.open("rb") as file:
+            for chunk, offset, size, channel, sequence, log, publish in columns:
+                if chunk != loaded:
+                    file.seek(index.chunks[chunk].offset)
+                    data = plain_chunk(file.read(index.chunks[chunk].size))
+                    loaded = chunk
+                payload = data[offset : offset + size]
+                schema = index.schemas.get(channel.schema_id)
+                yield _Message(channel, schema, sequence, log, publish, payload)
+    except (DamageError, OSError) as error:
+        raise RecordingError(f"{index.path}: changed while it was read ({error})") from None
+
+
+def _digest(index: SegmentIndex) -> dict[str, tuple[int, int]]:
+    """Topic -> (count, CRC over times, sequences and payloads in order)."""
+    digest: dict[str, tuple[int, int]] = {}
+    for m in _messages(index):
+        n, crc = digest.get(m.channel.topic, (0, 0))
+        head = b"%d %d %d " % (m.sequence, m.log_time, m.publish_time)
+        digest[m.channel.topic] = n + 1, zlib.crc32(m.data, zlib.crc32(head, crc))
+    return digest
+
+
+def _copy(index: SegmentIndex, copy: Path) -> dict[str, int]:
+    """Write the messages of a checked file to a new one and compare; topic -> count."""
+    part = copy.with_name(copy.name + PART)
+    try:
+        with part.open("xb") as file:
+            _write(index, Writer(file, compression=CompressionType.NONE))
+            file.flush()
+            os.fdatasync(file.fileno())
+        again = scan(part, check=True)
+        expected, found = _digest(index), _digest(again)
+        if again.cut or again.damaged or expected != found:
+            part.unlink()
+            raise RecordingError(f"{copy}: what was written reads back differently; disk damaged?")
+        part.rename(copy)
+    except FileExistsError:
+        raise RecordingError(f"{part}: exists already; name another target") from None
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise RecordingError(f"{copy}: cannot be written ({error.strerror})") from None
+    return {topic: n for topic, (n, _) in found.items()}
+
+
+def _write(index: SegmentIndex, writer: Writer) -> None:
+    writer.start(library="calm-edge recover")
+    for metadata in index.metadata:
+        writer.add_metadata(metadata.name, metadata.metadata)
+    schemas: dict[int, int] = {}
+    channels: dict[int, int] = {}
+    for m in _messages(index):
+        old = m.channel
+        if m.schema is not None and m.schema.id not in schemas:
+            schemas[m.schema.id] = writer.register_schema(
+                m.schema.name, m.schema.encoding, m.schema.data
+            )
+        if old.id not in channels:
+            channels[old.id] = writer.register_channel(
+                old.topic, old.message_encoding, schemas.get(old.schema_id, 0), old.metadata
+            )
+        writer.add_message(channels[old.id], m.log_time, m.data, m.publish_time, m.sequence)
+    writer.finish()  # type: ignore[no-untyped-call]

@@ -1,0 +1,250 @@
+"""Walks one MCAP file, whole or cut short, and says where every message lies.
+
+Headers are read, payloads are skipped; a file that was never finished is checked chunk by chunk,
+for its tail may hold anything. Of a chunk that is cut or fails its CRC nothing is used.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zlib
+from array import array
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Metadata, Schema
+from mcap.stream_reader import get_chunk_data_stream
+
+from calm_edge.recording.errors import RecordingError
+
+MAGIC = b"\x89MCAP0\r\n"
+# a chunk of ours is about 1 MiB and one message: larger than this is damage
+MAX_CHUNK_BYTES = 256 << 20
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII")
+_FIRST_PRIVATE_OPCODE = 0x80
+
+ReadAt = Callable[[int, int], bytes]
+
+
+class DamageError(Exception):
+    """The bytes of a chunk are not what was written."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkRef:
+    """A chunk record: its content at `offset`, `size` bytes; log times in ns."""
+
+    offset: int
+    size: int
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(slots=True)
+class Rows:
+    """Messages of one channel in file order, a column each; offset is inside the plain chunk."""
+
+    chunk: array[int] = field(default_factory=lambda: array("q"))
+    offset: array[int] = field(default_factory=lambda: array("q"))
+    size: array[int] = field(default_factory=lambda: array("q"))
+    sequence: array[int] = field(default_factory=lambda: array("q"))
+    log_time: array[int] = field(default_factory=lambda: array("Q"))
+    publish_time: array[int] = field(default_factory=lambda: array("Q"))
+
+    def __len__(self) -> int:
+        return len(self.chunk)
+
+
+@dataclass(slots=True)
+class SegmentIndex:
+    """What `scan` found. end_ns: newest log time among what is whole, None when nothing is.
+
+    cut: why the walk ended early, empty for a whole file. cut_bytes: how many it left unread.
+    damaged: chunks that failed their check. data_ended: every message was written before the cut.
+    loose_messages: outside of chunks, as other writers may put them; not read.
+    """
+
+    path: Path
+    chunks: list[ChunkRef] = field(default_factory=list)
+    rows: dict[int, Rows] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    metadata: list[Metadata] = field(default_factory=list)
+    damaged: list[ChunkRef] = field(default_factory=list)
+    cut: str = ""
+    cut_bytes: int = 0
+    data_ended: bool = False
+    loose_messages: int = 0
+
+    @property
+    def end_ns(self) -> int | None:
+        return max((c.end_ns for c in self.chunks), default=None)
+
+    @property
+    def n_messages(self) -> int:
+        return sum(len(rows) for rows in self.rows.values())
+
+    def topic_rows(self, topic: str) -> list[tuple[Channel, Rows]]:
+        """The channels of a topic that hold messages."""
+        return [
+            (c, self.rows[i])
+            for i, c in self.channels.items()
+            if c.topic == topic and i in self.rows
+        ]
+
+
+def _walk(read: ReadAt, start: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """(opcode, content offset, content length) of each record; raises DamageError at the break."""
+    at = start
+    while at < end:
+        head = read(at, _RECORD.size)
+        if len(head) < _RECORD.size:
+            raise DamageError("cut inside a record's header")
+        opcode, length = _RECORD.unpack(head)
+        if opcode == 0 or Opcode.DATA_END < opcode < _FIRST_PRIVATE_OPCODE:
+            raise DamageError("not a record")
+        if at + _RECORD.size + length > end:
+            raise DamageError("cut inside a record")
+        yield opcode, at + _RECORD.size, length
+        at += _RECORD.size + length
+
+
+def plain_chunk(content: bytes) -> bytes:
+    """A chunk record's content -> its records, decompressed and checked; raises DamageError."""
+    try:
+        chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
+        if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+            raise DamageError("absurd size")
+        stream, size = get_chunk_data_stream(chunk)
+        data = stream.read(size)
+    except DamageError:
+        raise
+    except Exception as error:
+        # decompressors raise types of their own on damaged input
+        raise DamageError(str(error)) from None
+    if len(data) != chunk.uncompressed_size:
+        raise DamageError("wrong size")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise DamageError("wrong CRC")
+    return data
+
+
+def _slice(data: bytes, at: int, n: int) -> bytes:
+    return data[at : at + n]
+
+
+def _index_chunk(index: SegmentIndex, read: ReadAt, offset: int, length: int, check: bool) -> None:
+    """Add a chunk's messages, channels and schemas to the index; raises DamageError."""
+    if length > MAX_CHUNK_BYTES or length < _CHUNK.size + 8:
+        raise DamageError("absurd size")
+    head = read(offset, _CHUNK.size)
+    start_ns, end_ns, _, _, name_length = _CHUNK.unpack(head)
+    base = 0
+    records: ReadAt
+    if check or name_length:
+        data = plain_chunk(read(offset, length))
+        records, end = partial(_slice, data), len(data)
+    else:
+        # walked in place: payloads are not read now, and are checked when they are
+        base = offset + _CHUNK.size + 8
+        records, end = read, offset + length
+    number = len(index.chunks)
+    rows: list[tuple[int, int, int, int, int, int]] = []
+    channels, schemas = [], []
+    for opcode, at, size in _walk(records, base, end):
+        if opcode == Opcode.MESSAGE:
+            if size < _MESSAGE.size:
+                raise DamageError("message without a header")
+            channel, sequence, log, publish = _MESSAGE.unpack(records(at, _MESSAGE.size))
+            payload = at - base + _MESSAGE.size
+            rows.append((channel, payload, size - _MESSAGE.size, sequence, log, publish))
+        elif opcode == Opcode.CHANNEL:
+            channels.append(_parse(Channel, records(at, size)))
+        elif opcode == Opcode.SCHEMA:
+            schemas.append(_parse(Schema, records(at, size)))
+    index.chunks.append(ChunkRef(offset, length, start_ns, end_ns))
+    index.channels.update({c.id: c for c in channels})
+    index.schemas.update({s.id: s for s in schemas})
+    for channel, at, size, sequence, log, publish in rows:
+        row = index.rows.setdefault(channel, Rows())
+        row.chunk.append(number)
+        row.offset.append(at)
+        row.size.append(size)
+        row.sequence.append(sequence)
+        row.log_time.append(log)
+        row.publish_time.append(publish)
+
+
+def _parse(kind: Any, content: bytes) -> Any:
+    try:
+        return kind.read(ReadDataStream(io.BytesIO(content)))
+    except (McapError, struct.error, UnicodeDecodeError) as error:
+        raise DamageError(str(error)) from None
+
+
+def _fill(index: SegmentIndex, read: ReadAt, size: int, check: bool) -> None:
+    whole = len(MAGIC)
+    try:
+        for opcode, at, length in _walk(read, whole, size):
+            if opcode == Opcode.CHUNK:
+                try:
+                    _index_chunk(index, read, at, length, check)
+                except DamageError:
+                    index.damaged.append(ChunkRef(at, length, 0, 0))
+            elif opcode == Opcode.METADATA:
+                index.metadata.append(_parse(Metadata, read(at, length)))
+            elif opcode == Opcode.CHANNEL:
+                # the summary repeats them, which helps when the first chunk is damaged
+                channel = _parse(Channel, read(at, length))
+                index.channels.setdefault(channel.id, channel)
+            elif opcode == Opcode.SCHEMA:
+                schema = _parse(Schema, read(at, length))
+                index.schemas.setdefault(schema.id, schema)
+            elif opcode == Opcode.MESSAGE:
+                index.loose_messages += 1
+            elif opcode == Opcode.DATA_END:
+                index.data_ended = True
+            elif opcode == Opcode.FOOTER:
+                if read(at + length, len(MAGIC)) != MAGIC:
+                    index.cut = "cut behind its last record"
+                return
+            whole = at + length
+        index.cut = "never finished"
+    except DamageError as error:
+        index.cut = str(error)
+        index.cut_bytes = size - whole
+
+
+def scan(path: Path, check: bool | None = None) -> SegmentIndex:
+    """Index of one file. check: verify every chunk now; None does so for unfinished files only.
+
+    Raises RecordingError when the file cannot be read, is empty or is no MCAP.
+    """
+    try:
+        with path.open("rb", buffering=0) as file:
+            size = os.fstat(file.fileno()).st_size
+
+            def read(offset: int, n: int) -> bytes:
+                return os.pread(file.fileno(), n, offset)
+
+            if size == 0:
+                raise RecordingError(f"{path}: is empty; nothing can be recovered from it")
+            if read(0, len(MAGIC)) != MAGIC:
+                raise RecordingError(f"{path}: is not an MCAP recording")
+            if check is None:
+                check = read(size - len(MAGIC), len(MAGIC)) != MAGIC
+            index = SegmentIndex(path)
+            _fill(index, read, size, check)
+            return index
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None

@@ -1,0 +1,201 @@
+"""Topics, their schemas, and how each noun becomes messages and comes back.
+
+| topic | schema | log_time |
+|---|---|---|
+| /primary/image, /assistant/image | foxglove.CompressedImage | Frame.t_ns |
+| /pose/live | foxglove.Odometry | PoseSample.t_ns |
+| /pose/sample | calm_edge.PoseSample: the same pose, exact | PoseSample.t_ns |
+| /pose/keyframes | foxglove.PosesInFrame | newest keyframe of the sub-map |
+| /tf | foxglove.FrameTransform: `primary` and `submap` in `world` | as its pose |
+| /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
+| /window | calm_edge.Window: which frames the window held | its newest keyframe |
+| /clock, /status | JSON | time of writing |
+| /log | foxglove.Log | when it was said |
+
+Everything of an update is exact but depth (fp16; beyond its range: 0, unknown) and
+confidence (uint8, steps of 1/255), and both survive a second trip unchanged.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from google.protobuf.message import DecodeError
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from calm_edge.recording import foxglove, record
+from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.window_record import WindowRecord
+from calm_edge.types import LocalizerUpdate, PoseSample
+from device.frame import Eye, Frame
+
+IMAGE_TOPICS = {Eye.PRIMARY: "/primary/image", Eye.ASSISTANT: "/assistant/image"}
+POSE_LIVE, POSE_SAMPLE, POSE_KEYFRAMES = "/pose/live", "/pose/sample", "/pose/keyframes"
+TF, SUBMAP, WINDOW, CLOCK, STATUS, LOG = "/tf", "/submap", "/window", "/clock", "/status", "/log"
+
+CONFIG_METADATA = "calm_edge.config"
+SESSION_METADATA = "calm_edge.session"
+
+_PROTOBUF: dict[str, Any] = {
+    **dict.fromkeys(IMAGE_TOPICS.values(), CompressedImage),
+    POSE_LIVE: Odometry,
+    POSE_SAMPLE: record.message_class("PoseSample"),
+    POSE_KEYFRAMES: PosesInFrame,
+    TF: FrameTransform,
+    SUBMAP: record.message_class("Submap"),
+    WINDOW: record.message_class("Window"),
+    LOG: Log,
+}
+_JSON = {CLOCK: "calm_edge.Clock", STATUS: "calm_edge.Status"}
+TOPICS = (*_PROTOBUF, *_JSON)
+
+
+@dataclass(frozen=True, slots=True)
+class LogMessage:
+    """What goes into a file: log_time in host-monotonic ns, data as the topic's schema has it.
+
+    Raises RecordingError for times that MCAP cannot hold.
+    """
+
+    topic: str
+    log_time: int
+    data: bytes
+    sequence: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.log_time < 1 << 63:
+            raise RecordingError(f"{self.topic}: time {self.log_time} ns cannot be recorded")
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSchema:
+    """How a topic's messages are encoded, in MCAP's words."""
+
+    name: str
+    encoding: str
+    data: bytes
+    message_encoding: str
+
+
+def topic_schema(topic: str) -> TopicSchema:
+    """The schema of one of TOPICS."""
+    if topic in _JSON:
+        return TopicSchema(_JSON[topic], "jsonschema", b'{"type": "object"}', "json")
+    kind = _PROTOBUF[topic]
+    description = build_file_descriptor_set(kind).SerializeToString(deterministic=True)
+    return TopicSchema(str(kind.DESCRIPTOR.full_name), "protobuf", description, "protobuf")
+
+
+def _message(topic: str, log_time: int, message: Any, sequence: int = 0) -> LogMessage:
+    return LogMessage(topic, log_time, bytes(message.SerializeToString()), sequence)
+
+
+def frame_message(frame: Frame, jpeg_quality: int) -> LogMessage:
+    """A frame; the camera's own bytes untouched, raw pixels encoded as JPEG.
+
+    Raises RecordingError when the pixels cannot be encoded.
+    """
+    image = frame.image
+    if not isinstance(image, bytes):
+        try:
+            encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])[1]
+        except cv2.error as error:
+            raise RecordingError(
+                f"{frame.eye.name.lower()} frame {frame.sequence}: cannot be encoded ({error.err})"
+            ) from None
+        image = encoded.tobytes()
+    message = foxglove.image(frame.eye, frame.t_ns, image)
+    return _message(IMAGE_TOPICS[frame.eye], frame.t_ns, message, frame.sequence)
+
+
+def read_frame(eye: Eye, sequence: int, log_time: int, data: bytes) -> Frame:
+    """The frame of an image message, its bytes as recorded; raises RecordingError."""
+    message = CompressedImage()
+    try:
+        message.ParseFromString(data)
+    except DecodeError as error:
+        raise RecordingError(f"{IMAGE_TOPICS[eye]} {sequence}: not an image ({error})") from None
+    return Frame(eye, sequence, log_time, bytes(message.data))
+
+
+def pose_messages(sample: PoseSample) -> list[LogMessage]:
+    """A live pose: exact, and twice for Foxglove."""
+    t_ns = sample.t_ns
+    primary = foxglove.camera_frame(Eye.PRIMARY)
+    return [
+        LogMessage(POSE_SAMPLE, t_ns, record.encode("PoseSample", *record.flatten(sample))),
+        _message(POSE_LIVE, t_ns, foxglove.odometry(sample)),
+        _message(TF, t_ns, foxglove.frame_transform(primary, sample.T_w_c, t_ns)),
+    ]
+
+
+def read_pose(data: bytes) -> PoseSample:
+    """The exact pose of /pose/sample; raises RecordingError."""
+    return record.unflatten(PoseSample, *record.decode("PoseSample", data))
+
+
+def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage]:
+    """An update: exact (but see the module's text on depth), and for Foxglove beside it."""
+    t_ns = int(update.submap.t_ns.max())
+    header, arrays = record.flatten(update)
+    depth = arrays.pop("prediction.depth", None)
+    confidence = arrays.pop("prediction.confidence", None)
+    if log_depth and depth is not None:
+        representable = np.isfinite(depth) & (np.abs(depth) <= np.finfo(np.float16).max)
+        arrays["prediction.depth"] = np.where(representable, depth, 0).astype(np.float16)
+        if confidence is not None:
+            steps = np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 255)
+            arrays["prediction.confidence"] = steps.astype(np.uint8)
+    submap = foxglove.frame_transform("submap", update.submap.T_w_s, t_ns)
+    return [
+        LogMessage(SUBMAP, t_ns, record.encode("Submap", header, arrays)),
+        _message(POSE_KEYFRAMES, t_ns, foxglove.trajectory(update.trajectory, t_ns)),
+        _message(TF, t_ns, submap),
+    ]
+
+
+def read_update(data: bytes) -> LocalizerUpdate:
+    """The update of /submap, depth and confidence as float32; raises RecordingError."""
+    header, arrays = record.decode("Submap", data)
+    if "prediction.depth" in arrays:
+        arrays["prediction.depth"] = arrays["prediction.depth"].astype(np.float32)
+    if "prediction.confidence" in arrays:
+        steps = arrays["prediction.confidence"].astype(np.float32)
+        arrays["prediction.confidence"] = steps / np.float32(255)
+    return record.unflatten(LocalizerUpdate, header, arrays)
+
+
+def window_message(window: WindowRecord) -> LogMessage:
+    """Which frames a window held."""
+    data = record.encode("Window", *record.flatten(window))
+    return LogMessage(WINDOW, int(window.t_ns.max()), data)
+
+
+def read_window(data: bytes) -> WindowRecord:
+    """The record of /window; raises RecordingError."""
+    return record.unflatten(WindowRecord, *record.decode("Window", data))
+
+
+def clock_message(log_time: int, realtime_ns: int, monotonic_ns: int) -> LogMessage:
+    """The wall clock and the host-monotonic clock, read together."""
+    return json_message(CLOCK, log_time, {"realtime_ns": realtime_ns, "monotonic_ns": monotonic_ns})
+
+
+def json_message(topic: str, log_time: int, value: Mapping[str, Any]) -> LogMessage:
+    """A JSON object on /clock or /status; what JSON does not know is written as text."""
+    return LogMessage(topic, log_time, json.dumps(value, default=str).encode())
+
+
+def log_message(t_ns: int, level: int, message: str, name: str) -> LogMessage:
+    """A line of the log; level as in Python's logging."""
+    return _message(LOG, t_ns, foxglove.log(t_ns, level, message, name))

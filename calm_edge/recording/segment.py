@@ -1,0 +1,169 @@
+"""One MCAP file while it is being written: `NNNN.mcap.part`, renamed when it is whole."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, cast
+
+from mcap.writer import CompressionType, Writer
+
+from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.schema import TOPICS, LogMessage, topic_schema
+
+PART = ".part"
+_NAME = re.compile(r"(\d{4,})\.mcap(\.part)?")
+
+Write = Callable[[int, bytes], int]
+
+
+def segment_files(folder: Path) -> list[Path]:
+    """Finished and unfinished segments of a folder, in order; raises RecordingError."""
+    try:
+        found = [(m, p) for p in folder.iterdir() if (m := _NAME.fullmatch(p.name))]
+    except OSError as error:
+        raise RecordingError(f"{folder}: cannot be read ({error.strerror})") from None
+    return [p for _, p in sorted(found, key=lambda f: (int(f[0][1]), f[1].name))]
+
+
+def free_bytes(folder: Path) -> int:
+    """What an ordinary user may still write to the folder's disk; 0 when it cannot be told."""
+    try:
+        disk = os.statvfs(folder)
+    except OSError:
+        return 0
+    return disk.f_bavail * disk.f_frsize
+
+
+class _Sink:
+    """An unbuffered file that writes everything or raises, and knows how far it came."""
+
+    def __init__(self, fd: int, write: Write) -> None:
+        self._fd, self._write = fd, write
+        self.position: int = 0
+
+    def write(self, data: bytes) -> int:
+        rest = memoryview(data)
+        while rest:
+            n = self._write(self._fd, cast(bytes, rest))
+            self.position += n
+            rest = rest[n:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self.position
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+class Segment:
+    """A file being written by one thread; every method may raise OSError.
+
+    A message counts as kept once its chunk is in the file; `abandon` gives back the others.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        number: int,
+        chunk_bytes: int,
+        metadata: Mapping[str, dict[str, str]],
+        write: Write = os.write,
+    ) -> None:
+        self.target = folder / f"{number:04d}.mcap"
+        self.path = self.target.with_name(self.target.name + PART)
+        self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._sink = _Sink(self._fd, write)
+        self._pending: list[LogMessage] = []
+        self._kept_bytes = 0
+        self.kept_messages = 0
+        try:
+            self._writer: Any = Writer(
+                cast(IO[Any], self._sink), chunk_bytes, compression=CompressionType.NONE
+            )
+            self._writer.start(library="calm-edge")
+            for name, values in metadata.items():
+                self._writer.add_metadata(name, values)
+            self._channels = {topic: self._register(topic) for topic in TOPICS}
+            _sync_folder(folder)
+        except OSError:
+            self.discard()
+            raise
+
+    def _register(self, topic: str) -> int:
+        schema = topic_schema(topic)
+        schema_id = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+        return int(self._writer.register_channel(topic, schema.message_encoding, schema_id))
+
+    def write(self, message: LogMessage, publish_time: int) -> None:
+        """Add a message to the chunk in progress, which goes to the file when it is full."""
+        before = self._sink.position
+        self._pending.append(message)
+        self._writer.add_message(
+            self._channels[message.topic],
+            message.log_time,
+            message.data,
+            publish_time,
+            message.sequence & 0xFFFFFFFF,
+        )
+        if self._sink.position != before:
+            self._keep()
+
+    def sync(self) -> None:
+        """Everything so far to the file, and the file to the disk."""
+        self._writer.flush()
+        self._keep()
+        os.fdatasync(self._fd)
+
+    def finish(self) -> Path:
+        """Close the file whole and give it its final name; returns it."""
+        self.sync()
+        self._writer.finish()
+        os.fdatasync(self._fd)
+        os.close(self._fd)
+        self._fd = -1
+        self.path.rename(self.target)
+        _sync_folder(self.target.parent)
+        return self.target
+
+    def abandon(self) -> list[LogMessage]:
+        """After an OSError: cut the file back to its last whole chunk, leave it as `.part`.
+
+        Returns the messages that are not in it. Never raises.
+        """
+        if self._fd >= 0:
+            with suppress(OSError):
+                os.ftruncate(self._fd, self._kept_bytes)
+                os.fdatasync(self._fd)
+            with suppress(OSError):
+                os.close(self._fd)
+            self._fd = -1
+        if self.kept_messages == 0:
+            self.discard()
+        return self._pending
+
+    def discard(self) -> None:
+        """Remove the unfinished file. Never raises."""
+        if self._fd >= 0:
+            with suppress(OSError):
+                os.close(self._fd)
+            self._fd = -1
+        with suppress(OSError):
+            self.path.unlink()
+
+    def _keep(self) -> None:
+        self.kept_messages += len(self._pending)
+        self._pending.clear()
+        self._kept_bytes = self._sink.position
+
+
+def _sync_folder(folder: Path) -> None:
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

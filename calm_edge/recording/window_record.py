@@ -1,0 +1,61 @@
+"""Which frames became one window: enough to build it again, bit for bit, from the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from calm_edge.types import Int, Keyframe, SubmapWindow
+from device.frame import Eye, Frame
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRecord:
+    """A SubmapWindow without its pixels (paper IV-A).
+
+    ids, eyes, sequences, t_ns: (N,) in batch order; has_loop: the last one is the loop keyframe.
+    """
+
+    submap_id: int
+    n_primary: int
+    n_overlap: int
+    has_loop: bool
+    ids: Int
+    eyes: Int
+    sequences: Int
+    t_ns: Int
+
+
+def of_window(window: SubmapWindow) -> WindowRecord:
+    """The record of a window."""
+    keyframes = window.keyframes()
+    return WindowRecord(
+        window.submap_id,
+        len(window.primary),
+        window.n_overlap,
+        window.loop_keyframe is not None,
+        np.array([k.id for k in keyframes], np.int64),
+        np.array([k.frame.eye for k in keyframes], np.int64),
+        np.array([k.frame.sequence for k in keyframes], np.int64),
+        np.array([k.frame.t_ns for k in keyframes], np.int64),
+    )
+
+
+def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> SubmapWindow:
+    """The window again; `frame(eye, sequence, t_ns)` fetches pixels and raises what it raises."""
+    keyframes = [
+        Keyframe(int(i), frame(Eye(int(eye)), int(sequence), int(t_ns)))
+        for i, eye, sequence, t_ns in zip(
+            record.ids, record.eyes, record.sequences, record.t_ns, strict=True
+        )
+    ]
+    loop = keyframes.pop() if record.has_loop else None
+    return SubmapWindow(
+        record.submap_id,
+        tuple(keyframes[: record.n_primary]),
+        tuple(keyframes[record.n_primary :]),
+        record.n_overlap,
+        loop,
+    )

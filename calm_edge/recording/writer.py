@@ -1,0 +1,300 @@
+"""The recording's one writer: its own thread, a bounded mailbox, segments that survive a kill.
+
+At most a chunk, or what came since the last flush, is lost when the process dies; a full or
+failing disk costs what it costs and is reported, and never stops the caller.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import calm_edge
+from calm_edge.config import Config
+from calm_edge.recording import schema
+from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.health import WriterHealth, boot_id
+from calm_edge.recording.mailbox import Mailbox
+from calm_edge.recording.record import flatten
+from calm_edge.recording.schema import LogMessage
+from calm_edge.recording.segment import Segment, Write, free_bytes, segment_files
+from calm_edge.recording.window_record import of_window
+from calm_edge.types import LocalizerUpdate, PoseSample, SubmapWindow
+from device.frame import Frame
+
+# below this the segment is closed while its summary still fits, and the system keeps breathing
+RESERVE_BYTES = 8 << 20
+RETRY_S = 1.0
+
+_Encode = Callable[[], list[LogMessage]]
+_log = logging.getLogger(__name__)
+
+
+class RecordingWriter:
+    """Writes one recording folder; every `write_*` hands over and returns at once.
+
+    metadata: text about this session (backbone, camera identities ...). now_ns: the clock of
+    the frames. lossless: `write_*` waits for room instead of dropping, and raises RecordingError
+    when the disk fails. What is handed over must not be changed afterwards.
+    Raises RecordingError when the folder already holds a recording or cannot be written.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        config: Config,
+        metadata: Mapping[str, str] | None = None,
+        *,
+        lossless: bool = False,
+        queue_bytes: int = 128 << 20,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        write: Write = os.write,
+    ) -> None:
+        self._folder, self._config, self._now_ns, self._write = folder, config, now_ns, write
+        self._metadata = {
+            schema.CONFIG_METADATA: {"json": json.dumps(config.to_dict())},
+            schema.SESSION_METADATA: {
+                "version": calm_edge.__version__,
+                "backbone": config.backbone.name,
+                "boot_id": boot_id(),
+                **(metadata or {}),
+            },
+        }
+        self._mailbox: Mailbox[_Encode] = Mailbox(queue_bytes, lossless)
+        self._number = 0
+        self._written = self._unwritable = 0
+        self._said_dropped = 0
+        self._error = ""
+        self._sync_ms = 0.0
+        self._carried: list[LogMessage] = []
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if segment_files(folder):
+                raise RecordingError(
+                    f"{folder}: already holds a recording; choose another output folder"
+                )
+            self._segment: Segment | None = self._open_segment()
+        except OSError as error:
+            raise RecordingError(
+                f"{folder}: cannot be written ({error.strerror}); choose another output folder"
+            ) from None
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    @property
+    def health(self) -> WriterHealth:
+        """A snapshot, from any thread."""
+        others, images = self._mailbox.dropped
+        segment = self._segment
+        kept = segment.kept_messages if segment is not None else 0
+        return WriterHealth(
+            self._error,
+            self._written + kept,
+            images,
+            others,
+            self._unwritable,
+            self._mailbox.fill,
+            self._sync_ms,
+        )
+
+    def write_frame(self, frame: Frame) -> None:
+        """A frame of either eye; raw pixels are encoded on the writer's thread."""
+        size = len(frame.image) if isinstance(frame.image, bytes) else frame.image.nbytes
+        quality = self._config.recording.jpeg_quality
+        self._mailbox.put(lambda: [schema.frame_message(frame, quality)], size, True)
+
+    def write_pose(self, sample: PoseSample) -> None:
+        """A live pose."""
+        self._mailbox.put(lambda: schema.pose_messages(sample), 1024, False)
+
+    def write_update(self, update: LocalizerUpdate) -> None:
+        """A placed sub-map with the trajectory; depth only when recording.log_depth is set."""
+        log_depth = self._config.recording.log_depth
+        size = sum(a.nbytes for a in flatten(update)[1].values())
+        self._mailbox.put(lambda: schema.update_messages(update, log_depth), size, False)
+
+    def write_window(self, window: SubmapWindow) -> None:
+        """Which frames a window held; its pixels are those of the image topics."""
+        window_record = of_window(window)
+        self._mailbox.put(lambda: [schema.window_message(window_record)], 1024, False)
+
+    def write_log(self, level: int, message: str, name: str = "calm-edge") -> None:
+        """A line of the log; level as in Python's logging."""
+        now = self._now_ns()
+        self._mailbox.put(lambda: [schema.log_message(now, level, message, name)], 512, False)
+
+    def write_status(self, status: Mapping[str, Any]) -> None:
+        """A JSON object on /status."""
+        now, copy = self._now_ns(), dict(status)
+        self._mailbox.put(lambda: [schema.json_message(schema.STATUS, now, copy)], 512, False)
+
+    def close(self) -> WriterHealth:
+        """Write what is queued, finish the segment; returns the last health. Idempotent."""
+        self._mailbox.close()
+        self._thread.join()
+        return self.health
+
+    # everything below runs on the writer's thread, but for the first _open_segment
+
+    def _open_segment(self) -> Segment:
+        segment = Segment(
+            self._folder,
+            self._number,
+            self._config.recording.chunk_bytes,
+            self._metadata,
+            self._write,
+        )
+        self._number += 1
+        self._opened_at = time.monotonic()
+        return segment
+
+    def _run(self) -> None:
+        while True:
+            try:
+                self._loop()
+                return
+            except Exception as error:
+                # a thread that died in silence would look like a recording; what tripped it
+                # is not carried on, or it would trip the next segment too
+                _log.exception("recording thread")
+                self._fail(f"writer stumbled: {error!r}")
+                self._unwritable += len(self._carried)
+                self._carried = []
+                if self._mailbox.wait_closed(RETRY_S):
+                    self._give_up()
+                    return
+
+    def _loop(self) -> None:
+        next_tick = time.monotonic()
+        while True:
+            if self._segment is None and not self._try_again():
+                if self._mailbox.wait_closed(RETRY_S):
+                    self._give_up()
+                    return
+                continue
+            encode = self._mailbox.take(max(0.0, next_tick - time.monotonic()))
+            if encode is not None:
+                self._write_item(encode)
+            elif self._mailbox.closed:
+                break
+            if time.monotonic() >= next_tick:
+                next_tick = time.monotonic() + self._config.recording.flush_s
+                self._tick()
+        self._finish_segment()
+        self._give_up()
+
+    def _write_item(self, encode: _Encode) -> None:
+        try:
+            messages = encode()
+        except Exception as error:
+            # one bad item must not cost the drive
+            self._unwritable += 1
+            now = self._now_ns()
+            text = f"one item could not be recorded: {error}"
+            messages = [schema.log_message(now, logging.ERROR, text, "recording")]
+            _log.error("%s", text)
+        self._put(messages)
+
+    def _put(self, messages: list[LogMessage]) -> None:
+        for i, message in enumerate(messages):
+            if self._segment is None:
+                self._carried += messages[i:]
+                return
+            try:
+                self._segment.write(message, time.monotonic_ns())
+            except OSError as error:
+                self._fail(_reason(error))
+
+    def _tick(self) -> None:
+        """Once a flush_s: clock pair, drops, the disk."""
+        now = self._now_ns()
+        messages = [schema.clock_message(now, time.time_ns(), time.monotonic_ns())]
+        dropped = sum(self._mailbox.dropped)
+        if dropped > self._said_dropped:
+            text = f"queue full: {dropped - self._said_dropped} items not recorded"
+            messages.append(schema.log_message(now, logging.WARNING, text, "recording"))
+            _log.warning("%s", text)
+            self._said_dropped = dropped
+        self._put(messages)
+        if self._segment is None:
+            return
+        try:
+            started = time.monotonic()
+            self._segment.sync()
+            self._sync_ms = 1e3 * (time.monotonic() - started)
+        except OSError as error:
+            self._fail(_reason(error))
+            return
+        if free_bytes(self._folder) < RESERVE_BYTES:
+            self._finish_segment()
+            self._report("No space left on device")
+        elif time.monotonic() - self._opened_at >= self._config.recording.segment_s:
+            self._finish_segment()
+
+    def _finish_segment(self) -> None:
+        if self._segment is None:
+            return
+        try:
+            self._segment.finish()
+            self._written += self._segment.kept_messages
+            self._segment = None
+        except OSError as error:
+            self._fail(_reason(error))
+
+    def _fail(self, reason: str) -> None:
+        if self._segment is not None:
+            self._carried += self._segment.abandon()
+            self._written += self._segment.kept_messages
+            self._segment = None
+        self._report(reason)
+
+    def _report(self, reason: str) -> None:
+        self._error = f"{self._folder}: {reason}; free space or mend the disk, it is tried again"
+        self._mailbox.set_broken(self._error)
+        _log.error("%s", self._error)
+
+    def _try_again(self) -> bool:
+        if self._error and free_bytes(self._folder) < 2 * RESERVE_BYTES:
+            return False
+        try:
+            segment = self._open_segment()
+        except OSError as error:
+            self._report(_reason(error))
+            return False
+        try:
+            for message in self._carried:
+                segment.write(message, time.monotonic_ns())
+            segment.sync()
+        except OSError as error:
+            segment.discard()
+            self._report(_reason(error))
+            return False
+        self._carried = []
+        self._segment = segment
+        if self._error:
+            _log.warning("%s: recording again", self._folder)
+        self._error = ""
+        self._mailbox.set_broken("")
+        return True
+
+    def _give_up(self) -> None:
+        """Closed: what the disk did not take until now is counted as lost."""
+        self._unwritable += len(self._carried)
+        self._carried = []
+        self._mailbox.clear()
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or str(error)

@@ -1,0 +1,33 @@
+"""Losses are told with file, time and count."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calm_edge.recording.losses import describe
+from calm_edge.recording.scan import scan
+from tests.recording import samples
+
+
+def test_a_cut_names_file_time_and_count(tmp_path: Path) -> None:
+    folder = samples.small_recording(tmp_path / "rec")
+    whole = folder / "0000.mcap"
+    assert describe(scan(whole)) == []
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:40_000])
+    index = scan(cut)
+    (line,) = describe(index)
+    assert str(cut) in line
+    assert f"t = {index.end_ns / 1e9:.3f} s" in line  # type: ignore[operator]
+    assert f"recovered: {index.n_messages} messages" in line
+    assert 0 < index.n_messages < scan(whole).n_messages
+
+
+def test_a_cut_behind_the_last_message_loses_nothing(tmp_path: Path) -> None:
+    whole = samples.small_recording(tmp_path / "rec") / "0000.mcap"
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:-4])
+    index = scan(cut)
+    assert index.n_messages == scan(whole).n_messages
+    (line,) = describe(index)
+    assert "behind the last message" in line

@@ -1,0 +1,73 @@
+"""The lossless encoding."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from calm_edge.recording import record
+from calm_edge.recording.errors import RecordingError
+from calm_edge.types import LocalizerUpdate, PoseSample
+from tests.recording import samples
+
+
+@given(
+    hnp.arrays(
+        st.sampled_from([np.float64, np.float32, np.float16, np.int64, np.uint8, np.bool_]),
+        hnp.array_shapes(min_dims=0, max_dims=4, min_side=0),
+    )
+)
+def test_any_array_comes_back_bit_for_bit(array: np.ndarray) -> None:
+    _, arrays = record.decode("Submap", record.encode("Submap", {}, {"a": array}))
+    assert samples.same(np.asarray(array), arrays["a"])
+    assert arrays["a"].flags.writeable
+
+
+def test_non_contiguous_and_big_endian_arrays_keep_their_values() -> None:
+    array = np.arange(12, dtype=">f8").reshape(3, 4).T
+    _, arrays = record.decode("Submap", record.encode("Submap", {}, {"a": array}))
+    np.testing.assert_array_equal(arrays["a"], array)
+
+
+@pytest.mark.parametrize("depth", [True, False])
+def test_nested_nouns_round_trip(depth: bool) -> None:
+    update = samples.update(depth=depth)
+    data = record.encode("Submap", *record.flatten(update))
+    again = record.unflatten(LocalizerUpdate, *record.decode("Submap", data))
+    assert samples.same(update, again)
+
+
+def test_absent_optional_and_empty_values_round_trip() -> None:
+    update = samples.update()
+    prediction = dataclasses.replace(
+        update.prediction, kit=None, landmarks=None, focal_log_sigma=None
+    )
+    bare = dataclasses.replace(update, prediction=prediction, kit=None, stage_ms={})
+    again = record.unflatten(LocalizerUpdate, *record.flatten(bare))
+    assert samples.same(bare, again)
+
+
+def test_a_missing_field_is_a_recording_error() -> None:
+    header, arrays = record.flatten(samples.pose())
+    del arrays["T_w_c"]
+    with pytest.raises(RecordingError, match="PoseSample"):
+        record.unflatten(PoseSample, header, arrays)
+
+
+@pytest.mark.parametrize("data", [b"\xff\xff\xff", b"", b"\x0a\x03{,}"])
+def test_foreign_bytes_are_a_recording_error(data: bytes) -> None:
+    with pytest.raises(RecordingError):
+        record.decode("PoseSample", data)
+
+
+def test_no_python_objects_are_ever_decoded() -> None:
+    message = record.message_class("Submap")()
+    message.header = "{}"  # type: ignore[attr-defined]
+    message.arrays.add(name="a", dtype="|O", shape=[1], data=bytes(8))  # type: ignore[attr-defined]
+    with pytest.raises(RecordingError):
+        record.decode("Submap", message.SerializeToString())

@@ -1,0 +1,96 @@
+"""Nouns to messages and back, and what a stock Foxglove reader sees."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from calm_edge.recording import schema
+from calm_edge.recording.errors import RecordingError
+from device.frame import Eye, Frame
+from tests.recording import samples
+
+
+def test_jpeg_bytes_are_untouched() -> None:
+    frame = samples.frame(Eye.ASSISTANT, 3)
+    message = schema.frame_message(frame, 50)
+    again = schema.read_frame(Eye.ASSISTANT, message.sequence, message.log_time, message.data)
+    assert again == frame
+    assert message.topic == "/assistant/image"
+
+
+def test_raw_pixels_are_encoded_once_at_the_given_quality() -> None:
+    pixels = cv2.imdecode(np.frombuffer(samples.jpeg(0), np.uint8), cv2.IMREAD_COLOR)
+    frame = Frame(Eye.PRIMARY, 1, 7, np.asarray(pixels, np.uint8))
+    expected = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 77])[1].tobytes()
+    message = schema.frame_message(frame, 77)
+    assert schema.read_frame(Eye.PRIMARY, 1, 7, message.data).image == expected
+
+
+def test_pixels_that_cannot_be_encoded_are_a_recording_error() -> None:
+    frame = Frame(Eye.PRIMARY, 9, 7, np.zeros((0, 0, 3), np.uint8))
+    with pytest.raises(RecordingError, match="primary frame 9"):
+        schema.frame_message(frame, 90)
+
+
+@pytest.mark.parametrize("t_ns", [-1, 1 << 63])
+def test_times_outside_the_format_are_refused(t_ns: int) -> None:
+    with pytest.raises(RecordingError):
+        schema.frame_message(Frame(Eye.PRIMARY, 0, t_ns, b"x"), 90)
+
+
+def test_pose_and_update_round_trip() -> None:
+    for i in range(3):
+        message = schema.pose_messages(samples.pose(i))[0]
+        assert samples.same(schema.read_pose(message.data), samples.pose(i))
+    message = schema.update_messages(samples.update(), log_depth=True)[0]
+    assert samples.same(schema.read_update(message.data), samples.update())
+
+
+def test_depth_is_left_out_unless_asked_for() -> None:
+    message = schema.update_messages(samples.update(), log_depth=False)[0]
+    assert samples.same(schema.read_update(message.data), samples.update(depth=False))
+
+
+def test_depth_beyond_half_precision_becomes_unknown_not_infinite() -> None:
+    update = samples.update()
+    depth = np.full((5, 6, 8), 10.004, np.float32)
+    depth[0, 0, :3] = [1e6, np.inf, np.nan]
+    prediction = dataclasses.replace(update.prediction, depth=depth)
+    update = dataclasses.replace(update, prediction=prediction)
+    once = schema.read_update(schema.update_messages(update, True)[0].data)
+    assert once.prediction.depth is not None
+    np.testing.assert_array_equal(once.prediction.depth[0, 0, :3], 0)
+    np.testing.assert_allclose(once.prediction.depth[1], 10.004, rtol=2**-11)
+    twice = schema.read_update(schema.update_messages(once, True)[0].data)
+    assert samples.same(once, twice)
+
+
+def test_a_stock_reader_decodes_every_message_and_the_poses_agree(tmp_path: Path) -> None:
+    samples.small_recording(tmp_path / "rec")
+    seen: dict[str, list] = {}
+    with (tmp_path / "rec" / "0000.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
+        protobuf = [t for t in schema.TOPICS if t not in ("/clock", "/status")]
+        for _, channel, _, decoded in reader.iter_decoded_messages(topics=protobuf):
+            seen.setdefault(channel.topic, []).append(decoded)
+    assert set(protobuf) - set(seen) == {"/log"}
+    odometry, expected = seen["/pose/live"][4], samples.pose(4)
+    q = odometry.pose.orientation
+    rotated = cv2.Rodrigues(expected.T_w_c[:3, :3])[0].ravel()
+    axis = np.array([q.x, q.y, q.z])
+    angle = 2 * np.arctan2(np.linalg.norm(axis), q.w)
+    np.testing.assert_allclose(axis / np.linalg.norm(axis) * angle, rotated, atol=1e-9)
+    p = odometry.pose.position
+    np.testing.assert_array_equal([p.x, p.y, p.z], expected.T_w_c[:3, 3])
+    assert list(odometry.pose_covariance) == expected.covariance.ravel().tolist()
+    assert odometry.timestamp.ToNanoseconds() == expected.t_ns
+    assert seen["/submap"][0].DESCRIPTOR.full_name == "calm_edge.Submap"
+    assert len(seen["/pose/keyframes"][0].poses) == 9
+    assert seen["/primary/image"][0].format == "jpeg"
