@@ -1,0 +1,160 @@
+"""Our encoder against pymavlink, field by field and byte by byte."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as peer
+
+from calm_edge.pose_output.mavlink import (
+    UNKNOWN_COVARIANCE,
+    Encoder,
+    Heartbeat,
+    Message,
+    Odometry,
+    Severity,
+    StatusText,
+    SystemState,
+    Timesync,
+    checksum,
+)
+
+COVARIANCE = tuple(0.5 + k for k in range(21))
+
+
+def odometry(**changes: Any) -> Odometry:
+    fields: dict[str, Any] = {
+        "time_usec": 123_456_789_012,
+        "position": (1.5, -2.25, 3.125),
+        "quaternion": (0.5, -0.5, 0.5, 0.5),
+        "velocity": (10.0, 0.25, -0.75),
+        "pose_covariance": COVARIANCE,
+        "reset_counter": 3,
+        "quality": 100,
+    }
+    return Odometry(**fields | changes)
+
+
+def decode(data: bytes) -> Any:
+    """The one message in the bytes, its checksum verified."""
+    (message,) = peer.MAVLink(None).parse_buffer(data)
+    assert message.get_type() != "BAD_DATA", message
+    return message
+
+
+def test_odometry_field_by_field() -> None:
+    data = Encoder().encode(odometry())
+    got = decode(data)
+    assert got.get_type() == "ODOMETRY"
+    assert got.time_usec == 123_456_789_012
+    assert (got.frame_id, got.child_frame_id) == (
+        peer.MAV_FRAME_LOCAL_FRD,
+        peer.MAV_FRAME_BODY_FRD,
+    )
+    assert (got.x, got.y, got.z) == (1.5, -2.25, 3.125)
+    assert tuple(got.q) == (0.5, -0.5, 0.5, 0.5)
+    assert (got.vx, got.vy, got.vz) == (10.0, 0.25, -0.75)
+    assert all(math.isnan(v) for v in (got.rollspeed, got.pitchspeed, got.yawspeed))
+    assert tuple(got.pose_covariance) == COVARIANCE
+    assert math.isnan(got.velocity_covariance[0])
+    assert tuple(got.velocity_covariance[1:]) == (0.0,) * 20
+    assert got.reset_counter == 3
+    assert got.estimator_type == peer.MAV_ESTIMATOR_TYPE_VISION
+    assert got.quality == 100
+    assert len(data) == 245
+
+
+@pytest.mark.parametrize("quality", [-1, 0, 1, 100])
+def test_quality_keeps_its_sign(quality: int) -> None:
+    assert decode(Encoder().encode(odometry(quality=quality))).quality == quality
+
+
+def test_the_reset_counter_wraps_as_a_byte() -> None:
+    assert decode(Encoder().encode(odometry(reset_counter=257))).reset_counter == 1
+
+
+def test_unknown_covariance_begins_with_nan() -> None:
+    got = decode(Encoder().encode(odometry(pose_covariance=UNKNOWN_COVARIANCE)))
+    assert math.isnan(got.pose_covariance[0])
+    assert len(got.pose_covariance) == 21
+
+
+def test_heartbeat_field_by_field() -> None:
+    got = decode(Encoder(system_id=7).encode(Heartbeat(SystemState.ACTIVE)))
+    assert got.get_type() == "HEARTBEAT"
+    assert got.type == peer.MAV_TYPE_ONBOARD_CONTROLLER
+    assert got.autopilot == peer.MAV_AUTOPILOT_INVALID
+    assert (got.base_mode, got.custom_mode, got.mavlink_version) == (0, 0, 3)
+    assert got.system_status == peer.MAV_STATE_ACTIVE
+    assert got.get_srcSystem() == 7
+    assert got.get_srcComponent() == peer.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
+
+
+def test_the_enums_are_the_standards() -> None:
+    assert {s.name: s.value for s in SystemState} == {
+        s.name: getattr(peer, f"MAV_STATE_{s.name}") for s in SystemState
+    }
+    assert {s.name: s.value for s in Severity} == {
+        s.name: getattr(peer, f"MAV_SEVERITY_{s.name}") for s in Severity
+    }
+
+
+@pytest.mark.parametrize(("text", "received"), [("pose lost", "pose lost"), ("x" * 60, "x" * 50)])
+def test_status_text_is_cut_at_its_fifty_bytes(text: str, received: str) -> None:
+    got = decode(Encoder().encode(StatusText(Severity.WARNING, text)))
+    assert got.get_type() == "STATUSTEXT" and got.severity == 4
+    assert got.text == received
+
+
+def test_status_text_is_cut_between_characters() -> None:
+    field = StatusText(Severity.INFO, "a" + "é" * 30).payload()[1:51]
+    assert field.rstrip(b"\0").decode() == "a" + "é" * 24
+
+
+def test_timesync_reply() -> None:
+    got = decode(Encoder().encode(Timesync(tc1_ns=-5, ts1_ns=2**40)))
+    assert (got.tc1, got.ts1) == (-5, 2**40)
+
+
+@pytest.mark.parametrize(
+    ("message", "twin"),
+    [
+        (Heartbeat(SystemState.BOOT), peer.MAVLink_heartbeat_message(18, 8, 0, 0, 1, 3)),
+        (
+            StatusText(Severity.INFO, "hello"),
+            peer.MAVLink_statustext_message(6, b"hello"),
+        ),
+        (Timesync(0, 0), peer.MAVLink_timesync_message(0, 0)),
+        (Timesync(9, 0), peer.MAVLink_timesync_message(9, 0)),
+        (
+            odometry(quality=0),
+            peer.MAVLink_odometry_message(
+                *(123_456_789_012, 20, 12, 1.5, -2.25, 3.125, (0.5, -0.5, 0.5, 0.5)),
+                *(10.0, 0.25, -0.75, math.nan, math.nan, math.nan),
+                *(COVARIANCE, UNKNOWN_COVARIANCE, 3, 2, 0),
+            ),
+        ),
+    ],
+)
+def test_bytes_are_those_of_the_peer(message: Message, twin: Any) -> None:
+    link = peer.MAVLink(None, srcSystem=1, srcComponent=197)
+    assert Encoder().encode(message) == bytes(twin.pack(link))
+
+
+def test_zeros_at_the_end_are_left_out_but_for_one_byte() -> None:
+    assert Encoder().encode(Timesync(0, 0))[1] == 1
+    assert Encoder().encode(Timesync(0x0100, 0))[1] == 2
+    assert Encoder().encode(odometry(quality=0))[1] == 232
+
+
+def test_the_sequence_counts_every_message_and_wraps() -> None:
+    encoder = Encoder()
+    sequences = [encoder.encode(Heartbeat(SystemState.ACTIVE))[4] for _ in range(258)]
+    assert sequences == [k % 256 for k in range(258)]
+
+
+def test_checksum_of_the_standard_check_string() -> None:
+    # the published check value of CRC-16/MCRF4XX
+    assert checksum(b"123456789") == 0x6F91
