@@ -12,7 +12,11 @@ from typing import Any
 import numpy as np
 
 from calm_edge.evaluation.trajectory_file import EvaluationError, read_tum
-from calm_edge.types import Float, Float32, Int, LocalizerUpdate, PoseSample
+from calm_edge.types import Float, Float32, Int, LocalizerUpdate
+from device.frame import Eye
+
+# Older than any pose a live run would publish.
+MAX_AGE_MS = 60_000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +26,7 @@ class Estimate:
     t_ns: (N,) T_w_c: (N, 4, 4) primary camera->world, world units. spacing_m: None when the
     world is in spacings. focal_px, focal_sigma_percent: one an eye. pose_age_ms: {p50, p99}.
     stage_ms: mean a sub-map, by stage. points_w: (P, 3) map points, world units.
+    first_frame: (its number in the sequence, its stamp), which tells how stamps were moved.
     """
 
     source: str
@@ -36,6 +41,7 @@ class Estimate:
     pose_age_ms: dict[str, float] | None = None
     stage_ms: dict[str, float] = field(default_factory=dict)
     points_w: Float32 | None = None
+    first_frame: tuple[int, int] | None = None
 
 
 def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
@@ -47,10 +53,14 @@ def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
     return {stage: float(np.mean(values)) for stage, values in times.items()}
 
 
-def pose_ages(live: Iterable[tuple[int, PoseSample]]) -> dict[str, float] | None:
-    """{p50, p99} ms from exposure to publishing of (publish time ns, pose); None without poses."""
-    ages = [(published - pose.t_ns) / 1e6 for published, pose in live]
-    if not ages:
+def pose_ages(published_ns: Int, exposed_ns: Int) -> dict[str, float] | None:
+    """{p50, p99} ms from exposure to publishing of live poses, (N,) ns each.
+
+    None without poses, and where the two are not on one clock: a lockstep run keeps its
+    files' stamps, so an age there says nothing.
+    """
+    ages = (published_ns - exposed_ns) / 1e6
+    if len(ages) == 0 or ages.min() < 0 or ages.max() > MAX_AGE_MS:
         return None
     p50, p99 = np.percentile(ages, [50, 99])
     return {"p50": float(p50), "p99": float(p99)}
@@ -59,15 +69,23 @@ def pose_ages(live: Iterable[tuple[int, PoseSample]]) -> dict[str, float] | None
 def from_updates(
     source: str,
     updates: Sequence[LocalizerUpdate],
-    live: Iterable[tuple[int, PoseSample]] = (),
     frames: int | None = None,
     spacing_m: float | None = None,
+    pose_age_ms: dict[str, float] | None = None,
+    first_frame: tuple[int, int] | None = None,
 ) -> Estimate:
-    """The newest trajectory and focals of a run; `live` pairs a publish time ns with its pose."""
-    ages = pose_ages(live)
+    """The newest trajectory and focals of a run. spacing_m: 0 or None when not given."""
     if not updates:
-        none = np.zeros(0, np.int64), np.zeros((0, 4, 4))
-        return Estimate(source, *none, frames, 0, 0, spacing_m or None, pose_age_ms=ages)
+        return Estimate(
+            source,
+            np.zeros(0, np.int64),
+            np.zeros((0, 4, 4)),
+            frames,
+            0,
+            0,
+            spacing_m or None,
+            pose_age_ms=pose_age_ms,
+        )
     last = updates[-1]
     submap, trajectory = last.submap, last.trajectory
     eyes = (0, submap.n_primary) if submap.assistant_ids else (0, 0)
@@ -82,8 +100,9 @@ def from_updates(
         spacing_m or None,
         (float(submap.K[eyes[0], 0, 0]), float(submap.K[eyes[1], 0, 0])),
         (_finite(sigma[0]), _finite(sigma[1])),
-        ages,
+        pose_age_ms,
         mean_stages(updates),
+        first_frame=first_frame,
     )
 
 
@@ -94,11 +113,16 @@ def from_tum(path: Path) -> Estimate:
 
 
 def from_map(folder: Path) -> Estimate:
-    """A map folder: trajectory.tum, summary.json and, if there, map.ply; raises EvaluationError."""
+    """A map folder: trajectory.tum, summary.json and, if there, map.ply; raises EvaluationError.
+
+    summary.json: `frames, keyframes, submaps, spacing_m, focal_px, focal_sigma_percent,
+    pose_age_ms, stage_ms` as in Estimate, and `first_frame` [number, t_ns] of a replayed drive.
+    """
     t_ns, T_w_c = read_tum(folder / "trajectory.tum")
     summary = _summary(folder / "summary.json")
     where = folder / "summary.json"
     cloud = folder / "map.ply"
+    first = summary.get("first_frame")
     sigma = _pair(where, summary, "focal_sigma_percent")
     focal = _pair(where, summary, "focal_px")
     return Estimate(
@@ -114,6 +138,7 @@ def from_map(folder: Path) -> Estimate:
         summary.get("pose_age_ms"),
         summary.get("stage_ms") or {},
         _points(cloud) if cloud.is_file() else None,
+        (int(first[0]), int(first[1])) if first else None,
     )
 
 
@@ -143,17 +168,46 @@ def _pair(
 
 
 def _points(path: Path) -> Float32:
-    from calm_edge.mapping.cloud_file import read_ply
+    from calm_edge.mapping.cloud_file import read_cloud
 
-    return read_ply(path)[0]
+    return read_cloud(path)[0]
 
 
-def _from_recording(path: Path) -> Estimate:
+def _published_ages(path: Path) -> dict[str, float] | None:
+    from calm_edge.recording.scan import scan
+    from calm_edge.recording.schema import POSE_SAMPLE
+    from calm_edge.recording.segment import segment_files
+
+    rows = [
+        rows
+        for file in (segment_files(path) if path.is_dir() else [path])
+        for _, rows in scan(file).topic_rows(POSE_SAMPLE)
+    ]
+    published = [np.array(r.publish_time, np.int64) for r in rows]
+    exposed = [np.array(r.log_time, np.int64) for r in rows]
+    return pose_ages(np.concatenate(published), np.concatenate(exposed)) if rows else None
+
+
+def from_recording(path: Path) -> Estimate:
+    """A recording folder or MCAP file; raises RecordingError.
+
+    The pose age is what the daemon says last on /status (`pose_age_ms`), else publish time
+    minus exposure of the logged poses.
+    """
     from calm_edge.recording.reader import Recording
+    from calm_edge.recording.schema import IMAGE_TOPICS, STATUS
 
     recording = Recording(path)
-    updates = list(recording.updates())
-    return from_updates(str(path), updates)
+    told = [s["pose_age_ms"] for s in recording.json_messages(STATUS) if s.get("pose_age_ms")]
+    first = next(recording.frames(Eye.PRIMARY), None)
+    return from_updates(
+        str(path),
+        list(recording.updates()),
+        recording.count(IMAGE_TOPICS[Eye.PRIMARY]),
+        recording.config.scale.spacing_m,
+        told[-1] if told else _published_ages(path),
+        (first.sequence, first.t_ns) if first else None,
+    )
 
 
 def read_estimate(target: Path) -> Estimate:
@@ -164,5 +218,5 @@ def read_estimate(target: Path) -> Estimate:
     if target.is_dir():
         if (target / "trajectory.tum").is_file():
             return from_map(target)
-        return _from_recording(target)
-    return _from_recording(target) if target.suffix in {".mcap", ".part"} else from_tum(target)
+        return from_recording(target)
+    return from_recording(target) if target.suffix in {".mcap", ".part"} else from_tum(target)

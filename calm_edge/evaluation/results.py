@@ -38,12 +38,15 @@ _TRAJECTORY_KEYS = (
 _MAP_KEYS = ("map_accuracy_m", "map_completeness_m", "map_chamfer_m")
 
 
-def common_origin(t_ns: Int, t_truth: Int) -> Int:
+def common_origin(t_ns: Int, t_truth: Int, first_frame: tuple[int, int] | None = None) -> Int:
     """Stamps t_ns (N,) on the truth's clock.
 
-    Ours carry the 1 s of SequenceFolder; another program's TUM file on the same folder has
-    the folder's own seconds. Whichever leaves more poses with a truth wins, ours on a tie.
+    A paced replay moves all stamps to the present: the first frame's number and stamp tell
+    by how much. Without it, ours carry the 1 s of SequenceFolder and another program's TUM
+    file the folder's own seconds: what leaves more poses with a truth wins, ours on a tie.
     """
+    if first_frame is not None and first_frame[0] < len(t_truth):
+        return np.asarray(t_ns + (t_truth[first_frame[0]] - first_frame[1]))
     shifted = t_ns + ORIGIN_NS
     ours, theirs = (len(trajectory.associate(t, t_truth)[0]) for t in (t_ns, shifted))
     return shifted if theirs > ours else t_ns
@@ -54,18 +57,27 @@ def _between(truth: Truth, first: int, last: int) -> Float:
     return truth.T_w_c[inside]
 
 
-def _scale_figures(t_ns: Int, T_w_c: Float, truth: Truth) -> tuple[float, float] | None:
-    """Windows count frames, so keyframe poses are interpolated at the frames between them."""
+def at_frames(t_ns: Int, T_w_c: Float, truth: Truth) -> tuple[Float, Float]:
+    """Positions (F, 3) and true ones (F, 3) of every true frame the trajectory spans.
+
+    Scale windows count frames, so keyframe poses are interpolated at the frames between them.
+    t_ns: on the truth's clock.
+    """
     inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
     seconds = (t_ns - t_ns[0]) / 1e9
-    at_frames = se3.interpolate_at(seconds, T_w_c, (truth.t_ns[inside] - t_ns[0]) / 1e9)
-    return trajectory.scale_consistency(at_frames[:, :3, 3], truth.T_w_c[inside, :3, 3])
+    T = se3.interpolate_at(seconds, T_w_c, (truth.t_ns[inside] - t_ns[0]) / 1e9)
+    return T[:, :3, 3], truth.T_w_c[inside, :3, 3]
+
+
+def choose(estimate: Estimate, align: Alignment | None = None) -> Alignment:
+    """`align`, or what the estimate deserves: SE(3) in metres, Sim(3) in spacings."""
+    return align or ("se3" if estimate.spacing_m else "sim3")
 
 
 def _trajectory_figures(
     estimate: Estimate, truth: Truth, chosen: Alignment
 ) -> tuple[dict[str, float | None], trajectory.Similarity]:
-    t_ns = common_origin(estimate.t_ns, truth.t_ns)
+    t_ns = common_origin(estimate.t_ns, truth.t_ns, estimate.first_frame)
     i, j = trajectory.associate(t_ns, truth.t_ns)
     if len(i) < MIN_POSES:
         raise EvaluationError(
@@ -83,7 +95,7 @@ def _trajectory_figures(
     path = trajectory.path_length(_between(truth, truth.t_ns[j[0]], truth.t_ns[j[-1]])[:, :3, 3])
     whole = trajectory.path_length(truth.T_w_c[:, :3, 3])
     segments = trajectory.rpe(used.poses(T), T_truth)
-    scales = _scale_figures(t_ns, estimate.T_w_c, truth)
+    scales = trajectory.scale_consistency(*at_frames(t_ns, estimate.T_w_c, truth))
     figures: dict[str, float | None] = {
         "poses": len(i),
         "path_m": path,
@@ -156,7 +168,7 @@ def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) ->
     the part of the true path they span; focal errors are signed, estimate minus truth.
     Raises EvaluationError when the two do not overlap in time.
     """
-    chosen: Alignment = align or ("se3" if estimate.spacing_m else "sim3")
+    chosen = choose(estimate, align)
     figures: dict[str, float | None] = dict.fromkeys(_TRAJECTORY_KEYS)
     motion = None
     if len(estimate.t_ns) >= MIN_POSES and len(truth.t_ns):

@@ -30,6 +30,11 @@ class Similarity:
         """(..., 3) source points -> target."""
         return np.asarray(self.scale * (p @ self.R.T) + self.t)
 
+    def inverse(self) -> Similarity:
+        """The map from target back to source."""
+        R = self.R.T
+        return Similarity(1 / self.scale, R, -(R @ self.t) / self.scale)
+
     def poses(self, T: Float) -> Float:
         """(..., 4, 4) source poses -> target; positions scale, rotations do not."""
         return se3.compose(self.R @ T[..., :3, :3], self.points(T[..., :3, 3]))

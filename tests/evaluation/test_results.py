@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calm_edge.evaluation.estimate import Estimate, from_updates
+from calm_edge.evaluation.estimate import Estimate, from_updates, pose_ages
 from calm_edge.evaluation.results import common_origin, compare, evaluate
 from calm_edge.evaluation.sequences import Truth
 from calm_edge.evaluation.trajectory_file import EvaluationError, write_kitti, write_tum
 from calm_edge.geometry import se3
-from calm_edge.types import PoseSample, PoseStatus
 from tests.evaluation.worlds import curve, stamps, update
 
 N = 240
@@ -120,9 +119,8 @@ def test_updates_give_counts_focals_ages_and_stages() -> None:
             stage_ms={"infer": 300.0},
         ),
     ]
-    pose = PoseSample(t[3], T[3], np.zeros(3), np.eye(6), 0, PoseStatus.LIVE)
-    live = [(int(t[3]) + ms * 1_000_000, pose) for ms in range(1, 101)]
-    result = compare(from_updates("r", updates, live, frames=N, spacing_m=0.5), _truth())
+    ages = pose_ages(t[:100] + np.arange(1, 101) * 1_000_000, t[:100])
+    result = compare(from_updates("r", updates, N, 0.5, ages), _truth())
     assert (result["frames"], result["keyframes"], result["submaps"]) == (N, 48, 2)
     assert result["focal_px"] == [505.0, 645.0]
     assert result["focal_sigma_percent"] == [2.0, None]
@@ -148,6 +146,23 @@ def test_foreign_stamps_without_our_offset() -> None:
     t = stamps(N)
     assert np.array_equal(common_origin(t - 1_000_000_000, t), t)
     assert np.array_equal(common_origin(t[3:-3], t), t[3:-3])
+
+
+def test_a_paced_replay_is_moved_back_by_its_first_frame() -> None:
+    late = 77_000_000_123
+    live = replace(
+        _estimate(), t_ns=stamps(N)[::3] + late, first_frame=(2, int(stamps(N)[2]) + late)
+    )
+    assert compare(live, _truth())["ate_sim3_m"] < 1e-9
+    wrong = replace(live, first_frame=(12, int(stamps(N)[2]) + late))
+    assert compare(wrong, _truth())["ate_sim3_m"] > 0.1
+
+
+def test_ages_of_stamps_from_another_clock_are_unknown() -> None:
+    t = stamps(5)
+    assert pose_ages(t + 10**15, t) is None
+    assert pose_ages(t - 1, t) is None
+    assert pose_ages(t[:0], t[:0]) is None
 
 
 def test_a_tum_file_from_disk(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ def test_a_similarity_is_found_and_undone(scale: float, w: list[float], t: list[
     found = trajectory.align(T[:, :3, 3], truth[:, :3, 3], with_scale=True)
     assert found.scale == pytest.approx(1 / scale, rel=1e-9)
     assert np.allclose(found.poses(T), truth, atol=1e-6)
+    assert np.allclose(found.inverse().poses(truth), T, atol=1e-6)
 
 
 def test_rigid_alignment_leaves_the_scale_error_standing() -> None:

@@ -155,7 +155,7 @@ def test_a_cut_image_is_told_when_its_turn_comes(tmp_path: Path, suffix: str) ->
     file.write_bytes(file.read_bytes()[:-300])
     frames = SequenceFolder(drive).frames(Eye.PRIMARY)
     assert next(frames).sequence == 0
-    with pytest.raises(SequenceError, match="000001.* cut short"):
+    with pytest.raises(SequenceError, match=r"000001.* cut short"):
         next(frames)
 
 

@@ -1,0 +1,176 @@
+"""One page on one drive, with everything inside it."""
+
+from __future__ import annotations
+
+import base64
+import html
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calm_edge.evaluation import curves, map_image
+from calm_edge.evaluation.table import pretty
+from calm_edge.types import Bytes, Float, Float32
+
+_STYLE = """
+:root{color-scheme:light}*{box-sizing:border-box}
+body{margin:0;background:#f5f6f8;color:#1f2933;font:16px/1.55 system-ui,-apple-system,"Segoe UI",
+Roboto,sans-serif}
+main{max-width:1120px;margin:0 auto;padding:40px 24px 80px}
+h1{font-size:30px;margin:0 0 4px;letter-spacing:-.01em}h2{font-size:20px;margin:0 0 4px}
+p.lead,p.note{color:#52606d;margin:0 0 18px}
+section{background:#fff;border:1px solid #e3e7eb;border-radius:12px;padding:22px 24px;margin:22px 0}
+img,svg{display:block;width:100%;height:auto;border-radius:6px}img+img{margin-top:12px}
+table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
+td{padding:7px 10px;border-bottom:1px solid #eef1f4;vertical-align:top}
+td:first-child{color:#52606d;width:42%}tr:last-child td{border-bottom:0}
+ul{margin:8px 0 0;padding-left:22px}.warn{background:#fff8e6;border-color:#f2dca6}
+.cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(170px,1fr));gap:14px;margin:22px 0}
+.card{background:#fff;border:1px solid #e3e7eb;border-radius:12px;padding:14px 18px}
+.card b{display:block;font-size:24px;font-weight:650}.card span{color:#52606d;font-size:14px}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportData:
+    """What the page shows; what is None or empty is left out.
+
+    T_w_c: (N, 4, 4) primary camera->world. unit: of the world, `m` or `spacings`.
+    points_w: (P, 3) color: (P, 3) RGB. truth_w: (M, 3) true positions in this world.
+    t_s: (S,) when each sub-map was placed. scale: (S,) over the first. focal_px,
+    focal_log_sigma: (S, 2). truth_focal_px: (2,). scale_windows: (W, 2) of (t, ratio to truth).
+    headline: a few (number, caption). figures: name -> value. notes: what was not observed.
+    """
+
+    title: str
+    T_w_c: Float
+    unit: str = "m"
+    points_w: Float32 | None = None
+    color: Bytes | None = None
+    truth_w: Float | None = None
+    t_s: Float = field(default_factory=lambda: np.zeros(0))
+    scale: Float = field(default_factory=lambda: np.zeros(0))
+    focal_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    focal_log_sigma: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    truth_focal_px: Float | None = None
+    scale_windows: Float | None = None
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    headline: tuple[tuple[str, str], ...] = ()
+    figures: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def _section(title: str, note: str, body: str, kind: str = "") -> str:
+    lead = f'<p class="note">{html.escape(note)}</p>' if note else ""
+    return f'<section class="{kind}"><h2>{html.escape(title)}</h2>{lead}{body}</section>'
+
+
+def _embedded(svg: str, alt: str) -> str:
+    """As an image of its own, so that two drawings' ids never meet."""
+    code = base64.b64encode(svg.encode()).decode()
+    return f'<img alt="{html.escape(alt)}" src="data:image/svg+xml;base64,{code}">'
+
+
+def _photo(image: Bytes) -> str:
+    import cv2
+
+    ok, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+    if not ok:
+        raise ValueError(f"a picture of shape {image.shape} cannot be encoded")
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def _bar_length(span: float) -> float:
+    """A round length (1, 2 or 5 times a power of ten) of at most a fifth of the span."""
+    power = 10.0 ** np.floor(np.log10(max(span / 5, 1e-12)))
+    return float(max(power * k for k in (1, 2, 5) if power * k <= span / 5 * 1.0001))
+
+
+def _map_from_above(view: map_image.TopDown, path: Float, unit: str) -> str:
+    height, width = view.image.shape[:2]
+    line = " ".join(f"{u:.1f},{v:.1f}" for u, v in view.to_pixels(path))
+    bar = _bar_length(width * view.pixel)
+    end = 24 + bar / view.pixel
+    stroke = f'fill="none" stroke="{curves.ESTIMATE}" stroke-linejoin="round"'
+    return (
+        f'<svg viewBox="0 0 {width} {height + 56}" role="img" aria-label="map from above">'
+        f'<image width="{width}" height="{height}" href="{_photo(view.image)}"/>'
+        f'<polyline points="{line}" {stroke} stroke-width="2.5" stroke-opacity=".85"/>'
+        f'<path d="M24 {height + 14}v12H{end:.1f}v-12" fill="none" stroke="{curves.INK}" '
+        f'stroke-width="2.5"/><text x="{end + 12:.1f}" y="{height + 30}" font-size="24" '
+        f'fill="{curves.INK}">{bar:g} {html.escape(unit)}</text></svg>'
+    )
+
+
+def _map_sections(data: ReportData, R: Float, path: Float) -> list[str]:
+    if data.points_w is None or data.color is None:
+        return []
+    finite = np.isfinite(data.points_w).all(1)
+    points = np.asarray(data.points_w, np.float64)[finite] @ R.T
+    color = data.color[finite]
+    if len(points) == 0:
+        return []
+    above = _map_from_above(map_image.top_down(points, color, path), path, data.unit)
+    views = map_image.best_chases(points, color, path)
+    photos = "".join(f'<img alt="map along the street" src="{_photo(v)}">' for v in views)
+    return [
+        _section("The map from above", f"{len(points):,} points in their own colours.", above),
+        _section("The map along the street", "Seen from behind and above the car.", photos),
+    ]
+
+
+def _rows(values: dict[str, Any]) -> str:
+    cells = (
+        f"<tr><td>{html.escape(name)}</td><td>{html.escape(pretty(value))}</td></tr>"
+        for name, value in values.items()
+    )
+    return f"<table>{''.join(cells)}</table>"
+
+
+def render(data: ReportData) -> str:
+    """The page as HTML text; it asks for nothing from outside."""
+    R = map_image.level_rotation(data.T_w_c)
+    path = data.T_w_c[:, :3, 3] @ R.T
+    truth = None if data.truth_w is None else data.truth_w @ R.T
+    parts = [f'<h1>{html.escape(data.title)}</h1><p class="lead">calm-edge, one drive</p>']
+    if data.headline:
+        cards = (
+            f'<div class="card"><b>{html.escape(number)}</b><span>{html.escape(what)}</span></div>'
+            for number, what in data.headline
+        )
+        parts.append(f'<div class="cards">{"".join(cards)}</div>')
+    if data.notes:
+        items = "".join(f"<li>{html.escape(note)}</li>" for note in data.notes)
+        parts.append(_section("Not observed, not done", "", f"<ul>{items}</ul>", "warn"))
+    parts += _map_sections(data, R, path)
+    drawn = _embedded(curves.trajectory(path, truth, data.unit), "trajectory from above")
+    against = "Against the truth." if truth is not None else "No truth was given."
+    parts.append(_section("The trajectory from above", against, drawn))
+    if len(data.scale):
+        drawn = _embedded(curves.scale(data.t_s, data.scale, data.scale_windows), "scale")
+        note = "What each sub-map's own unit was multiplied by, over the first one's."
+        parts.append(_section("Scale over time", note, drawn))
+    if len(data.focal_px):
+        drawn = curves.focal(data.t_s, data.focal_px, data.focal_log_sigma, data.truth_focal_px)
+        note = "Bands are one and three sigma; dashed is the truth, where given."
+        parts.append(_section("Focal length over time", note, _embedded(drawn, "focal length")))
+    if data.stage_ms:
+        drawn = _embedded(curves.stages(data.stage_ms), "time by stage")
+        total = {"all stages": f"{sum(data.stage_ms.values()):.4g} ms a sub-map"}
+        rows = {k: f"{v:.4g} ms" for k, v in data.stage_ms.items()} | total
+        parts.append(_section("Where the time went", "", drawn + _rows(rows)))
+    if data.figures:
+        parts.append(_section("Figures", "", _rows(data.figures)))
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{html.escape(data.title)}</title><style>{_STYLE}</style></head>"
+        f"<body><main>{''.join(parts)}</main></body></html>\n"
+    )
+
+
+def write_report(path: Path, data: ReportData) -> None:
+    """Write `render(data)`; T_w_c must hold at least one pose."""
+    path.write_text(render(data), encoding="utf-8")

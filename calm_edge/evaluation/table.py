@@ -1,0 +1,51 @@
+"""Results for people (a table on the terminal) and for programs (one JSON object)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+def pretty(value: Any) -> str:
+    """A value of a result as a person would write it; None is a dash."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {pretty(v)}" for k, v in value.items()) or "–"
+    if isinstance(value, list | tuple):
+        return ", ".join(pretty(v) for v in value) or "–"
+    return str(value)
+
+
+def json_text(result: Mapping[str, Any]) -> str:
+    """The one line of `--json`; NaN raises ValueError rather than making invalid JSON."""
+    return json.dumps(result, allow_nan=False)
+
+
+def print_result(result: Mapping[str, Any], title: str = "") -> None:
+    """A row a figure on stdout."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title or None, show_header=False, box=None, pad_edge=False)
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(justify="left")
+    for name, value in result.items():
+        table.add_row(name, pretty(value))
+    Console().print(table)
+
+
+def print_rows(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> None:
+    """A headed table on stdout, a row a list of values in column order."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*columns, title=title or None)
+    for row in rows:
+        table.add_row(*(pretty(value) for value in row))
+    Console().print(table)
