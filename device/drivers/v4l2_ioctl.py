@@ -108,10 +108,13 @@ class VideoIO(Protocol):
 
 
 class LinuxVideoIO:
-    """The real one."""
+    """The real one. folder: where the nodes are."""
+
+    def __init__(self, folder: Path = Path("/dev")) -> None:
+        self._folder = folder
 
     def nodes(self) -> list[str]:
-        found = [p for p in Path("/dev").glob("video*") if p.name[5:].isdecimal()]
+        found = [p for p in self._folder.glob("video*") if p.name[5:].isdecimal()]
         return [str(p) for p in sorted(found, key=lambda p: int(p.name[5:]))]
 
     def open(self, path: str) -> int:

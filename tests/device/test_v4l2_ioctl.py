@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -125,3 +126,40 @@ def test_fields_lie_where_the_header_puts_them(tmp_path: Path) -> None:
         assert {name: values[k] for name, (k, _) in fields.items()} == {
             name: value for name, (_, value) in fields.items()
         }
+
+
+def test_nodes_are_sorted_by_number_and_nothing_else_is_one(tmp_path: Path) -> None:
+    for name in ("video10", "video2", "video0", "video-codec", "video", "vbi0"):
+        (tmp_path / name).touch()
+    nodes = v4l2.LinuxVideoIO(tmp_path).nodes()
+    assert [Path(node).name for node in nodes] == ["video0", "video2", "video10"]
+
+
+def test_a_mapped_buffer_is_read_at_its_offset(tmp_path: Path) -> None:
+    (tmp_path / "video0").write_bytes(b"a" * 8192 + b"buffer 2" + bytes(4088))
+    io = v4l2.LinuxVideoIO(tmp_path)
+    fd = io.open(io.nodes()[0])
+    memory = io.map(fd, 4096, 8192)
+    assert bytes(memory[:8]) == b"buffer 2"
+    io.unmap(memory)
+    io.close(fd)
+    with pytest.raises(ValueError, match="closed"):
+        memory[0]
+
+
+def test_wait_ends_when_something_comes_or_the_time_is_over() -> None:
+    reader, writer = os.pipe()
+    io = v4l2.LinuxVideoIO()
+    assert not io.wait(reader, 0.01)
+    os.write(writer, b"x")
+    assert io.wait(reader, 10.0)
+    os.close(reader)
+    os.close(writer)
+
+
+def test_a_node_that_is_no_camera_is_an_os_error() -> None:
+    reader, writer = os.pipe()
+    with pytest.raises(OSError):
+        v4l2.query_capability(v4l2.LinuxVideoIO(), reader)
+    os.close(reader)
+    os.close(writer)
