@@ -19,7 +19,7 @@ from calm_edge.recording import schema
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.losses import describe
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
-from calm_edge.recording.segment import segment_files
+from calm_edge.recording.segment import recording_files
 from calm_edge.recording.window_record import WindowRecord, rebuild
 from calm_edge.types import Int, LocalizerUpdate, PoseSample, SubmapWindow
 from device.frame import Eye, Frame
@@ -53,11 +53,7 @@ class Recording:
         self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
         self._damaged: set[tuple[int, int]] = set()
         self._sorted: dict[Eye, Int] = {}
-        if not path.exists():
-            raise RecordingError(f"{path}: no such recording; name a recording folder or MCAP file")
-        files = segment_files(path) if path.is_dir() else [path]
-        if not files:
-            raise RecordingError(f"{path}: holds no recording (no NNNN.mcap in it)")
+        files = recording_files(path)
         for file in files:
             try:
                 index = scan(file)
@@ -134,6 +130,14 @@ class Recording:
         """What each window changed, in the order written."""
         for _, data in self._messages(schema.SUBMAP):
             yield schema.read_update(data)
+
+    def last_update(self) -> LocalizerUpdate | None:
+        """The newest update that can be read; its trajectory holds every keyframe before it."""
+        for place in reversed(list(self._places(schema.SUBMAP))):
+            data = self._read(place)
+            if data is not None:
+                return schema.read_update(data)
+        return None
 
     def windows(self) -> Iterator[WindowRecord]:
         """Which frames each window held, in the order written."""

@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.losses import describe
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
-from calm_edge.recording.segment import PART, segment_files
+from calm_edge.recording.segment import PART, recording_files
 
 
 class Outcome(IntEnum):
@@ -46,13 +46,19 @@ class _Message:
     data: bytes
 
 
+def default_target(source: Path) -> Path:
+    """Where `recover` puts its copy when not told: beside the source, and no segment of it."""
+    name = source.name.removesuffix(PART).removesuffix(".mcap")
+    return source.with_name(f"{name}-recovered" + ("" if source.is_dir() else ".mcap"))
+
+
 def validate(path: Path) -> RecordingReport:
     """Check every byte of a recording folder or file; nothing is written. Never raises."""
     messages: dict[str, int] = {}
     losses: list[str] = []
     read: list[Path] = []
     try:
-        files = _files(path)
+        files = recording_files(path)
     except RecordingError as error:
         return RecordingReport(Outcome.FAILED, {}, (str(error),), ())
     for file in files:
@@ -83,7 +89,7 @@ def recover(source: Path, target: Path) -> RecordingReport:
     losses: list[str] = []
     written: list[Path] = []
     try:
-        files = _files(source)
+        files = recording_files(source)
         if source.is_dir():
             target.mkdir(parents=True)
     except RecordingError as error:
@@ -111,15 +117,6 @@ def recover(source: Path, target: Path) -> RecordingReport:
         return RecordingReport(Outcome.FAILED, messages, tuple(losses), ())
     outcome = Outcome.WITH_LOSS if losses else Outcome.ALL
     return RecordingReport(outcome, messages, tuple(losses), tuple(written))
-
-
-def _files(path: Path) -> list[Path]:
-    if not path.exists():
-        raise RecordingError(f"{path}: no such recording; name a recording folder or MCAP file")
-    files = segment_files(path) if path.is_dir() else [path]
-    if not files:
-        raise RecordingError(f"{path}: holds no recording (no NNNN.mcap in it)")
-    return files
 
 
 def _messages(index: SegmentIndex) -> Iterator[_Message]:

@@ -29,6 +29,20 @@ def segment_files(folder: Path) -> list[Path]:
     return [p for _, p in sorted(found, key=lambda f: (int(f[0][1]), f[1].name))]
 
 
+def recording_files(path: Path) -> list[Path]:
+    """The segments of a recording folder, or the one file named; raises RecordingError."""
+    try:
+        files = segment_files(path) if path.is_dir() else [path]
+        missing = not path.exists()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror})") from None
+    if missing:
+        raise RecordingError(f"{path}: no such recording; name a recording folder or MCAP file")
+    if not files:
+        raise RecordingError(f"{path}: holds no recording (no NNNN.mcap in it)")
+    return files
+
+
 def free_bytes(folder: Path) -> int:
     """What an ordinary user may still write to the folder's disk; 0 when it cannot be told."""
     try:

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from calm_edge.recording import recovery
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.reader import Recording
-from calm_edge.recording.recovery import Outcome, recover, validate
+from calm_edge.recording.recovery import Outcome, default_target, recover, validate
 from device.frame import Eye
 from tests.recording import samples
 
@@ -124,3 +124,15 @@ def test_a_copy_that_reads_back_differently_is_not_kept(
     assert report.outcome == Outcome.FAILED
     assert "reads back differently" in report.losses[0]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_default_target_lies_beside_and_is_no_segment(folder: Path, tmp_path: Path) -> None:
+    source = tmp_path / "rec"
+    shutil.copytree(folder, source)
+    part = source / "0001.mcap.part"
+    part.write_bytes((folder / "0000.mcap").read_bytes()[:50_000])
+    assert default_target(source) == tmp_path / "rec-recovered"
+    assert default_target(part) == source / "0001-recovered.mcap"
+    before = [f.sequence for f in Recording(source).frames(Eye.PRIMARY)]
+    recover(part, default_target(part))
+    assert [f.sequence for f in Recording(source).frames(Eye.PRIMARY)] == before
