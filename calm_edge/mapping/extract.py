@@ -28,8 +28,8 @@ def draw_candidates(
     usable: (h, w). wanted: (grid^2,).
     """
     height, width = usable.shape
-    row = np.arange(height) * grid // height
-    column = np.arange(width) * grid // width
+    row = (2 * np.arange(height) + 1) * grid // (2 * height)
+    column = (2 * np.arange(width) + 1) * grid // (2 * width)
     pixel = np.flatnonzero(usable)
     cell = (row[:, None] * grid + column).reshape(-1)[pixel]
     pixel = pixel[np.argsort(cell, kind="stable")]

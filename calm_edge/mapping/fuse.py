@@ -63,10 +63,12 @@ def suppress(p_w: Float, n: Int, radius: float) -> NDArray[np.bool_]:
     from scipy.spatial import cKDTree
 
     active = np.ones(len(n), bool)
+    # the tree's own bound is exclusive, so it gets a little more and the comparison is ours
+    bound = radius * (1 + 1e-9) + 1e-12
     for count in np.unique(n)[:-1]:
         tree = cKDTree(p_w[n > count])
         here = np.flatnonzero(n == count)
-        distance, _ = tree.query(p_w[here], distance_upper_bound=np.nextafter(radius, np.inf))
+        distance, _ = tree.query(p_w[here], distance_upper_bound=bound)
         active[here] = distance > radius
     return active
 

@@ -1,0 +1,108 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calm_edge.geometry import se3
+from calm_edge.mapping.cloud import VoxelFilter, submap_points, voxel_keys
+from tests.mapping import scene
+
+STREET = scene.street(4)
+
+
+@pytest.fixture(scope="module")
+def piece():
+    return scene.piece(STREET, 0, [0, 1, 2], scale=3.0)
+
+
+def colors(piece):
+    """Colour that names the pixel: (view, row, column)."""
+    index = np.indices(piece.depth.shape).astype(np.uint8)
+    return np.moveaxis(index, 0, -1)
+
+
+def points_of(piece, voxel=0.1, most=10**6, max_range=30.0, seed=0):
+    return submap_points(
+        piece.views(max_range), colors(piece), voxel, most, np.random.default_rng(seed)
+    )
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-1000, 1000)] * 3), min_size=2, max_size=8), st.floats(0.05, 5)
+)
+def test_points_share_a_key_exactly_when_they_share_a_voxel(points, voxel):
+    p = np.array(points)
+    cell = np.floor(p / voxel)
+    same = (cell[:, None] == cell).all(-1)
+    keys = voxel_keys(p, voxel)
+    np.testing.assert_array_equal(keys[:, None] == keys, same)
+
+
+def test_points_lie_on_the_scene_one_a_voxel(piece):
+    points, color = points_of(piece)
+    p_w = se3.transform(piece.submap.T_w_s, points.astype(float))
+    assert points.dtype == np.float32 and color.dtype == np.uint8
+    assert scene.distance_to_scene(STREET, p_w).max() < 1e-3
+    keys = voxel_keys(points, 0.1)
+    assert len(np.unique(keys)) > 0.99 * len(keys)
+    assert len(points) > 10_000
+
+
+def test_every_voxel_a_pixel_falls_in_is_kept_with_its_nearest_pixel(piece):
+    def depth_of(color):
+        return piece.depth[tuple(color.astype(int).T)] * 3.0
+
+    pixels, pixel_color = points_of(piece, voxel=1e-4)
+    nearest: dict[int, float] = {}
+    for key, z in zip(voxel_keys(pixels, 0.5).tolist(), depth_of(pixel_color), strict=True):
+        nearest[key] = min(z, nearest.get(key, np.inf))
+    points, color = points_of(piece, voxel=0.5)
+    assert len(nearest) == pytest.approx(len(points), rel=0.01)
+    depth = depth_of(color)
+    expected = np.array([nearest.get(k, np.nan) for k in voxel_keys(points, 0.5).tolist()])
+    # a point on a voxel's face may round into the next one as float32
+    assert (expected == depth).mean() > 0.99
+    view = color[:, 0].astype(int)
+    T = se3.inverse(piece.submap.T_s_c)[view]
+    z = (T[:, 2, :3] * points).sum(-1) + T[:, 2, 3]
+    np.testing.assert_allclose(z, depth, rtol=1e-4)
+
+
+def test_far_unknown_and_unconfident_pixels_are_no_points(piece):
+    depth, confidence = piece.depth.copy(), piece.confidence.copy()
+    depth[:, :, :50] = 0
+    confidence[:, :, 50:90] = 0.4
+    cut = dataclasses.replace(piece, depth=depth, confidence=confidence)
+    _, color = points_of(cut, max_range=12.0)
+    view, y, x = color.astype(int).T
+    assert x.min() >= 90
+    assert (piece.depth[view, y, x] * 3.0).max() <= 12.0
+
+
+def test_the_cap_takes_a_seeded_random_subset(piece):
+    points, _ = points_of(piece)
+    few, _ = points_of(piece, most=1000)
+    assert len(few) == 1000
+    np.testing.assert_array_equal(few, points_of(piece, most=1000)[0])
+    assert not np.array_equal(few, points_of(piece, most=1000, seed=1)[0])
+    assert set(map(tuple, few)) <= set(map(tuple, points))
+    # from everywhere, not from the first views only
+    assert abs(few[:, 2].mean() - points[:, 2].mean()) < 0.5
+
+
+def test_a_voxel_is_given_out_once_across_tiles():
+    rng = np.random.default_rng(0)
+    thin = VoxelFilter(0.5)
+    seen: set[tuple[int, ...]] = set()
+    for _ in range(6):
+        points = rng.uniform(-3, 3, (400, 3))
+        keep = thin.admit(points)
+        expected = []
+        for i, cell in enumerate(map(tuple, np.floor(points / 0.5).astype(int))):
+            if cell not in seen:
+                seen.add(cell)
+                expected.append(i)
+        assert keep.tolist() == expected
+    assert len(thin.admit(np.empty((0, 3)))) == 0

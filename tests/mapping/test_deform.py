@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+
+from calm_edge.geometry import se3
+from calm_edge.mapping.deform import choose_evenly, fit_deformation, torn
+
+
+def room(seed: int, n: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([-8, -2, 2], [8, 2, 30], (n, 3))
+
+
+def bent(p: np.ndarray) -> np.ndarray:
+    return p * (1 + 0.04 * np.sin(p[:, 2:] / 6))
+
+
+def fitted(p, target, probes=None, n=None, stiffness=1e-4, most=150):
+    n = np.full(len(p), 2) if n is None else n
+    probes = p if probes is None else probes
+    return fit_deformation(p, target, n, np.zeros(3), probes, stiffness, most)
+
+
+def test_a_smooth_distortion_is_taken_out_between_the_controls():
+    p, points = room(0, 2000), room(1, 500)
+    deformation = fitted(p, bent(p))
+    before = np.linalg.norm(points - bent(points), axis=1).mean()
+    after = np.linalg.norm(deformation.apply(points) - bent(points), axis=1).mean()
+    assert after < before / 5
+    assert deformation.stiffness == 1e-4
+    assert len(deformation.plate.controls) <= 150
+
+
+def test_no_point_moves_farther_than_the_control_points_do():
+    p = room(0, 300)
+    deformation = fitted(p, bent(p))
+    far = np.random.default_rng(1).uniform(-500, 500, (1000, 3))
+    moved = np.linalg.norm(deformation.apply(far) - far, axis=1)
+    unguarded = np.linalg.norm(deformation.plate.apply(far) - far, axis=1)
+    assert unguarded.max() > deformation.limit
+    assert moved.max() <= deformation.limit * (1 + 1e-9)
+    assert deformation.limit <= np.linalg.norm(bent(p) - p, axis=1).max() + 1e-9
+
+
+def test_a_folding_map_is_stiffened_until_it_no_longer_folds():
+    rng = np.random.default_rng(2)
+    p = room(2, 120)
+    target = p + rng.normal(0, 1.5, p.shape)
+    probes = room(3, 2000)
+    likely = np.linalg.norm(target - p, axis=1) < 0.25 * np.linalg.norm(p, axis=1)
+    p, target = p[likely], target[likely]
+    alone = np.ones(len(p), int)
+    deformation = fitted(p, target, probes, alone)
+    assert deformation.stiffness > 1e-4
+    assert deformation.plate.determinants(probes).min() >= 0.1
+    assert deformation.plate.worst_at_controls().min() >= 0.1
+
+
+def test_a_map_that_no_smooth_fit_unfolds_is_moved_rigidly():
+    # space squeezed to a slab: even the affine fit has next to no volume
+    p = room(0, 200) + np.array([0, 0, 60])
+    target = p * [1.0, 1.0, 0.0] + [0, 0, 75]
+    deformation = fitted(p, target)
+    assert deformation.plate.kind == "rigid" and np.isinf(deformation.stiffness)
+
+
+def test_wrong_associations_are_no_controls():
+    p = room(0, 400)
+    target = bent(p)
+    target[::40] += [12.0, 0, 0]
+    points = room(1, 200)
+    deformation = fitted(p, target, most=400)
+    assert deformation.limit < 2.0
+    assert np.linalg.norm(deformation.apply(points) - bent(points), axis=1).mean() < 0.2
+
+
+def test_a_shift_unlike_its_neighbours_is_torn_unless_the_anchor_is_alone():
+    p, n = room(0, 500), np.full(500, 2)
+    shift = bent(p) - p
+    shift[7] += [0.0, 1.0, 0.0]
+    shift[9] += [0.0, 1.0, 0.0]
+    n[9] = 1
+    found = torn(p, shift, n, np.zeros(3))
+    assert found[7] and not found[9]
+    assert found.mean() < 0.15
+    assert not torn(p, np.zeros_like(p), n, np.zeros(3)).any()
+    assert not torn(p[:5], shift[:5], n[:5], np.zeros(3)).any()
+
+
+def test_controls_are_spread_evenly_and_the_most_observed_of_their_cell():
+    rng = np.random.default_rng(0)
+    crowd = rng.normal([0, 0, 5], 0.3, (5000, 3))
+    wide = room(1, 500)
+    p = np.vstack([crowd, wide])
+    n = rng.integers(1, 5, len(p))
+    chosen = choose_evenly(p, n, 150)
+    assert 75 <= len(chosen) <= 150 and len(set(chosen)) == len(chosen)
+    assert (chosen >= 5000).mean() > 0.9
+    assert n[chosen].mean() > n.mean() + 0.5
+    np.testing.assert_array_equal(choose_evenly(p[:100], n[:100], 150), np.arange(100))
+    assert len(choose_evenly(np.zeros((300, 3)), np.ones(300, int), 150)) == 1
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 3])
+def test_with_hardly_any_anchor_the_map_stays_finite_and_together(size):
+    p = room(0, size)
+    points = room(1, 100)
+    T = se3.exp(np.array([0.1, 0, 0.2, 0, 0.01, 0]))
+    moved = fitted(p, se3.transform(T, p), points).apply(points)
+    assert np.isfinite(moved).all()
+    if size == 0:
+        np.testing.assert_array_equal(moved, points)

@@ -1,0 +1,221 @@
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+from calm_edge.config import MappingConfig
+from calm_edge.geometry import se3
+from calm_edge.mapping.mapper import CACHED, Mapper
+from calm_edge.mapping.views import MappingError
+from tests.mapping import scene
+
+STREET = scene.street(0)
+
+
+def warp(amplitude: float, phase: float) -> scene.Warp:
+    """A smooth relative depth error that also drifts along the sub-map."""
+
+    def error(p):
+        wave = np.sin(p[..., 2] / 6 + phase) * np.cos(p[..., 0] / 8)
+        return amplitude * (wave + p[..., 2] / 40)
+
+    return error
+
+
+WARPS = [warp(0.03, 0.0), warp(-0.03, 1.0), warp(0.03, 2.0)]
+
+
+def mapped(pieces, folder, seed=0, config=None):
+    mapper = Mapper(config or MappingConfig(), scene.SPACING, folder, seed)
+    for p in pieces:
+        mapper.add(p.submap, p.depth, p.confidence, p.images)
+    return mapper
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return scene.chain(STREET, 3, 8)
+
+
+@pytest.fixture(scope="module")
+def warped():
+    return scene.chain(STREET, 3, 8, WARPS)
+
+
+@pytest.fixture(scope="module")
+def exact_map(exact, tmp_path_factory):
+    mapper = mapped(exact, tmp_path_factory.mktemp("exact"))
+    return mapper, list(mapper.finish())
+
+
+@pytest.fixture(scope="module")
+def warped_map(warped, tmp_path_factory):
+    mapper = mapped(warped, tmp_path_factory.mktemp("warped"))
+    return mapper, list(mapper.finish())
+
+
+def test_perfect_depth_gives_back_the_scene(exact_map):
+    mapper, tiles = exact_map
+    assert [t.submap_id for t in tiles] == [0, 1, 2]
+    for tile in tiles:
+        assert tile.points_w.dtype == np.float32 and tile.color.dtype == np.uint8
+        assert len(tile.points_w) > 2000
+        off = scene.distance_to_scene(STREET, tile.points_w.astype(float))
+        assert off.mean() < 2e-3 and np.quantile(off, 0.99) < 0.03
+        assert (tile.color == [30, 20, 10]).all()
+    anchors = mapper.anchors()
+    assert np.bincount(anchors.n_observations)[2:].sum() > 500
+    off = scene.distance_to_scene(STREET, anchors.p_w)
+    assert np.quantile(off, 0.95) < 0.01
+
+
+def test_a_smooth_warp_is_undone_across_submaps(warped_map):
+    seams = warped_map[0].seams()
+    assert [(s.submap_a, s.submap_b) for s in seams] == [(0, 1), (1, 2)]
+    for seam in seams:
+        print(f"seam {seam.before:.3f} -> {seam.after:.3f}, {seam.n_anchors} anchors")
+        assert seam.n_anchors > 300
+        assert seam.before > 0.1
+        assert seam.after < seam.before / 3
+
+
+def test_pixels_that_are_no_anchors_meet_too(warped, warped_map):
+    """The same pixels of a shared picture, in both sub-maps, before and after."""
+    mapper, _ = warped_map
+    y, x = np.mgrid[30:92:3, 5:155:3]
+    y, x = (
+        a[warped[0].views().usable[5, y, x] & warped[1].views().usable[0, y, x]] for a in (y, x)
+    )
+    gaps = {}
+    for use in (False, True):
+        ends = []
+        for k, view in ((0, 5), (1, 0)):
+            piece, views = warped[k], warped[k].views()
+            z = 1 / views.inverse_depth[view, y, x].astype(float)
+            uv = views.to_image(np.full(z.shape, view), np.stack([x, y], -1))
+            K, T = views.K[view], views.T_s_c[view]
+            ray = np.linalg.solve(K, np.vstack([uv.T, np.ones(len(uv))])).T
+            p_s = se3.transform(T, ray * z[:, None])
+            if use:
+                p_s = mapper.deformations()[k].apply(p_s)
+            ends.append(se3.transform(piece.submap.T_w_s, p_s))
+        gaps[use] = np.linalg.norm(ends[0] - ends[1], axis=1)
+    print(f"pixels {gaps[False].mean():.3f} -> {gaps[True].mean():.3f}")
+    assert gaps[True].mean() < gaps[False].mean() / 5
+
+
+def test_anchors_reach_the_submap_before_last(exact, tmp_path):
+    mapper = mapped(exact[:2], tmp_path)
+    first_new = mapper.table().anchor.max() + 1
+    last = exact[2]
+    mapper.add(last.submap, last.depth, last.confidence, last.images)
+    table = mapper.table()
+    # sub-map 0 holds no picture of sub-map 2, and yet anchors that were born there
+    assert not set(exact[0].submap.primary_ids) & set(last.submap.primary_ids)
+    assert (table.anchor[table.submap == 0] >= first_new).sum() > 20
+    pairs = np.stack([table.anchor, table.submap], -1)
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+
+
+def test_fused_positions_are_the_weighted_mean_of_the_table(exact, exact_map):
+    mapper, _ = exact_map
+    anchors, table = mapper.anchors(), mapper.table()
+    np.testing.assert_array_equal(anchors.n_observations, np.bincount(table.anchor))
+    most = int(np.argmax(anchors.n_observations))
+    top, bottom = np.zeros(3), 0.0
+    for row in np.flatnonzero(table.anchor == most):
+        submap = exact[table.submap[row]].submap
+        w = 1 / ((table.p_s[row] - submap.T_s_c[submap.n_primary // 2, :3, 3]) ** 2).sum()
+        top, bottom = top + w * se3.transform(submap.T_w_s, table.p_s[row]), bottom + w
+    np.testing.assert_allclose(anchors.p_w[most], top / bottom)
+    assert anchors.n_observations[most] == 3
+
+
+def test_newer_placements_move_the_whole_map(exact, tmp_path):
+    T = se3.exp(np.array([5.0, -1, 2, 0.0, 0.4, 0]))
+    moved = [dataclasses.replace(p.submap, T_w_s=T @ p.submap.T_w_s) for p in exact]
+    for tile in mapped(exact, tmp_path).finish(moved):
+        back = se3.transform(se3.inverse(T), tile.points_w.astype(float))
+        assert np.quantile(scene.distance_to_scene(STREET, back), 0.99) < 0.03
+
+
+def test_the_same_seed_gives_the_same_map(warped, warped_map, tmp_path):
+    again = list(mapped(warped, tmp_path / "same").finish())
+    for a, b in zip(warped_map[1], again, strict=True):
+        np.testing.assert_array_equal(a.points_w, b.points_w)
+        np.testing.assert_array_equal(a.color, b.color)
+    other = list(mapped(warped[:2], tmp_path / "other", seed=1).finish())
+    assert not np.array_equal(other[0].points_w, again[0].points_w)
+
+
+def test_lengths_scale_with_the_world_unit(exact, exact_map, tmp_path):
+    """The same drive told in another world unit is the same map, times the unit."""
+    base = exact_map[1]
+    unit = 4.0
+    mapper = Mapper(MappingConfig(), scene.SPACING * unit, tmp_path)
+    for p in exact:
+        T_s_c, T_w_s = p.submap.T_s_c.copy(), p.submap.T_w_s.copy()
+        T_s_c[:, :3, 3] *= unit
+        T_w_s[:3, 3] *= unit
+        submap = dataclasses.replace(
+            p.submap, T_s_c=T_s_c, T_w_s=T_w_s, scale=p.submap.scale * unit
+        )
+        mapper.add(submap, p.depth, p.confidence, p.images)
+    for tile, other in zip(base, mapper.finish(), strict=True):
+        assert len(other.points_w) == pytest.approx(len(tile.points_w), rel=0.02)
+        off = scene.distance_to_scene(STREET, other.points_w.astype(float) / unit)
+        assert np.quantile(off, 0.99) < 0.03
+
+
+def test_only_a_few_submaps_stay_in_memory(tmp_path):
+    mapper = mapped(scene.chain(STREET, 5, 4), tmp_path)
+    assert len(mapper._views) <= CACHED
+    assert len(list(tmp_path.iterdir())) == 5
+
+
+def test_the_map_has_one_point_a_voxel(exact, tmp_path):
+    config = MappingConfig(cloud_voxel=1.0)
+    points = np.concatenate(
+        [t.points_w for t in mapped(exact[:2], tmp_path, config=config).finish()]
+    )
+    cells = np.floor(points.astype(float) / scene.SPACING)
+    assert len(np.unique(cells, axis=0)) > 0.99 * len(cells)
+
+
+def test_submaps_that_cannot_be_mapped_are_named(exact, tmp_path):
+    mapper = mapped(exact[:1], tmp_path)
+    first, second = exact[:2]
+    with pytest.raises(MappingError, match="sub-map 0: added twice"):
+        mapper.add(first.submap, first.depth, first.confidence, first.images)
+    with pytest.raises(MappingError, match="sub-map 1: "):
+        mapper.add(second.submap, second.depth, second.confidence[:3], second.images)
+    # a refused sub-map may be tried again
+    mapper.add(second.submap, second.depth, second.confidence, second.images)
+    with pytest.raises(MappingError, match="sub-map 2: placed but never added"):
+        next(mapper.finish([exact[2].submap]))
+    stretched = dataclasses.replace(first.submap, scale=2.0)
+    with pytest.raises(MappingError, match="sub-map 0: rectified"):
+        next(mapper.finish([stretched]))
+
+
+def test_an_empty_map_and_a_submap_without_depth_are_no_failure(exact, tmp_path):
+    assert list(Mapper(MappingConfig(), 1.0, tmp_path / "a").finish()) == []
+    blind = dataclasses.replace(exact[0], depth=np.zeros_like(exact[0].depth))
+    mapper = mapped([blind, exact[1]], tmp_path / "b")
+    tiles = list(mapper.finish())
+    assert len(tiles[0].points_w) == 0 and len(tiles[1].points_w) > 2000
+    assert mapper.seams() == ()
+
+
+def test_cost_of_a_submap_of_thirty_views(tmp_path):
+    pieces = scene.chain(STREET, 2, 15)
+    mapper = Mapper(MappingConfig(), scene.SPACING, tmp_path)
+    for p in pieces:
+        start = time.perf_counter()
+        mapper.add(p.submap, p.depth, p.confidence, p.images)
+        print(f"add sub-map {p.submap.id}: {time.perf_counter() - start:.2f} s")
+    start = time.perf_counter()
+    tiles = list(mapper.finish())
+    print(f"tile: {(time.perf_counter() - start) / len(tiles):.2f} s")
+    assert len(tiles) == 2

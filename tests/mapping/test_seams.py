@@ -1,0 +1,54 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calm_edge.geometry import se3, thin_plate
+from calm_edge.mapping import anchor_rows
+from calm_edge.mapping.deform import Deformation
+from calm_edge.mapping.seams import seam_between, seams
+
+
+def rows(submap_id, anchor, p_s):
+    return dataclasses.replace(
+        anchor_rows.empty(),
+        anchor=np.asarray(anchor),
+        submap=np.full(len(anchor), submap_id),
+        p_s=p_s,
+    )
+
+
+def moving(shift):
+    p = np.random.default_rng(0).normal(size=(10, 3))
+    return Deformation(thin_plate.fit(p, p + shift, 0.0), float(np.linalg.norm(shift)), 0.0)
+
+
+STILL = moving(np.zeros(3))
+
+
+def test_the_seam_is_the_rms_distance_of_the_shared_anchors_in_the_world():
+    p_w = np.random.default_rng(1).normal(0, 5, (6, 3))
+    T_w_a, T_w_b = (se3.exp(np.array([1.0, 2, k, 0.1, 0.5 * k, 0])) for k in (0, 1))
+    a = rows(4, [0, 1, 2, 3], se3.transform(se3.inverse(T_w_a), p_w[:4]))
+    off = p_w[[5, 3, 2]] + [[9.0, 9, 9], [0.3, 0, 0], [0, 0.4, 0]]
+    b = rows(7, [5, 3, 2], se3.transform(se3.inverse(T_w_b), off))
+    seam = seam_between(a, b, T_w_a, T_w_b, STILL, STILL)
+    assert (seam.submap_a, seam.submap_b, seam.n_anchors) == (4, 7, 2)
+    assert seam.before == pytest.approx(np.sqrt((0.09 + 0.16) / 2))
+    assert seam.after == pytest.approx(seam.before)
+
+
+def test_after_counts_the_deformation_of_both_sides():
+    p = np.random.default_rng(1).normal(0, 5, (6, 3))
+    a, b = rows(0, np.arange(6), p), rows(1, np.arange(6), p + np.array([1.0, 0, 0]))
+    deform = {0: moving(np.array([0.5, 0, 0])), 1: moving(np.array([-0.25, 0, 0]))}
+    poses = {0: np.eye(4), 1: np.eye(4)}
+    (seam,) = seams([(0, 1)], {0: a, 1: b}, poses, deform)
+    assert seam.before == pytest.approx(1.0)
+    assert seam.after == pytest.approx(0.25)
+
+
+def test_submaps_without_a_common_anchor_have_no_seam():
+    a, b = rows(0, [1], np.ones((1, 3))), rows(1, [2], np.ones((1, 3)))
+    poses = {0: np.eye(4), 1: np.eye(4)}
+    assert seams([(0, 1)], {0: a, 1: b}, poses, {0: STILL, 1: STILL}) == ()
