@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from calm_edge.recording.scan import SegmentIndex
+from calm_edge.recording.schema import IMAGE_TOPICS
+
+
+def newest_ns(index: SegmentIndex) -> int | None:
+    """Log time of the newest whole image; of anything where there is none; None where all is lost.
+
+    Images first: in a replay the clock pairs run on another time than the frames.
+    """
+    images = [rows for topic in IMAGE_TOPICS.values() for _, rows in index.topic_rows(topic)]
+    return max((max(rows.log_time) for rows in images or index.rows.values()), default=None)
 
 
 def describe(index: SegmentIndex) -> list[str]:
     """One line for each thing the file lost: which file, from when on, how much was recovered."""
     lines = []
     if index.cut and not index.data_ended:
-        end = index.end_ns
+        end = newest_ns(index)
         since = "all of it" if end is None else f"everything after t = {end / 1e9:.3f} s"
         lines.append(
             f"{index.path}: {index.cut}; lost: {since} ({index.cut_bytes} bytes unreadable); "

@@ -67,7 +67,7 @@ class Rows:
 
 @dataclass(slots=True)
 class SegmentIndex:
-    """What `scan` found. end_ns: newest log time among what is whole, None when nothing is.
+    """What `scan` found: messages by channel number, and what is wrong with the file.
 
     cut: why the walk ended early, empty for a whole file. cut_bytes: how many it left unread.
     damaged: chunks that failed their check. data_ended: every message was written before the cut.
@@ -85,10 +85,6 @@ class SegmentIndex:
     cut_bytes: int = 0
     data_ended: bool = False
     loose_messages: int = 0
-
-    @property
-    def end_ns(self) -> int | None:
-        return max((c.end_ns for c in self.chunks), default=None)
 
     @property
     def n_messages(self) -> int:
