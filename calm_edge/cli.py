@@ -1,0 +1,69 @@
+"""The `calm-edge` command. Data to stdout, everything else to stderr.
+
+Exit codes: 0 ok, 1 error, 2 usage, 3 completed with loss.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+
+from calm_edge.commands.exit_codes import ERROR
+
+COMMANDS = {
+    "record": "log two cameras (or replay a folder) and estimate poses live",
+    "map": "make a dense map, a trajectory and a report of a recording",
+    "eval": "compare a recording, a map or a TUM file with ground truth",
+    "recover": "rewrite what can be read of a damaged recording",
+    "validate": "check every byte of a recording",
+    "cameras": "list the cameras of this machine",
+    "doctor": "say what is missing on this machine and what it costs",
+}
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands; imports nothing heavy."""
+    parser = argparse.ArgumentParser(
+        prog="calm-edge",
+        description="Calibration-free SLAM with two ordinary cameras.",
+        epilog="exit codes: 0 ok, 1 error, 2 usage, 3 completed with loss",
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, text in COMMANDS.items():
+        module = importlib.import_module(f"calm_edge.commands.{name}")
+        command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
+        module.configure(command)
+        command.set_defaults(run=module.run)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command; every error that a user can mend is one line and exit code 1."""
+    arguments = build_parser().parse_args(argv)
+    # read by the camera library as it is loaded
+    os.environ.setdefault("DEPTHAI_TELEMETRY", "0")
+    os.environ.setdefault("DEPTHAI_INSTALL_SIGNAL_HANDLER", "0")
+    try:
+        return int(arguments.run(arguments))
+    except KeyboardInterrupt:
+        print("calm-edge: interrupted", file=sys.stderr)
+        return ERROR
+    except BrokenPipeError:
+        # the reader of our stdout has gone: nothing is left to say, not even at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ERROR
+    except Exception as error:
+        from calm_edge.types import CalmEdgeError
+        from device.errors import DeviceError
+
+        if not isinstance(error, CalmEdgeError | DeviceError):
+            raise
+        print(f"calm-edge: {' '.join(str(error).split())}", file=sys.stderr)
+        return ERROR
+
+
+if __name__ == "__main__":
+    sys.exit(main())

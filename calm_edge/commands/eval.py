@@ -1,0 +1,33 @@
+"""`calm-edge eval`: the error against ground truth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from calm_edge.commands.exit_codes import OK
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    parser.add_argument("target", type=Path, help="a recording, a map folder or a TUM file")
+    parser.add_argument("--truth", type=Path, required=True, metavar="FOLDER")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.add_argument(
+        "--align",
+        choices=("se3", "sim3"),
+        help="for the percentages and the map; default: se3 when the spacing was given",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prints the figures."""
+    from calm_edge.evaluation.results import evaluate
+    from calm_edge.evaluation.table import json_text, print_result
+
+    figures = evaluate(arguments.target, arguments.truth, arguments.align)
+    if arguments.json:
+        print(json_text(figures))
+    else:
+        print_result(figures, str(arguments.target))
+    return OK

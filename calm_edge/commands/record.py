@@ -1,0 +1,180 @@
+"""`calm-edge record`: cameras or a replay through the real daemon."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calm_edge.commands.exit_codes import ERROR, LOSS, OK
+
+if TYPE_CHECKING:
+    from calm_edge.config import Config
+    from calm_edge.daemon.result import RecordResult
+    from calm_edge.daemon.source import Source
+
+TRAJECTORY_FILE = "record_trajectory.tum"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    parser.add_argument("--config", type=Path, metavar="TOML", help="the kit's configuration")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--sequence", type=Path, metavar="FOLDER", help="replay cam0/ cam1/ (png, jpg) of a folder"
+    )
+    source.add_argument(
+        "--replay", type=Path, metavar="REC", help="replay the frames of a recording"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
+    parser.add_argument(
+        "--pace",
+        choices=("realtime", "lockstep"),
+        default="realtime",
+        help="realtime never waits; lockstep waits for every window and is deterministic",
+    )
+    parser.add_argument(
+        "--spacing-m", type=float, metavar="X", help="metres between the two cameras"
+    )
+    parser.add_argument(
+        "--hfov-deg",
+        type=float,
+        nargs="+",
+        metavar="A",
+        help="horizontal field of view, one value or one a camera: a hint, never needed",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override the configuration",
+    )
+
+
+def effective_config(arguments: argparse.Namespace) -> Config:
+    """Defaults, file, --set, then --spacing-m and --hfov-deg; raises ConfigError."""
+    from calm_edge.config import ConfigError, load, merge
+
+    config = load(arguments.config, arguments.set)
+    if arguments.spacing_m is not None:
+        config = merge(config, {"scale": {"spacing_m": arguments.spacing_m}})
+    if arguments.hfov_deg is not None:
+        if len(arguments.hfov_deg) > 2:
+            raise ConfigError("--hfov-deg: one value or one a camera")
+        config = merge(config, {"backbone": {"hfov_deg": arguments.hfov_deg}})
+    if config.scale.spacing_m < 0:
+        raise ConfigError(f"scale.spacing_m = {config.scale.spacing_m:g}: must not be negative")
+    if any(not 0 < a < 180 for a in config.backbone.hfov_deg):
+        raise ConfigError(f"backbone.hfov_deg = {config.backbone.hfov_deg}: must be in (0, 180)")
+    return config
+
+
+def open_source(arguments: argparse.Namespace, config: Config) -> Source:
+    """The frames asked for; raises CalmEdgeError, CameraError."""
+    from calm_edge.config import ConfigError
+    from calm_edge.daemon.source import live, replayed
+    from device.frame import Eye
+
+    paced = arguments.pace == "realtime"
+    if arguments.sequence is not None:
+        from calm_edge.frontend.sequence import SequenceFolder
+
+        folder = SequenceFolder(arguments.sequence)
+        epoch_ns = min(int(folder.t_ns(eye)[0]) for eye in Eye)
+        return replayed(folder.frames, epoch_ns, paced, config, str(arguments.sequence))
+    if arguments.replay is not None:
+        from calm_edge.recording.errors import RecordingError
+        from calm_edge.recording.reader import Recording
+
+        recording = Recording(arguments.replay)
+        stamps = [recording.frame_times(eye) for eye in Eye]
+        if not all(len(t) for t in stamps):
+            raise RecordingError(f"{arguments.replay}: does not hold frames of both eyes")
+        epoch_ns = min(int(t.min()) for t in stamps)
+        return replayed(recording.frames, epoch_ns, paced, config, str(arguments.replay))
+    if not paced:
+        raise ConfigError("--pace lockstep: only of a replay; give --sequence or --replay")
+    return live(config)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Records until the frames end or SIGINT/SIGTERM."""
+    from calm_edge.daemon.capture import Capture
+    from calm_edge.daemon.switchboard import Switchboard
+    from calm_edge.pose_output.publisher import PosePublisher
+    from calm_edge.recording.errors import RecordingError
+    from calm_edge.recording.segment import segment_files
+    from calm_edge.recording.writer import RecordingWriter
+    from device.serial_port import SerialPort
+    from device.service import open_notifier
+
+    logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
+    config = effective_config(arguments)
+    source = open_source(arguments, config)
+    out: Path = arguments.out
+    if out.exists() and (not out.is_dir() or segment_files(out)):
+        raise RecordingError(f"{out}: already holds a recording; choose another output folder")
+    lockstep = arguments.pace == "lockstep"
+    port = publisher = None
+    if config.pose_output.port:
+        port = SerialPort(config.pose_output.port, config.pose_output.baud)
+        publisher = PosePublisher(
+            port,
+            config.pose_output,
+            spacing_known=config.scale.spacing_m > 0,
+            lost_after_ms=config.frontend.lost_after_ms,
+        )
+        port.start()
+
+    def open_writer() -> RecordingWriter:
+        metadata = {"source": source.description, "pace": arguments.pace}
+        return RecordingWriter(out, config, metadata, lossless=lockstep, now_ns=source.clock.now_ns)
+
+    desk = Switchboard(config, source, open_writer, publisher, lockstep=lockstep, say=say)
+    capture = Capture(desk, open_notifier())
+    before = {
+        number: signal.signal(number, lambda *_: capture.request_stop())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        result = capture.run()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if port is not None:
+            port.stop()
+    return report(result, out)
+
+
+def report(result: RecordResult, out: Path) -> int:
+    """Writes the trajectory, says what was made and what is missing."""
+    from calm_edge.evaluation.trajectory_file import write_tum
+
+    trajectory = result.trajectory
+    poses = 0 if trajectory is None else len(trajectory.t_ns)
+    if trajectory is not None:
+        write_tum(out / TRAJECTORY_FILE, trajectory.t_ns, trajectory.T_w_c)
+    age = result.pose_age_ms()
+    aged = f", age p50 {age['p50']:.0f} ms p99 {age['p99']:.0f} ms" if age else ""
+    print(f"recording   {out}")
+    print(f"frames      {result.frames[0]} primary, {result.frames[1]} assistant")
+    print(f"sub-maps    {result.submaps} of {result.windows} windows, {poses} keyframes placed")
+    print(f"live poses  {result.poses}, lost {result.lost_poses}{aged}")
+    if result.unsolved_windows:
+        say(f"windows {result.unsolved_windows} could not be solved; they are bridged")
+    losses = result.losses()
+    for line in losses:
+        say(f"loss: {line}")
+    if result.error:
+        say(result.error)
+        return ERROR
+    return LOSS if losses else OK
+
+
+def say(text: str) -> None:
+    """A line for the user."""
+    print(f"calm-edge: {text}", file=sys.stderr, flush=True)

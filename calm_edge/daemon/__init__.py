@@ -1,0 +1,1 @@
+"""The processes of `record`: capture, tracker, estimator. Capture never runs a solver."""

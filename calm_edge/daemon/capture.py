@@ -1,0 +1,162 @@
+"""The capture process: cameras in, recording and poses out, at a fixed rate, whatever happens.
+
+It never imports gtsam and never runs a solver: tracker and estimator are processes of their own.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+from calm_edge.daemon import finale
+from calm_edge.daemon.result import RecordResult
+from calm_edge.daemon.switchboard import Switchboard
+from device.camera import Camera
+from device.camera_thread import CameraState, CameraThread
+from device.clock import RateKeeper, SystemClock
+from device.frame import Frame
+from device.service import Notifier
+
+TICK_HZ = 50.0
+STATUS_PERIOD_S = 1.0
+
+
+class Capture:
+    """Owner of one run of `record`."""
+
+    def __init__(self, desk: Switchboard, notifier: Notifier) -> None:
+        self._desk, self._notifier = desk, notifier
+        self._source, self._lockstep = desk.source, desk.lockstep
+        self._cameras: tuple[Camera, ...] = ()
+        self._stop_requests = 0
+        self._last_status_s = 0.0
+
+    def request_stop(self) -> None:
+        """From a signal handler: finish soon; a second time: at once."""
+        self._stop_requests += 1
+        self._desk.impatient = self._stop_requests > 1
+
+    def run(self) -> RecordResult:
+        """Until the frames end or a stop is requested; raises CalmEdgeError, after closing."""
+        try:
+            self._desk.start()
+            self._cameras = self._source.open()
+            self._notifier.ready()
+            if self._lockstep:
+                self._run_lockstep()
+            else:
+                self._run_realtime()
+            self._notifier.stopping()
+            self._finish()
+        finally:
+            self._desk.stop()
+            self._close()
+        return self._desk.result
+
+    def _run_lockstep(self) -> None:
+        """Every frame is tracked, and every window solved, before the next frame is read."""
+        for camera in self._cameras:
+            camera.start()
+        for frame in merged(self._cameras):
+            self._desk.frame(frame)
+            self._desk.until(self._desk.quiet, None)
+            self._tick_status()
+            if self._stop_requests:
+                break
+        for camera in self._cameras:
+            camera.stop()
+
+    def _run_realtime(self) -> None:
+        threads = [CameraThread(camera) for camera in self._cameras]
+        for thread in threads:
+            thread.start()
+        said: set[str] = set()
+        keeper = RateKeeper(SystemClock(), TICK_HZ)
+        while not self._stop_requests:
+            # asked before draining: what a finished thread left behind is drained below
+            running = [t.state is CameraState.RUNNING for t in threads]
+            frames = sorted((f for t in threads for f in t.drain()), key=lambda f: (f.t_ns, f.eye))
+            for frame in frames:
+                self._desk.frame(frame)
+            if self._desk.pump() + len(frames):
+                self._notifier.watchdog()
+            for thread in threads:
+                if thread.error is not None and thread.error not in said:
+                    said.add(thread.error)
+                    self._desk.say(thread.error)
+                    if self._source.is_replay:
+                        self._desk.result.error = thread.error
+            self._tick_status()
+            if not any(running) or self._desk.result.error:
+                break
+            keeper.wait()
+        for thread in threads:
+            thread.stop()
+        self._desk.result.overflowed = sum(t.overflow for t in threads)
+        self._desk.result.late_ticks = keeper.skipped
+
+    def _finish(self) -> None:
+        """The last windows, the backlog, the joint optimum."""
+        limit_s = finale.REPLAY_LIMIT_S if self._source.is_replay else finale.LIVE_LIMIT_S
+        if self._stop_requests:
+            limit_s = finale.LIVE_LIMIT_S
+        self._desk.until(lambda: not self._desk.in_tracker, limit_s)
+        self._desk.flush()
+        self._desk.until(lambda: self._desk.flushed, limit_s)
+        self._desk.until(self._desk.quiet, None if self._lockstep else limit_s, "finishing")
+        if self._desk.estimator.given_up or self._desk.estimator.waiting:
+            return
+        self._desk.estimator.finish()
+        link = self._desk.estimator
+        self._desk.until(lambda: link.finished is not None or link.given_up, limit_s, "optimising")
+        if link.finished is not None:
+            self._desk.result.trajectory = link.finished.trajectory
+            for update in finale.final_updates(link.finished, self._desk.kit):
+                self._desk.recording.write_update(update)
+
+    def _close(self) -> None:
+        result, link = self._desk.result, self._desk.estimator
+        result.lost_windows = sorted(link.lost)
+        result.windows_left_to_map = sorted(link.left_to_map)
+        result.unsolved_windows = sorted(link.unsolved)
+        result.estimator_restarts = link.restarts
+        result.camera_drops = sum(c.stats().drops for c in self._cameras)
+        result.clamped_stamps = sum(c.stats().clamped for c in self._cameras)
+        if self._desk.writer is None:
+            return
+        self._desk.writer.write_status(result.summary())
+        health = self._desk.writer.close()
+        result.unrecorded = health.dropped_images + health.dropped_others + health.unwritable
+        if health.error:
+            result.error = result.error or health.error
+
+    def _tick_status(self) -> None:
+        now = time.monotonic()
+        if now - self._last_status_s < STATUS_PERIOD_S:
+            return
+        self._last_status_s = now
+        health, result = self._desk.recording.health, self._desk.result
+        state = "LAGGING" if self._desk.lagging else "ok"
+        line = (
+            f"{state}: {result.frames[0]}+{result.frames[1]} frames, {result.submaps} of "
+            f"{result.windows} sub-maps, pose {'LOST' if result.pose_lost else 'LIVE'}"
+        )
+        self._notifier.status(line if health.ok else f"{line}; {health.error}")
+        if not self._lockstep:
+            self._desk.recording.write_status(
+                {**result.summary(), "waiting": self._desk.estimator.waiting}
+            )
+
+
+def merged(cameras: tuple[Camera, ...]) -> Iterator[Frame]:
+    """Frames of both unpaced cameras in the order of their stamps, the primary first."""
+    heads = [camera.read(0.0) for camera in cameras]
+    while any(head is not None for head in heads):
+        eye = min(
+            (i for i, head in enumerate(heads) if head is not None),
+            key=lambda i: (heads[i].t_ns, i),  # type: ignore[union-attr]
+        )
+        frame = heads[eye]
+        heads[eye] = cameras[eye].read(0.0)
+        assert frame is not None
+        yield frame

@@ -1,0 +1,118 @@
+"""A child process and its two threads: a send never blocks, what it says is queued."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from typing import Any
+
+Target = Callable[..., None]
+
+# Solvers of one process get one thread each: two cores, three processes, and the same sums in
+# the same order on every machine.
+CHILD_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+}
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+class Child:
+    """A spawned daemonic process running `target(connection, *arguments)`.
+
+    Its messages are put into `inbox` as (child, message): an answer of a child that has been
+    replaced is told apart by identity.
+    """
+
+    def __init__(
+        self, name: str, target: Target, arguments: tuple[Any, ...], inbox: queue.Queue[Any]
+    ) -> None:
+        self.name = name
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(
+            target=target, args=(theirs, *arguments), name=f"calm-edge-{name}", daemon=True
+        )
+        with _environment(CHILD_ENVIRONMENT):
+            self._process.start()
+        theirs.close()
+        self._inbox = inbox
+        self._outbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        for work in (self._send_all, self._receive_all):
+            threading.Thread(target=work, name=f"{name}-pipe", daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        return int(self._process.pid or 0)
+
+    @property
+    def alive(self) -> bool:
+        return self._process.is_alive()
+
+    @property
+    def exit_code(self) -> int | None:
+        return self._process.exitcode
+
+    def send(self, message: Any) -> None:
+        """Queues a message; a dead child's messages vanish, its death is seen by `alive`."""
+        self._outbox.put(message)
+
+    def stop(self, message: Any, timeout_s: float) -> None:
+        """Asks it to end, waits, then ends it."""
+        self.send(message)
+        self._process.join(timeout_s)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        self._outbox.put(None)
+
+    def _send_all(self) -> None:
+        for message in iter(self._outbox.get, None):
+            try:
+                self._connection.send(message)
+            except (OSError, ValueError):
+                return
+
+    def _receive_all(self) -> None:
+        while True:
+            try:
+                message = self._connection.recv()
+            except (EOFError, OSError):
+                return
+            self._inbox.put((self, message))
+
+
+def serve(connection: Connection, stop: type, handle: Callable[[Any], Any]) -> None:
+    """A child's main loop: answers each message until `stop` comes or the parent is gone."""
+    while True:
+        try:
+            message = connection.recv()
+        except (EOFError, OSError):
+            return
+        if isinstance(message, stop):
+            return
+        answer = handle(message)
+        if answer is not None:
+            try:
+                connection.send(answer)
+            except OSError:
+                return

@@ -1,0 +1,133 @@
+"""The estimator as capture sees it: a bounded inbox in front of a process that may die."""
+
+from __future__ import annotations
+
+import queue
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from calm_edge.config import Config
+from calm_edge.daemon.child import Child
+from calm_edge.daemon.estimator_process_entry import run_estimator
+from calm_edge.daemon.messages import (
+    Finish,
+    Finished,
+    Process,
+    Processed,
+    Ready,
+    Refused,
+    Stop,
+)
+from calm_edge.types import SubmapWindow
+
+# A window holds some 5 MB of JPEG. Beyond this they are left to `map`.
+INBOX_WINDOWS = 32
+LAGGING_WINDOWS = 2
+MAX_DEATHS_IN_A_ROW = 3
+
+
+class EstimatorLink:
+    """Owner of the estimator's process, its inbox and what was lost with it."""
+
+    def __init__(
+        self, config: Config, events: queue.Queue[Any], say: Callable[[str], None]
+    ) -> None:
+        self._config = config
+        self._events = events
+        self._say = say
+        self._inbox: deque[SubmapWindow] = deque()
+        self._in_hand: SubmapWindow | None = None
+        self._ready = False
+        self._deaths_in_a_row = 0
+        self.refusal = ""
+        self.lost: list[int] = []
+        self.left_to_map: list[int] = []
+        self.unsolved: list[int] = []
+        self.restarts = 0
+        self.finished: Finished | None = None
+        self.child = self._spawn()
+
+    @property
+    def ready(self) -> bool:
+        return self._ready
+
+    @property
+    def given_up(self) -> bool:
+        """It will not be started again."""
+        return bool(self.refusal) or self._deaths_in_a_row >= MAX_DEATHS_IN_A_ROW
+
+    @property
+    def waiting(self) -> int:
+        """Windows not yet answered."""
+        return 0 if self.given_up else len(self._inbox) + (self._in_hand is not None)
+
+    @property
+    def lagging(self) -> bool:
+        return self.given_up or self.waiting > LAGGING_WINDOWS
+
+    def offer(self, window: SubmapWindow) -> bool:
+        """Queues a window; False when there is no room: then only `map` will see it."""
+        if self.given_up or len(self._inbox) >= INBOX_WINDOWS:
+            self.left_to_map.append(window.submap_id)
+            return False
+        self._inbox.append(window)
+        self.pump()
+        return True
+
+    def pump(self) -> None:
+        """Restarts a dead process, hands the next window to an idle one."""
+        if self.given_up:
+            return
+        if not self.child.alive:
+            self._bury()
+        elif self._ready and self._in_hand is None and self._inbox:
+            self._in_hand = self._inbox.popleft()
+            self.child.send(Process(self._in_hand))
+
+    def accept(self, message: Any) -> None:
+        """A message of the present process."""
+        match message:
+            case Ready():
+                self._ready = True
+            case Refused():
+                self.refusal = message.reason
+            case Processed():
+                self._in_hand = None
+                self._deaths_in_a_row = 0
+                if message.update is None:
+                    self.unsolved.append(message.submap_id)
+            case Finished():
+                self.finished = message
+        self.pump()
+
+    def finish(self) -> None:
+        """Asks for the joint optimum; `finished` is set when it has come."""
+        self.child.send(Finish())
+
+    def stop(self, timeout_s: float = 2.0) -> None:
+        """Ends the process; windows not yet answered are lost to the live run."""
+        self.lost += [w.submap_id for w in (*self._inbox, *filter(None, [self._in_hand]))]
+        self._inbox.clear()
+        self._in_hand = None
+        self.child.stop(Stop(), timeout_s)
+
+    def _spawn(self) -> Child:
+        return Child("estimator", run_estimator, (self._config,), self._events)
+
+    def _bury(self) -> None:
+        self._deaths_in_a_row += 1
+        self._ready = False
+        what = f"estimator died (exit {self.child.exit_code})"
+        if self._in_hand is not None:
+            self.lost.append(self._in_hand.submap_id)
+            what += f", window {self._in_hand.submap_id} lost with it"
+            self._in_hand = None
+        if self.given_up:
+            self._say(f"{what}; it is not started again, recording goes on: run map later")
+            self.lost += [w.submap_id for w in self._inbox]
+            self._inbox.clear()
+            return
+        self._say(f"{what}; restarted, recording goes on")
+        self.restarts += 1
+        self.child = self._spawn()

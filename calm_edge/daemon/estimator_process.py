@@ -1,0 +1,90 @@
+"""The estimator process: the Localizer, and depth where the configuration asks for it."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import time
+import traceback
+from multiprocessing.connection import Connection
+from typing import Any
+
+import cv2
+import numpy as np
+
+from calm_edge.backbones.base import open_backbone
+from calm_edge.config import Config
+from calm_edge.daemon.child import serve
+from calm_edge.daemon.messages import Finish, Finished, Process, Processed, Ready, Refused, Stop
+from calm_edge.localizer import Localizer
+from calm_edge.types import CalmEdgeError, Hints, LocalizerUpdate, SubmapWindow
+
+
+class EstimatorWork:
+    """A Localizer fed by messages in order."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._backbone = open_backbone(config)
+        self._localizer = Localizer(config, self._backbone)
+
+    def handle(self, message: Any) -> Any:
+        """The answer to one message."""
+        if isinstance(message, Process):
+            return self._process(message.window)
+        if isinstance(message, Finish):
+            trajectory = self._localizer.finish()
+            return Finished(self._localizer.submaps, trajectory)
+        return None
+
+    def _process(self, window: SubmapWindow) -> Processed:
+        try:
+            update = self._localizer.process(window)
+        except CalmEdgeError as error:
+            return Processed(window.submap_id, None, str(error))
+        except Exception as error:
+            # one window that breaks the solver must not cost the drive; the text is for a developer
+            traceback.print_exc()
+            return Processed(window.submap_id, None, f"{type(error).__name__}: {error}")
+        if update is None:
+            return Processed(window.submap_id, None, self._localizer.skipped[-1].reason)
+        if self._config.recording.log_depth:
+            update = self._densified(window, update)
+        elif update.prediction.landmarks is not None:
+            # depth that nobody will write need not cross the pipe
+            light = dataclasses.replace(update.prediction, depth=None, confidence=None)
+            update = dataclasses.replace(update, prediction=light)
+        return Processed(window.submap_id, update)
+
+    def _densified(self, window: SubmapWindow, update: LocalizerUpdate) -> LocalizerUpdate:
+        start = time.perf_counter()
+        images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
+        hints = window_hints(window, self._config, update)
+        prediction = self._backbone.densify(images, hints, update.prediction)
+        stage_ms = {**update.stage_ms, "densify": 1e3 * (time.perf_counter() - start)}
+        return dataclasses.replace(update, prediction=prediction, stage_ms=stage_ms)
+
+
+def window_hints(window: SubmapWindow, config: Config, update: LocalizerUpdate) -> Hints:
+    """What is known of a window's batch once it has been placed."""
+    frames = [keyframe.frame for keyframe in window.keyframes()]
+    given = config.backbone.hfov_deg
+    return Hints(
+        eyes=np.array([f.eye for f in frames], np.int64),
+        t_ns=np.array([f.t_ns for f in frames], np.int64),
+        hfov_deg=(given[0], given[-1]) if given else (None, None),
+        kit=update.kit,
+    )
+
+
+def run_estimator(connection: Connection, config: Config) -> None:
+    """The process's main function."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
+    try:
+        work = EstimatorWork(config)
+    except CalmEdgeError as error:
+        connection.send(Refused(str(error)))
+        return
+    connection.send(Ready())
+    serve(connection, Stop, work.handle)

@@ -1,0 +1,40 @@
+"""The end of a run: how long to wait, and the sub-maps where they finally are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calm_edge.daemon.messages import Finished
+from calm_edge.types import KitBelief, LocalizerUpdate, Prediction, Trajectory
+
+REPLAY_LIMIT_S = 900.0
+LIVE_LIMIT_S = 20.0
+
+
+def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[LocalizerUpdate]:
+    """An update a sub-map, poses only, as it is after the joint optimum.
+
+    Only the last one carries the whole trajectory: with it in each, a long drive would cost more
+    than its images. `map` takes the landmarks from the sub-map's first update.
+    """
+    trajectory = finished.trajectory
+    if trajectory is None:
+        return
+    for submap in finished.submaps:
+        last = submap is finished.submaps[-1]
+        mine = np.isin(trajectory.keyframe_ids, submap.primary_ids) | last
+        yield LocalizerUpdate(
+            submap,
+            Prediction(submap.K_raw, submap.T_s_c_raw),
+            Trajectory(
+                trajectory.keyframe_ids[mine],
+                trajectory.t_ns[mine],
+                trajectory.T_w_c[mine],
+                trajectory.T_p_a,
+                trajectory.epoch,
+            ),
+            np.eye(4),
+            kit=kit,
+        )

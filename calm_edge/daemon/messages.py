@@ -1,0 +1,110 @@
+"""What crosses the pipes between the processes. Frozen, and small but for windows and updates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from calm_edge.types import Float, LocalizerUpdate, PoseSample, Submap, SubmapWindow, Trajectory
+from device.frame import Eye
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The child is set up and waits for work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The child cannot be set up; reason is one line for the user."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class FrameIn:
+    """A frame for the tracker; its bytes are the first `size` of `slot` of the ring."""
+
+    eye: Eye
+    sequence: int
+    t_ns: int
+    slot: int
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """What a frame led to: its slot is free again. problem: why it could not be used, or empty."""
+
+    slot: int
+    sample: PoseSample | None
+    windows: tuple[SubmapWindow, ...]
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Attach:
+    """A sub-map for the tracker to follow from now on."""
+
+    update: LocalizerUpdate
+
+
+@dataclass(frozen=True, slots=True)
+class Attached:
+    """taken: the sub-map's points reach the newest frame. T_map_odom (4, 4): map<-live poses."""
+
+    submap_id: int
+    taken: bool
+    T_map_odom: Float
+
+
+@dataclass(frozen=True, slots=True)
+class Lagging:
+    """The estimator is behind, or no longer."""
+
+    lagging: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Flush:
+    """No more frames: give the windows that remain."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flushed:
+    """The remaining windows."""
+
+    windows: tuple[SubmapWindow, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """A window for the estimator."""
+
+    window: SubmapWindow
+
+
+@dataclass(frozen=True, slots=True)
+class Processed:
+    """What a window changed; update is None when it could not be solved, and problem says why."""
+
+    submap_id: int
+    update: LocalizerUpdate | None
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """No more windows: the joint optimum."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """Every sub-map where it finally is, and the trajectory; None without a single sub-map."""
+
+    submaps: tuple[Submap, ...]
+    trajectory: Trajectory | None
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """End the process."""

@@ -1,0 +1,102 @@
+"""What one run of `record` came to."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from calm_edge.types import Trajectory
+
+# ages kept for the percentiles: an hour at ten poses a second
+AGES = 36_000
+
+
+@dataclass(slots=True)
+class RecordResult:
+    """Counts, and the final trajectory.
+
+    A window is lost when the estimator died or was stopped with it, left to map when the
+    estimator was too far behind, unsolved when it cannot be solved.
+    """
+
+    frames: list[int] = field(default_factory=lambda: [0, 0])
+    keyframes: int = 0
+    windows: int = 0
+    submaps: int = 0
+    untracked: int = 0
+    unreadable: int = 0
+    overflowed: int = 0
+    late_ticks: int = 0
+    camera_drops: int = 0
+    clamped_stamps: int = 0
+    unrecorded: int = 0
+    estimator_restarts: int = 0
+    lost_windows: list[int] = field(default_factory=list)
+    windows_left_to_map: list[int] = field(default_factory=list)
+    unsolved_windows: list[int] = field(default_factory=list)
+    poses: int = 0
+    lost_poses: int = 0
+    pose_lost: bool = True
+    trajectory: Trajectory | None = None
+    error: str = ""
+    _ages_ms: deque[float] = field(default_factory=lambda: deque(maxlen=AGES))
+
+    def note_pose(self, lost: bool, age_ms: float | None) -> None:
+        """A live pose left; age_ms from its exposure, None where the clock does not run."""
+        self.pose_lost = lost
+        if lost:
+            self.lost_poses += 1
+        else:
+            self.poses += 1
+            if age_ms is not None:
+                self._ages_ms.append(age_ms)
+
+    def pose_age_ms(self) -> dict[str, float] | None:
+        """{p50, p99} ms from exposure to publishing; None without a pose."""
+        if not self._ages_ms:
+            return None
+        p50, p99 = np.percentile(self._ages_ms, [50, 99])
+        return {"p50": float(p50), "p99": float(p99)}
+
+    def losses(self) -> list[str]:
+        """One line for each thing that is missing from the recording or the trajectory."""
+        lines = []
+        if self.lost_windows:
+            lines.append(
+                f"windows {self.lost_windows} were lost with the estimator; map computes them again"
+            )
+        if self.windows_left_to_map:
+            lines.append(f"windows {self.windows_left_to_map} came too fast and are left to map")
+        if self.unrecorded:
+            lines.append(f"{self.unrecorded} items could not be recorded")
+        if self.untracked:
+            lines.append(f"{self.untracked} frames were recorded but not tracked in time")
+        if self.unreadable:
+            lines.append(f"{self.unreadable} frames were not readable")
+        if self.overflowed:
+            lines.append(f"{self.overflowed} frames came faster than they could be taken")
+        return lines
+
+    def summary(self) -> dict[str, Any]:
+        """Plain values for /status."""
+        return {
+            "frames": list(self.frames),
+            "keyframes": self.keyframes,
+            "windows": self.windows,
+            "submaps": self.submaps,
+            "poses": self.poses,
+            "lost_poses": self.lost_poses,
+            "pose_age_ms": self.pose_age_ms(),
+            "untracked": self.untracked,
+            "camera_drops": self.camera_drops,
+            "clamped_stamps": self.clamped_stamps,
+            "late_ticks": self.late_ticks,
+            "estimator_restarts": self.estimator_restarts,
+            "lost_windows": list(self.lost_windows),
+            "windows_left_to_map": list(self.windows_left_to_map),
+            "finished": self.trajectory is not None,
+            "unsolved_windows": list(self.unsolved_windows),
+        }

@@ -1,0 +1,74 @@
+"""Where frames come from: two cameras on one clock, live or replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from calm_edge.config import Config
+from device.camera import Camera, CameraSpec, open_camera, parse_address
+from device.clock import Clock, SystemClock
+from device.frame import Eye, Frame
+
+# between opening a replay and its first frame, so that no frame is late from the start
+LEAD_NS = 50_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """open: gives the primary and the assistant camera, not yet started; once, when all else is
+    ready. is_replay: the frames end by themselves.
+    """
+
+    open: Callable[[], tuple[Camera, Camera]]
+    clock: Clock
+    is_replay: bool
+    description: str
+
+
+def replayed(
+    frames: Callable[[Eye], Iterable[Frame]],
+    epoch_ns: int,
+    paced: bool,
+    config: Config,
+    description: str,
+) -> Source:
+    """Stored frames of both eyes, the first stamped epoch_ns.
+
+    Paced: in real time, stamps moved to now. Not paced: as fast as asked, stamps as they are.
+    """
+    clock = SystemClock()
+    stale_after_ms = config.capture.stale_after_ms
+
+    def cameras() -> tuple[Camera, Camera]:
+        origin_ns = clock.now_ns() + LEAD_NS
+        primary, assistant = (
+            open_camera(
+                CameraSpec(eye, "replay", description, stale_after_ms=stale_after_ms),
+                clock,
+                frames=frames(eye),
+                epoch_ns=epoch_ns,
+                origin_ns=origin_ns,
+                paced=paced,
+            )
+            for eye in Eye
+        )
+        return primary, assistant
+
+    return Source(cameras, clock, True, description)
+
+
+def live(config: Config) -> Source:
+    """The configured cameras; raises CameraError for an unknown driver."""
+    clock, capture = SystemClock(), config.capture
+
+    def spec(eye: Eye, text: str) -> CameraSpec:
+        size = capture.width_px, capture.height_px
+        return CameraSpec(eye, *parse_address(text), *size, capture.rate_hz, capture.stale_after_ms)
+
+    specs = spec(Eye.PRIMARY, capture.primary), spec(Eye.ASSISTANT, capture.assistant)
+
+    def cameras() -> tuple[Camera, Camera]:
+        return open_camera(specs[0], clock), open_camera(specs[1], clock)
+
+    return Source(cameras, clock, False, f"{capture.primary} {capture.assistant}")

@@ -1,0 +1,89 @@
+"""The tracker process: keyframes, windows, and a pose for every primary frame (paper IV-A)."""
+
+from __future__ import annotations
+
+import signal
+from multiprocessing.connection import Connection
+from typing import Any
+
+import cv2
+
+from calm_edge.config import FrontendConfig
+from calm_edge.daemon.child import serve
+from calm_edge.daemon.messages import (
+    Attach,
+    Attached,
+    Flush,
+    Flushed,
+    FrameIn,
+    Lagging,
+    Ready,
+    Refused,
+    Stop,
+    Tracked,
+)
+from calm_edge.daemon.ring import RingReader
+from calm_edge.frontend.association import WindowBuilder, WindowError
+from calm_edge.frontend.keyframes import KeyframeSelector
+from calm_edge.frontend.tracker import Tracker
+from calm_edge.types import PoseSample, SubmapWindow
+from device.frame import Eye, Frame, UnreadableImage
+
+
+class TrackerWork:
+    """Selector, window builder and tracker, fed by messages in order."""
+
+    def __init__(self, config: FrontendConfig, ring: RingReader) -> None:
+        self._ring = ring
+        self._selector = KeyframeSelector(config)
+        self._builder = WindowBuilder(config)
+        self._tracker = Tracker(config)
+
+    def handle(self, message: Any) -> Any:
+        """The answer to one message, None where there is none."""
+        match message:
+            case FrameIn():
+                data = self._ring.read(message.slot, message.size)
+                frame = Frame(message.eye, message.sequence, message.t_ns, data)
+                try:
+                    sample, windows = self._frame(frame)
+                except UnreadableImage as error:
+                    return Tracked(message.slot, None, (), str(error))
+                return Tracked(message.slot, sample, windows)
+            case Attach():
+                taken = self._tracker.attach(message.update)
+                return Attached(message.update.submap.id, taken, self._tracker.T_map_odom)
+            case Lagging():
+                self._tracker.lagging = message.lagging
+            case Flush():
+                return Flushed(self._builder.flush())
+        return None
+
+    def _frame(self, frame: Frame) -> tuple[PoseSample | None, tuple[SubmapWindow, ...]]:
+        gray = frame.gray()
+        if frame.eye is Eye.ASSISTANT:
+            return None, self._builder.add_assistant(frame)
+        keyframe = self._selector.consider(frame, gray)
+        sample = self._tracker.track(frame.t_ns, gray, keyframe.id if keyframe else None)
+        windows = self._builder.advance(frame.t_ns)
+        if keyframe is not None:
+            windows += self._builder.add_keyframe(keyframe)
+        return sample, windows
+
+
+def run_tracker(
+    connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig
+) -> None:
+    """The process's main function."""
+    # the terminal's Ctrl-C goes to every process; only capture acts on it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
+    ring = RingReader(ring_name, slot_bytes)
+    try:
+        work = TrackerWork(config, ring)
+    except WindowError as error:
+        connection.send(Refused(str(error)))
+        return
+    connection.send(Ready())
+    serve(connection, Stop, work.handle)
+    ring.close()
