@@ -31,7 +31,7 @@ class TopDown:
 
 
 def level_rotation(T_w_c: Float) -> Float:
-    """R_level_world (3, 3): z up, x along the drive's longer side.
+    """R_level_world (3, 3) of poses (N, 4, 4), N >= 1: z up, x along the drive's longer side.
 
     Up is the mean of the cameras' up axes: over a drive it is the car's, which the first
     camera's mounting alone is not.

@@ -131,9 +131,6 @@ def _rows(values: dict[str, Any]) -> str:
 
 def render(data: ReportData) -> str:
     """The page as HTML text; it asks for nothing from outside."""
-    R = map_image.level_rotation(data.T_w_c)
-    path = data.T_w_c[:, :3, 3] @ R.T
-    truth = None if data.truth_w is None else data.truth_w @ R.T
     parts = [f'<h1>{html.escape(data.title)}</h1><p class="lead">calm-edge, one drive</p>']
     if data.headline:
         cards = (
@@ -144,10 +141,14 @@ def render(data: ReportData) -> str:
     if data.notes:
         items = "".join(f"<li>{html.escape(note)}</li>" for note in data.notes)
         parts.append(_section("Not observed, not done", "", f"<ul>{items}</ul>", "warn"))
-    parts += _map_sections(data, R, path)
-    drawn = _embedded(curves.trajectory(path, truth, data.unit), "trajectory from above")
-    against = "Against the truth." if truth is not None else "No truth was given."
-    parts.append(_section("The trajectory from above", against, drawn))
+    if len(data.T_w_c):
+        R = map_image.level_rotation(data.T_w_c)
+        path = data.T_w_c[:, :3, 3] @ R.T
+        truth = None if data.truth_w is None else data.truth_w @ R.T
+        parts += _map_sections(data, R, path)
+        drawn = _embedded(curves.trajectory(path, truth, data.unit), "trajectory from above")
+        against = "Against the truth." if truth is not None else "No truth was given."
+        parts.append(_section("The trajectory from above", against, drawn))
     if len(data.scale):
         drawn = _embedded(curves.scale(data.t_s, data.scale, data.scale_windows), "scale")
         note = "What each sub-map's own unit was multiplied by, over the first one's."
@@ -172,5 +173,5 @@ def render(data: ReportData) -> str:
 
 
 def write_report(path: Path, data: ReportData) -> None:
-    """Write `render(data)`; T_w_c must hold at least one pose."""
+    """Write `render(data)` as UTF-8."""
     path.write_text(render(data), encoding="utf-8")

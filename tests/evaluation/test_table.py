@@ -1,0 +1,39 @@
+"""Results as people and programs read them."""
+
+import json
+
+import pytest
+
+from calm_edge.evaluation.table import json_text, pretty, print_result, print_rows
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (True, "yes"),
+        (0.123456, "0.1235"),
+        (123456.7, "123,457"),
+        ([1.0, None], "1, –"),
+        ({"p50": 3.14159}, "p50 3.142"),
+        ({}, "–"),
+        ("word", "word"),
+    ],
+)
+def test_pretty(value: object, text: str) -> None:
+    assert pretty(value) == text
+
+
+def test_json_is_one_valid_line() -> None:
+    text = json_text({"a": None, "b": [1.5, None]})
+    assert "\n" not in text and json.loads(text) == {"a": None, "b": [1.5, None]}
+    with pytest.raises(ValueError, match=r"JSON compliant"):
+        json_text({"a": float("nan")})
+
+
+def test_tables_go_to_stdout(capsys: pytest.CaptureFixture[str]) -> None:
+    print_result({"ate_se3_m": 0.51234}, "drive")
+    print_rows(("on", "pass"), [["karlsruhe", True], ["kitti06", False]])
+    out = capsys.readouterr().out
+    for word in ("ate_se3_m", "0.5123", "karlsruhe", "yes", "no"):
+        assert word in out

@@ -1,0 +1,149 @@
+"""The runner must call a broken promise broken."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from calm_edge.evaluation import drives, targets
+from calm_edge.evaluation.estimate import from_updates
+from calm_edge.evaluation.results import compare
+from calm_edge.evaluation.sequences import read_truth
+from calm_edge.evaluation.trajectory_file import write_kitti
+from calm_edge.frontend.sequence import SequenceError, SequenceFolder
+from tests.evaluation.worlds import curve, stamps, update
+
+
+@pytest.mark.parametrize(
+    ("metric", "value", "passes"),
+    [
+        (targets.Metric("k", "", most=1.0), 0.9, True),
+        (targets.Metric("k", "", most=1.0), 1.1, False),
+        (targets.Metric("k", "", most=1.0), None, False),
+        (targets.FOCAL, [4.0, -4.9], True),
+        (targets.FOCAL, [4.0, -5.1], False),
+        (targets.FOCAL, [4.0, None], False),
+        (targets.FOCAL, None, False),
+        (targets.Metric("k", "", least=5.0), [6.0, None], True),
+        (targets.Metric("k", "", least=5.0), [6.0, 4.0], False),
+        (targets.Metric("k", "", least=5.0), None, False),
+        (targets.HONEST, [2.9, None], True),
+        (targets.HONEST, [3.1, None], False),
+        (targets.HONEST, [None, None], True),
+    ],
+)
+def test_judging(metric: targets.Metric, value: object, passes: bool) -> None:
+    assert targets.judge(metric, {metric.key: value}) == (value, passes)
+
+
+def test_a_missing_key_is_not_a_pass() -> None:
+    with pytest.raises(targets.TargetError, match="ate_percent"):
+        targets.judge(targets.Metric("ate_percent", "", most=1.0), {})
+
+
+def test_honesty_is_the_error_in_its_own_sigmas() -> None:
+    result = {"focal_error_percent": [-2.0, None], "focal_sigma_percent": [0.5, 9.0]}
+    assert targets.with_honesty(result)["focal_error_in_sigma"] == [4.0, None]
+
+
+def test_every_promise_is_a_key_that_eval_prints(tmp_path: Path) -> None:
+    write_kitti(tmp_path / "poses0.txt", curve(20))
+    estimate = from_updates("r", [update(curve(20), stamps(20))])
+    result = targets.with_honesty(compare(estimate, read_truth(tmp_path)))
+    promised = {metric.key for row in targets.ROWS for metric in row.metrics}
+    assert promised <= set(result)
+    assert len({row.name for row in targets.ROWS}) == len(targets.ROWS)
+
+
+def _drive(folder: Path, n: int = 4) -> Path:
+    for eye in range(2):
+        (folder / f"cam{eye}").mkdir(parents=True)
+        for i in range(n):
+            (folder / f"cam{eye}" / f"{i:06d}.jpg").write_bytes(b"%d %d" % (eye, i))
+        (folder / f"times{eye}.txt").write_text("".join(f"{i / 10}\n" for i in range(n)))
+    write_kitti(folder / "poses0.txt", curve(n))
+    (folder / "calib.txt").write_text("1 1 0 0 2 2\n1 1 0 0 2 2\n")
+    return folder
+
+
+def test_a_shifted_drive_keeps_true_stamps(tmp_path: Path) -> None:
+    folder = drives.shifted_by_one(_drive(tmp_path / "d"), tmp_path / "out")
+    assert (folder / "cam0" / "000000.jpg").read_bytes() == b"0 0"
+    assert (folder / "cam1" / "000000.jpg").read_bytes() == b"1 1"
+    assert (folder / "times1.txt").read_text().split() == ["0.1", "0.2", "0.3"]
+    assert len(list((folder / "cam0").iterdir())) == len(list((folder / "cam1").iterdir())) == 3
+    truth = read_truth(folder)
+    assert len(truth.t_ns) == 3 and truth.K is not None
+    with pytest.raises(SequenceError, match=r"000000\.jpg"):
+        SequenceFolder(folder)  # these are links to what are no pictures
+
+
+def _run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ate: float) -> targets.Measured:
+    said: list[tuple[str, ...]] = []
+
+    def calm_edge(*arguments: str) -> str:
+        said.append(arguments)
+        return json.dumps({"ate_percent": ate}) if arguments[0] == "eval" else ""
+
+    monkeypatch.setattr(targets, "_calm_edge", calm_edge)
+    row = targets.Row(
+        "r",
+        drives.there(_drive(tmp_path / "d")),
+        ("--spacing-m", "0.5"),
+        (targets.Metric("ate_percent", "<= 1 %", most=1.0),),
+    )
+    measured = targets.run_row(row, tmp_path / "out")
+    assert [a[0] for a in said] == ["record", "map", "eval"]
+    assert said[0][-2:] == ("--spacing-m", "0.5") and "lockstep" in said[0]
+    # truth is for eval only
+    assert [("--truth" in a) for a in said] == [False, False, True]
+    return measured
+
+
+@pytest.mark.parametrize(("ate", "passes"), [(0.5, True), (1.5, False)])
+def test_a_row_is_recorded_mapped_and_judged(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ate: float, passes: bool
+) -> None:
+    measured = _run(monkeypatch, tmp_path, ate)
+    assert measured.checks == (("ate_percent", "<= 1 %", ate, passes),)
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_determinism_compares_bytes(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, same: bool
+) -> None:
+    T = [curve(5), curve(5)]
+    T[1][2, 0, 3] += 0.0 if same else 1e-6
+    runs = iter(T)
+    monkeypatch.setattr(targets, "_calm_edge", lambda *_: "")
+    monkeypatch.setattr(
+        targets, "read_estimate", lambda _: from_updates("r", [update(next(runs), stamps(5))])
+    )
+    row = targets.Row("r", drives.there(_drive(tmp_path / "d")), twice=True)
+    (check,) = targets.run_row(row, tmp_path / "out").checks
+    assert check[3] is same
+
+
+def test_absent_data_is_skipped_and_said(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = targets.Row("gone", drives.there(tmp_path / "gone"))
+    monkeypatch.setattr(targets, "ROWS", (row,))
+    assert targets.main(["--out", str(tmp_path / "out")]) == 0
+    assert "skipped" in capsys.readouterr().out
+    (written,) = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert "is not here" in written["skipped"]
+
+
+def test_a_failing_step_breaks_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def fails(*_: str) -> str:
+        raise targets.TargetError("calm-edge record: exit 1: no")
+
+    monkeypatch.setattr(targets, "_calm_edge", fails)
+    monkeypatch.setattr(targets, "ROWS", (targets.Row("r", drives.there(_drive(tmp_path / "d"))),))
+    assert targets.main(["--out", str(tmp_path / "out")]) == 1
+
+
+def test_the_subprocess_tells_its_last_line() -> None:
+    with pytest.raises(targets.TargetError, match=r"calm-edge record: exit \d+: \S+"):
+        targets._calm_edge("record", "--sequence", "/nowhere/at/all", "--out", "/nowhere/out")
