@@ -46,27 +46,43 @@ class Deformation:
         return np.asarray(points + shift * np.minimum(1.0, self.limit / np.maximum(length, 1e-12)))
 
 
-def choose_evenly(p_s: Float, n: Int, most: int) -> Int:
-    """Indices of at most `most` points (M, 3): the most observed of each cell of a cubic lattice.
-
-    n: (M,) observation counts. The lattice is the finest, by bisection, that has no more cells.
-    """
-    if len(p_s) <= most:
-        return np.arange(len(p_s))
-    order = np.argsort(-n, kind="stable")
-    low = p_s.min(0)
-    extent = float(np.ptp(p_s, axis=0).max())
+def cells(points: Float, most: int) -> Int:
+    """(M,) labels from 0 of the finest cubic lattice, by bisection, with at most `most` cells."""
+    if len(points) <= most:
+        return np.arange(len(points))
+    low = points.min(0)
+    extent = float(np.ptp(points, axis=0).max())
     fine, coarse = extent / most, 2 * extent + 1e-9
-    chosen = order[:1]
+    label = np.zeros(len(points), np.int64)
     for _ in range(16):
-        size = np.sqrt(fine * coarse) if fine > 0 else coarse
-        cell = np.floor((p_s[order] - low) / size).astype(np.int64)
-        first = np.unique(cell, axis=0, return_index=True)[1]
-        if len(first) <= most:
-            chosen, coarse = order[np.sort(first)], size
+        size = np.sqrt(max(fine * coarse, 1e-18))
+        keys = np.floor((points - low) / size).astype(np.int64)
+        found, finer = np.unique(keys, axis=0, return_inverse=True)
+        if len(found) <= most:
+            label, coarse = finer.reshape(-1), size
         else:
             fine = size
-    return np.asarray(chosen)
+    return label
+
+
+def control_points(p_s: Float, target_s: Float, n: Int, most: int) -> tuple[Float, Float]:
+    """At most `most` pairs (C, 3), (C, 3) of source and target, evenly over the anchors' volume.
+
+    p_s, target_s: (M, 3) sub-map frame. n: (M,) observation counts. A control point is the mean
+    of the most observed anchors of its lattice cell: a single anchor would hand its own depth
+    noise to everything around it.
+    """
+    label = cells(p_s, most)
+    best = np.zeros(label.max(initial=-1) + 1, np.int64)
+    np.maximum.at(best, label, n)
+    keep = n == best[label]
+    label = label[keep]
+    count = np.bincount(label)[:, None]
+
+    def mean(x: Float) -> Float:
+        return np.stack([np.bincount(label, x[keep, i]) for i in range(3)], -1) / count
+
+    return mean(p_s), mean(target_s)
 
 
 def torn(p_s: Float, shift: Float, n: Int, centre_s: Float) -> NDArray[np.bool_]:
@@ -108,10 +124,8 @@ def fit_deformation(
     shift = np.linalg.norm(target_s - p_s, axis=-1)
     likely = shift <= MAX_RELATIVE_SHIFT * np.linalg.norm(p_s - centre_s, axis=-1)
     likely &= ~torn(p_s, target_s - p_s, n, centre_s)
-    p_s, target_s, n, shift = p_s[likely], target_s[likely], n[likely], shift[likely]
-    chosen = choose_evenly(p_s, n, most)
-    source, target = p_s[chosen], target_s[chosen]
-    limit = float(shift[chosen].max(initial=0.0))
+    source, target = control_points(p_s[likely], target_s[likely], n[likely], most)
+    limit = float(np.linalg.norm(target - source, axis=-1).max(initial=0.0))
     for factor in STIFFER:
         plate = thin_plate.fit(source, target, stiffness * factor)
         worst = min(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from calm_edge.geometry import se3
-from calm_edge.mapping.deform import choose_evenly, fit_deformation, torn
+from calm_edge.mapping.deform import cells, control_points, fit_deformation, torn
 
 
 def room(seed: int, n: int) -> np.ndarray:
@@ -85,18 +85,37 @@ def test_a_shift_unlike_its_neighbours_is_torn_unless_the_anchor_is_alone():
     assert not torn(p[:5], shift[:5], n[:5], np.zeros(3)).any()
 
 
-def test_controls_are_spread_evenly_and_the_most_observed_of_their_cell():
-    rng = np.random.default_rng(0)
-    crowd = rng.normal([0, 0, 5], 0.3, (5000, 3))
-    wide = room(1, 500)
-    p = np.vstack([crowd, wide])
-    n = rng.integers(1, 5, len(p))
-    chosen = choose_evenly(p, n, 150)
-    assert 75 <= len(chosen) <= 150 and len(set(chosen)) == len(chosen)
-    assert (chosen >= 5000).mean() > 0.9
-    assert n[chosen].mean() > n.mean() + 0.5
-    np.testing.assert_array_equal(choose_evenly(p[:100], n[:100], 150), np.arange(100))
-    assert len(choose_evenly(np.zeros((300, 3)), np.ones(300, int), 150)) == 1
+def test_cells_are_the_finest_lattice_that_is_allowed():
+    p = np.vstack([np.random.default_rng(0).normal([0, 0, 5], 0.3, (5000, 3)), room(1, 500)])
+    label = cells(p, 150)
+    assert 75 <= label.max() + 1 <= 150
+    assert set(label) == set(range(label.max() + 1))
+    # even in space: the crowd of 5,000 gets few of them
+    assert len(set(label[5000:]) - set(label[:5000])) > 0.8 * (label.max() + 1)
+    # members of a cell are neighbours
+    spread = [np.ptp(p[label == c], axis=0).max() for c in range(label.max() + 1)]
+    assert max(spread) < 32 / 4
+    np.testing.assert_array_equal(cells(p[:100], 150), np.arange(100))
+    assert set(cells(np.zeros((300, 3)), 150)) == {0}
+
+
+def test_a_control_point_is_the_mean_of_the_most_observed_anchors_of_its_cell():
+    p = np.array([[0.0, 0, 0], [0.2, 0, 0], [0.1, 0, 0], [50, 0, 0], [50, 0, 0.2]])
+    target = p + np.array([[1.0, 0, 0], [2, 0, 0], [9, 9, 9], [0, 1, 0], [0, 3, 0]])
+    source, moved = control_points(p, target, np.array([3, 3, 2, 1, 1]), 2)
+    order = np.argsort(source[:, 0])
+    np.testing.assert_allclose(source[order], [[0.1, 0, 0], [50, 0, 0.1]])
+    np.testing.assert_allclose(moved[order], [[1.6, 0, 0], [50, 2, 0.1]])
+    alone = control_points(p, target, np.array([3, 3, 2, 1, 1]), 5)
+    np.testing.assert_array_equal(alone[0], p)
+
+
+def test_the_noise_of_single_anchors_does_not_dent_the_map():
+    p, points = room(0, 3000), room(1, 500)
+    noise = np.random.default_rng(2).normal(0, 0.3, p.shape)
+    deformation = fitted(p, bent(p) + noise, points)
+    off = np.linalg.norm(deformation.apply(points) - bent(points), axis=1)
+    assert off.mean() < 0.5 * np.linalg.norm(noise, axis=1).mean()
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 3])
