@@ -39,6 +39,7 @@ class FakeCamera:
     device_caps: int = 0x04200001
     stride: int = 0
     size: tuple[int, int] | None = None
+    refused: tuple[str, ...] = ()
     fails: dict[int, int] = field(default_factory=dict)
     open_errno: int = 0
     shots: deque[Shot] = field(default_factory=deque)
@@ -133,6 +134,8 @@ class FakeVideoIO:
         kind, _, width, height = struct.unpack_from("=IIII", a, 0)
         assert kind == 1
         fourcc = a[16:20].decode()
+        if fourcc in camera.refused:
+            a[16:20] = b"NV12"
         width, height = camera.size or (width, height)
         struct.pack_into("=II", a, 8, width, height)
         struct.pack_into("=I", a, 24, camera.stride if fourcc == "YUYV" else 0)

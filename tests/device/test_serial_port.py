@@ -89,8 +89,8 @@ def test_a_stalled_reader_costs_whole_messages_and_no_time(line: Line, port: Ser
     until(drained)
     arrived = [received[k : k + 97] for k in range(0, len(received), 97)]
     assert set(arrived) <= set(sent) and arrived == sorted(arrived)
-    # the oldest gave way: the newest is always among what arrives
-    assert arrived[-1] == sent[-1]
+    # the oldest gave way: as many of the newest arrive as the buffer holds
+    assert arrived[-10:] == sent[-10:]
 
 
 def test_a_message_larger_than_the_buffer_is_refused(port: SerialPort) -> None:

@@ -99,6 +99,11 @@ def test_yuyv_where_there_is_no_mjpeg_at_the_size_the_camera_settled_on() -> Non
     assert form.stride_bytes == 1408
 
 
+def test_a_format_that_is_listed_but_not_granted_is_not_taken_for_granted() -> None:
+    _, device = opened(FakeCamera("usb-1", fourccs=("MJPG", "YUYV"), refused=("MJPG",)))
+    assert device.format.fourcc == "YUYV"
+
+
 def test_unknown_formats_are_listed() -> None:
     text = refusal(FakeCamera("usb-1", fourccs=("NV12", "H264")))
     assert "NV12, H264" in text and "MJPEG or YUYV" in text

@@ -122,6 +122,15 @@ def test_silence_is_a_loss_that_ends_with_the_next_sample() -> None:
     assert found.quality == 100 and found.x == 7.0
 
 
+def test_a_repeated_or_late_sample_is_silence_too() -> None:
+    bench = Bench()
+    bench.at(0, sample(0))
+    bench.at(150, sample(0))
+    bench.at(250, sample(-50, epoch=9))
+    (lost,) = bench.at(301, None)
+    assert lost.quality == -1 and lost.reset_counter == 1
+
+
 def test_lagging_is_worth_less_than_live_and_more_than_nothing() -> None:
     (got,) = Bench().at(0, sample(0, status=PoseStatus.LAGGING))
     assert 0 < got.quality < 100 and got.x == 7.0
