@@ -26,6 +26,8 @@ from calm_edge.types import Float, Int, LoopClosure
 
 # A bridge is a guess at motion nobody measured: ten times an odometry edge's sigma.
 _BRIDGE_WEIGHT = 0.01
+# How far the convex pass goes: until it moves the cost by less than this share.
+_COARSE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,22 +156,28 @@ class JointGraph:
             sigma_prior=np.sqrt(config.rig_prior_variance) * unit,
         )
 
-    def optimise(self) -> Optimised:
+    def optimise(self, tolerance: float = 1e-8) -> Optimised:
         """Moves every pose and T_p_a to the optimum; the first keyframe stays where it is.
 
-        With loops, a convex kernel first, so that a true one closes however far the drift; then
-        one that lets go of those the rest still contradicts.
+        tolerance: it ends when an iteration lowers the cost by less than this share.
+        With loops there are two ways down: at once, which leaves out what contradicts the poses
+        so far, and after a convex kernel, by which a true loop closes however far the drift. The
+        lower of the two ends is kept: a false loop bends the path at a cost.
         """
         if not self._edges:
             return Optimised(0, 0.0, 0.0)
-        problem, state = self.problem(), State(self.poses(), self._T_p_a)
-        before = cost(problem, state, cauchy)
-        iterations = 0
+        problem, start = self.problem(), State(self.poses(), self._T_p_a)
+        before = cost(problem, start, cauchy)
+        state, iterations = minimise(problem, start, cauchy, tolerance)
+        after = cost(problem, state, cauchy)
         if problem.edges.robust.any():
-            state, iterations = minimise(problem, state, huber, tolerance=1e-3)
-        state, more = minimise(problem, state, cauchy)
+            pulled, coarse = minimise(problem, start, huber, _COARSE)
+            pulled, fine = minimise(problem, pulled, cauchy, tolerance)
+            iterations += coarse + fine
+            if (pulled_cost := cost(problem, pulled, cauchy)) < after:
+                state, after = pulled, pulled_cost
         self._T_w_p, self._T_p_a = list(state.T_w_p), state.T_p_a
-        return Optimised(iterations + more, before, cost(problem, state, cauchy))
+        return Optimised(iterations, before, after)
 
 
 def _preceding(n: int, window: int) -> tuple[Int, Int]:

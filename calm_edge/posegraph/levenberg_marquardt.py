@@ -22,7 +22,6 @@ MAX_ITERATIONS = 50
 _FIRST_DAMPING = 1e-11
 _MAX_DAMPING = 1e6
 _STEP_TOLERANCE = 1e-9
-_COST_TOLERANCE = 1e-8
 
 # A kernel takes the whitened norms (P,) of loop residuals to (cost, weight), each (P,).
 Kernel = Callable[[Float], tuple[Float, Float]]
@@ -88,9 +87,7 @@ def cost(problem: Problem, state: State, kernel: Kernel) -> float:
     return float(loops + (total + (prior**2).sum()) / 2)
 
 
-def minimise(
-    problem: Problem, state: State, kernel: Kernel, tolerance: float = _COST_TOLERANCE
-) -> tuple[State, int]:
+def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -> tuple[State, int]:
     """The state of least cost near `state`, keyframe 0 held, and the iterations it took.
 
     tolerance: it ends when an iteration lowers the cost by less than this share.

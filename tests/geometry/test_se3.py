@@ -102,3 +102,25 @@ def test_stacks_agree_with_single_poses(xis):
         np.testing.assert_allclose(T[i], se3.exp(xi), atol=1e-12)
         np.testing.assert_allclose(se3.inverse(T)[i], se3.inverse(T[i]), atol=1e-12)
         np.testing.assert_allclose(se3.log(T)[i], se3.log(T[i]), atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [1e-8, 1e-3, 0.0316, 0.0317, 0.5, 2.5])
+def test_right_jacobian_inverse_is_the_slope_of_the_log(angle):
+    xi = np.array([0.4, -1.1, 0.7, 0.2, -0.5, 0.3])
+    xi[3:] *= angle / np.linalg.norm(xi[3:])
+    h = 1e-5
+    slopes = [
+        (se3.log(se3.exp(xi) @ se3.exp(d)) - se3.log(se3.exp(xi) @ se3.exp(-d))) / (2 * h)
+        for d in np.eye(6) * h
+    ]
+    assert np.allclose(se3.right_jacobian_inverse(xi), np.stack(slopes, 1), atol=1e-6)
+
+
+def test_the_mean_pose_has_no_mean_twist_and_moves_with_its_poses():
+    rng = np.random.default_rng(2)
+    centre = se3.exp(np.array([4.0, -2, 1, 0.5, 1.5, -1]))
+    T = centre @ se3.exp(rng.normal(size=(9, 6)) * 0.2)
+    mean = se3.mean(T)
+    assert np.abs(se3.log(se3.inverse(mean) @ T).mean(0)).max() < 1e-12
+    moved = se3.exp(np.array([1.0, 2, 3, 0.1, 0.2, 0.3]))
+    assert np.allclose(se3.mean(moved @ T), moved @ mean, atol=1e-12)

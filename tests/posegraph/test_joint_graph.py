@@ -1,0 +1,204 @@
+import dataclasses
+
+import gtsam
+import numpy as np
+import pytest
+
+from calm_edge.config import PoseGraphConfig
+from calm_edge.geometry import se3
+from calm_edge.posegraph.joint_graph import JointGraph
+from calm_edge.types import LoopClosure
+from tests.drives import T_P_A, circle, curved, position_error
+
+CONFIG = PoseGraphConfig()
+
+
+def graph_of(T, *, noise=0.0, bias=None, seed=0, n_max=15, spacing=1.0, config=CONFIG):
+    """Sub-maps of `n_max` frames, 3 shared, each seen through its own noise."""
+    rng = np.random.default_rng(seed)
+    graph = JointGraph(config, spacing)
+    for start in range(0, len(T) - 3, n_max - 3):
+        ids = tuple(range(start, min(start + n_max, len(T))))
+        sigma = np.repeat([noise, noise / 10], 3)
+        T_s_p = T[list(ids)] @ se3.exp(rng.normal(size=(len(ids), 6)) * sigma)
+        T_s_a = T[list(ids)] @ T_P_A @ se3.exp(rng.normal(size=(len(ids), 6)) * sigma)
+        if bias is not None:
+            drift = se3.exp(np.arange(len(ids))[:, None] * bias)
+            T_s_p, T_s_a = drift @ T_s_p, drift @ T_s_a
+        T_s = se3.inverse(T_s_p[0])
+        T_s_p, T_s_a = T_s @ T_s_p, T_s @ T_s_a
+        if not len(graph):
+            graph.set_rig_prior(se3.mean(se3.inverse(T_s_p) @ T_s_a))
+        T_w_s = graph.pose(start) if start in graph else T[0]
+        graph.add_submap(ids, T_w_s, T_s_p, T_s_a, np.arange(len(ids)))
+    return graph
+
+
+def reference_optimum(graph, sigma, sigma_prior):
+    """GTSAM alone: Python factors of IV-C with numeric derivatives, in GTSAM's own tangent."""
+    edges, n = graph.problem().edges, len(graph)
+
+    def swapped(s):
+        return gtsam.noiseModel.Diagonal.Sigmas(np.concatenate([s[3:], s[:3]]))
+
+    def factor(model, keys, predicted):
+        def error(_, values, H):
+            poses = [values.atPose3(key) for key in keys]
+            if H is not None:
+                for k, pose in enumerate(poses):
+                    columns = []
+                    for axis in np.eye(6) * 1e-6:
+                        ends = []
+                        for d in (axis, -axis):
+                            moved = [*poses]
+                            moved[k] = pose.retract(d)
+                            ends.append(gtsam.Pose3.Logmap(predicted(*moved)))
+                        columns.append((ends[0] - ends[1]) / 2e-6)
+                    H[k] = np.asfortranarray(np.stack(columns, 1))
+            return gtsam.Pose3.Logmap(predicted(*poses))
+
+        return gtsam.CustomFactor(model, keys, error)
+
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for key, T in enumerate(graph.poses()):
+        values.insert(key, gtsam.Pose3(T))
+    values.insert(n, gtsam.Pose3(graph.T_p_a))
+    prior = gtsam.Pose3(graph.problem().T_p_a_prior)
+    factors.add(factor(swapped(sigma_prior), [n], lambda rig: prior.between(rig)))
+    first = values.atPose3(0)
+    factors.add(factor(swapped(np.full(6, 1e-5)), [0], lambda pose: first.between(pose)))
+    for i, j, Z, Z_a in zip(edges.i, edges.j, edges.T_j_i, edges.T_j_i_assistant, strict=True):
+        Z, Z_a = gtsam.Pose3(Z), gtsam.Pose3(Z_a)
+        keys = [int(i), int(j)]
+        factors.add(factor(swapped(sigma), keys, lambda i, j, Z=Z: Z.between(j.between(i))))
+        factors.add(
+            factor(
+                swapped(sigma),
+                [*keys, n],
+                lambda i, j, rig, Z=Z_a: Z.between(j.compose(rig).between(i.compose(rig))),
+            )
+        )
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-14)
+    parameters.setAbsoluteErrorTol(1e-14)
+    result = gtsam.LevenbergMarquardtOptimizer(factors, values, parameters).optimize()
+    poses = np.stack([result.atPose3(key).matrix() for key in range(n)])
+    return poses, result.atPose3(n).matrix(), factors.error(result)
+
+
+@pytest.mark.parametrize("spacing", [1.0, 0.55])
+def test_optimum_is_that_of_gtsams_own_exact_factors(spacing):
+    graph = graph_of(curved(9, turn=0.15), noise=0.2, n_max=6, spacing=spacing)
+    sigma = np.sqrt(np.repeat([0.1, 0.05], 3)) * np.repeat([spacing, 1.0], 3)
+    sigma_prior = np.sqrt(0.01) * np.repeat([spacing, 1.0], 3)
+    poses, T_p_a, cost = reference_optimum(graph, sigma, sigma_prior)
+    outcome = graph.optimise(tolerance=1e-15)
+    assert outcome.cost_before > 2 * outcome.cost_after
+    assert outcome.cost_after == pytest.approx(cost, rel=1e-8)
+    assert np.abs(graph.poses() - poses).max() < 1e-6
+    assert np.abs(graph.T_p_a - T_p_a).max() < 1e-6
+
+
+def test_exact_measurements_are_left_alone():
+    T = curved(40)
+    graph = graph_of(T)
+    assert graph.optimise().cost_after < 1e-20
+    assert np.abs(graph.poses() - T).max() < 1e-9
+
+
+def test_rig_is_recovered_from_motion_against_a_wrong_prior():
+    T = curved(60, turn=0.2)
+    wrong = T_P_A @ se3.exp(np.array([0.1, -0.05, 0.1, 0.05, -0.05, 0.03]))
+    free = dataclasses.replace(CONFIG, rig_prior_variance=1e4)
+    graph = graph_of(T, config=free)
+    graph.set_rig_prior(wrong)
+    graph.optimise()
+    assert np.abs(graph.T_p_a - T_P_A).max() < 1e-3
+    tight = graph_of(T, config=dataclasses.replace(CONFIG, rig_prior_variance=1e-8))
+    tight.set_rig_prior(wrong)
+    tight.optimise()
+    assert np.abs(tight.T_p_a - wrong).max() < 0.01
+
+
+def test_first_keyframe_holds_the_world():
+    T = se3.exp(np.array([7.0, -2, 3, 0.4, 1.0, -0.3])) @ curved(20)
+    graph = graph_of(T, noise=0.05)
+    graph.optimise()
+    assert np.abs(graph.poses()[0] - T[0]).max() < 1e-9
+
+
+BIAS = np.array([0, 0.002, 0.05, 0, 0.01, 0])
+
+
+def test_a_true_loop_closes_a_long_drift_and_a_false_one_is_let_go():
+    T = circle(120)
+    graph = graph_of(T, noise=0.003, bias=BIAS)
+    open_error = position_error(graph.poses(), T)
+    graph.add_loop(LoopClosure(119, 0, se3.inverse(T[0]) @ T[119]))
+    graph.add_loop(LoopClosure(118, 1, se3.inverse(T[1]) @ T[118]))
+    graph.optimise()
+    closed_error = position_error(graph.poses(), T)
+    assert open_error[-1] > 5.0
+    assert closed_error[-1] < 0.2
+    assert closed_error.mean() < open_error.mean() / 2
+    before = graph.poses()
+    graph.add_loop(LoopClosure(60, 0, np.eye(4)))
+    graph.optimise()
+    across = [np.linalg.norm((X[60] - X[0])[:3, 3]) for X in (before, graph.poses())]
+    assert across[1] > 0.9 * across[0] > 20.0
+
+
+def test_a_bridge_yields_to_a_loop_before_odometry_does():
+    T = circle(60)
+    graph = JointGraph(CONFIG)
+    graph.set_rig_prior(T_P_A)
+    halves = np.arange(30), np.arange(30, 60)
+    guess = T[29]  # as if nothing had moved in between
+    for ids, T_w_s in zip(halves, (T[0], guess), strict=True):
+        T_s = se3.inverse(T[ids[0]])
+        T_s_p, T_s_a = T_s @ T[ids], T_s @ T[ids] @ T_P_A
+        graph.add_submap(tuple(ids.tolist()), T_w_s, T_s_p, T_s_a, np.arange(30))
+    graph.add_bridge(29, 30)
+    for query, match in ((59, 0), (45, 10), (35, 20)):
+        graph.add_loop(LoopClosure(query, match, se3.inverse(T[match]) @ T[query]))
+    graph.optimise()
+    poses = graph.poses()
+    gap, true_gap = (np.linalg.norm((X[30] - X[29])[:3, 3]) for X in (poses, T))
+    assert gap > 0.75 * true_gap
+    assert position_error(poses[halves[1]], T[halves[1]]).max() < 0.2 * true_gap
+
+
+def test_views_without_an_assistant_still_hold_by_the_primary():
+    T = curved(10)
+    graph = JointGraph(CONFIG)
+    graph.set_rig_prior(T_P_A)
+    seen = np.array([0, 1, 2, 7])
+    graph.add_submap(tuple(range(10)), np.eye(4), T, (T @ T_P_A)[seen], seen)
+    edges = graph.problem().edges
+    pairs = {(int(i), int(j)) for i, j in zip(edges.i, edges.j, strict=True)}
+    assert pairs == {(i, j) for i in range(10) for j in range(max(0, i - 3), i)}
+    weighed = {
+        (int(i), int(j))
+        for i, j, w in zip(edges.i, edges.j, edges.weight_assistant, strict=True)
+        if w > 0
+    }
+    assert weighed == {(1, 0), (2, 0), (2, 1)}
+    graph.optimise()
+    assert np.abs(graph.poses() - T).max() < 1e-9
+
+
+def test_two_runs_agree_to_the_bit():
+    runs = []
+    for _ in range(2):
+        graph = graph_of(curved(80), noise=0.05)
+        graph.add_loop(LoopClosure(79, 0, curved(80)[79]))
+        graph.optimise()
+        runs.append(graph.poses().tobytes() + graph.T_p_a.tobytes())
+    assert runs[0] == runs[1]
+
+
+def test_optimising_needs_a_rig_prior():
+    graph = JointGraph(CONFIG)
+    with pytest.raises(ValueError, match="set_rig_prior"):
+        graph.problem()
+    assert graph.optimise().iterations == 0

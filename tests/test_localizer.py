@@ -1,0 +1,271 @@
+import dataclasses
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.scripted import ScriptedBackbone, ScriptedErrors
+from calm_edge.config import Config, merge
+from calm_edge.geometry import se3
+from calm_edge.localizer import Localizer
+from calm_edge.types import Keyframe, KitBelief, LoopClosure
+from device.frame import Frame
+from tests.drives import PERIOD_NS, START_NS, T_P_A, circle, curved, position_error, scene, windows
+
+SPACING_M = float(np.linalg.norm(T_P_A[:3, 3]))
+METRES = merge(Config(), {"scale": {"spacing_m": SPACING_M}})
+NOISE = ScriptedErrors(scale_log_sigma=0.5, translation_sigma=0.004, rotation_sigma_rad=0.0005)
+
+
+def drive(T, errors, config=METRES, **cut):
+    localizer = Localizer(config, ScriptedBackbone(scene(T), errors))
+    updates = [localizer.process(window) for window in windows(len(T), **cut)]
+    return localizer, updates
+
+
+def test_any_scale_of_any_submap_comes_out_as_metres():
+    T = curved(150)
+    localizer, updates = drive(T, ScriptedErrors(scale_log_sigma=0.5))
+    raw = [1 / update.submap.scale for update in updates]
+    assert max(raw) / min(raw) > 2
+    live = updates[-1].trajectory
+    assert position_error(live.T_w_c, T).max() < 1e-9
+    final = localizer.finish()
+    assert position_error(final.T_w_c, T).max() < 1e-9
+    assert np.abs(final.T_p_a - T_P_A).max() < 1e-9
+    assert final.keyframe_ids.tolist() == list(range(150))
+    assert np.array_equal(final.t_ns, START_NS + PERIOD_NS * np.arange(150))
+    for submap in localizer.submaps:
+        assert np.abs(submap.T_w_c()[: submap.n_primary] - T[list(submap.primary_ids)]).max() < 1e-9
+
+
+def test_without_a_spacing_the_world_is_in_spacings():
+    T = curved(40)
+    _, updates = drive(T, ScriptedErrors(scale_log_sigma=0.5), config=Config())
+    T_units = T.copy()
+    T_units[:, :3, 3] /= SPACING_M
+    assert position_error(updates[-1].trajectory.T_w_c, T_units).max() < 1e-9
+
+
+@pytest.mark.parametrize("late_ns", [17_000_000, -40_000_000])
+def test_unsynchronised_cameras_cost_little(late_ns):
+    T = curved(150)
+    localizer, _ = drive(T, ScriptedErrors(scale_log_sigma=0.5), assistant_late_ns=late_ns)
+    error = position_error(localizer.finish().T_w_c, T)
+    assert error.max() < 0.001 * 150
+
+
+@pytest.mark.parametrize("late_ns", [0, 17_000_000])
+def test_optimising_a_noisy_loop_lowers_its_error(late_ns):
+    T = circle(150)
+    noise = dataclasses.replace(NOISE, rotation_sigma_rad=0.004)
+    localizer, updates = drive(T, noise, assistant_late_ns=late_ns)
+    before = position_error(updates[-1].trajectory.T_w_c, T)
+    epoch = updates[-1].trajectory.epoch
+    after = localizer.close_loop(LoopClosure(149, 0, se3.inverse(T[0]) @ T[149]))
+    error = position_error(after.T_w_c, T)
+    assert error[-1] < 0.2 * before[-1]
+    assert error.mean() < before.mean()
+    assert after.epoch == epoch + 1
+    assert np.abs(after.T_p_a - T_P_A).max() < 0.02
+
+
+def test_averaged_placement_drifts_less_with_noise():
+    T = curved(150)
+    averaged = merge(METRES, {"scale": {"average_placement": True}})
+    noise = dataclasses.replace(NOISE, rotation_sigma_rad=0.002)
+    error = {
+        config: np.mean(
+            [
+                position_error(
+                    drive(T, dataclasses.replace(noise, seed=seed), config=config)[1][
+                        -1
+                    ].trajectory.T_w_c,
+                    T,
+                ).mean()
+                for seed in range(3)
+            ]
+        )
+        for config in (METRES, averaged)
+    }
+    assert error[averaged] < error[METRES]
+
+
+def test_a_keyframe_keeps_the_pose_of_its_first_submap_until_optimised():
+    _, updates = drive(curved(40), NOISE)
+    for earlier, later in pairwise(updates):
+        n = len(earlier.trajectory.keyframe_ids)
+        assert np.array_equal(later.trajectory.T_w_c[:n], earlier.trajectory.T_w_c)
+        assert np.array_equal(later.T_odom_correction, np.eye(4))
+        assert later.trajectory.epoch == 0
+        first = later.submap.primary_ids[0]
+        assert np.allclose(later.submap.T_w_c()[0], earlier.trajectory.T_w_c[first], atol=1e-9)
+
+
+def test_same_windows_give_the_same_bytes():
+    runs = []
+    for _ in range(2):
+        localizer, updates = drive(curved(60), NOISE, assistant_late_ns=17_000_000)
+        runs.append(updates[-1].trajectory.T_w_c.tobytes() + localizer.finish().T_w_c.tobytes())
+    assert runs[0] == runs[1]
+
+
+def test_the_loop_view_takes_no_part_in_scale():
+    T = curved(15)
+    (window,) = windows(15)
+    loop = Keyframe(0, dataclasses.replace(window.primary[0].frame, t_ns=START_NS + 777))
+    window = dataclasses.replace(window, loop_keyframe=loop)
+    localizer = Localizer(METRES, ScriptedBackbone(scene(T)))
+    update = localizer.process(window)
+    assert len(update.submap.T_s_c) == 31
+    assert update.submap.scale == pytest.approx(1.0, abs=1e-9)
+    assert position_error(update.trajectory.T_w_c, T).max() < 1e-9
+
+
+class Failing(ScriptedBackbone):
+    """Cannot reconstruct the calls named in `fails`."""
+
+    def __init__(self, *arguments, fails):
+        super().__init__(*arguments)
+        self.calls, self.fails = 0, fails
+
+    def infer(self, images, hints):
+        self.calls += 1
+        if self.calls - 1 in self.fails:
+            raise BackboneError("too dark")
+        return super().infer(images, hints)
+
+
+def straight(n):
+    return se3.exp(np.arange(n)[:, None] * np.array([0, 0, 1.0, 0, 0.004, 0]))
+
+
+@pytest.mark.parametrize("fails", [{1}, {2, 3}])
+def test_a_window_that_fails_is_bridged_at_constant_velocity(fails):
+    T = straight(75)
+    localizer = Localizer(METRES, Failing(scene(T), ScriptedErrors(), fails=fails))
+    updates = [localizer.process(window) for window in windows(75)]
+    assert {k for k, update in enumerate(updates) if update is None} == fails
+    assert [s.submap_id for s in localizer.skipped] == sorted(fails)
+    assert localizer.skipped[0].reason == "too dark"
+    after = updates[max(fails) + 1]
+    assert after.submap.n_overlap == 0
+    assert updates[max(fails) + 2].submap.n_overlap == 3
+    trajectory = localizer.finish()
+    known = trajectory.keyframe_ids
+    assert len(known) < 75
+    assert position_error(trajectory.T_w_c, T[known]).max() < 1e-6
+
+
+def test_skipped_keyframes_that_only_the_clock_asked_for_are_a_standstill():
+    T = straight(60)
+    gap_ns = int(METRES.frontend.max_keyframe_gap_s * 1e9)
+    stops = 9  # keyframes 15 to 23, all in window 1, show the car where 14 left it
+    lost_ns = stops * gap_ns
+
+    def delayed(keyframe):
+        late = min(max(keyframe.id - 14, 0), stops) * (gap_ns - PERIOD_NS)
+        frame = keyframe.frame
+        return Keyframe(
+            keyframe.id, Frame(frame.eye, frame.sequence, frame.t_ns + late, frame.image)
+        )
+
+    class Parked(Failing):
+        def infer(self, images, hints):
+            t_ns = hints.t_ns - lost_ns if self.calls > 1 else hints.t_ns
+            return super().infer(images, dataclasses.replace(hints, t_ns=t_ns))
+
+    localizer = Localizer(METRES, Parked(scene(T), ScriptedErrors(), fails={1}))
+    for window in windows(60):
+        cut = {eye: tuple(map(delayed, getattr(window, eye))) for eye in ("primary", "assistant")}
+        localizer.process(dataclasses.replace(window, **cut))
+    trajectory = localizer.trajectory()
+    jump = np.linalg.norm(np.diff(trajectory.T_w_c[:, :3, 3], axis=0), axis=1)
+    assert trajectory.keyframe_ids[15] == 24
+    assert jump == pytest.approx(1.0, abs=1e-3)
+
+
+def test_nothing_reconstructed_is_no_trajectory():
+    localizer = Localizer(METRES, Failing(scene(curved(20)), ScriptedErrors(), fails={0, 1}))
+    assert [localizer.process(window) for window in windows(20)] == [None, None]
+    assert localizer.finish() is None
+    assert len(localizer.trajectory().keyframe_ids) == 0
+
+
+def test_a_window_of_one_eye_or_of_broken_pictures_is_skipped():
+    localizer = Localizer(METRES, ScriptedBackbone(scene(curved(40))))
+    first, second, third = windows(40)[:3]
+    assert localizer.process(dataclasses.replace(first, assistant=())) is None
+    broken = dataclasses.replace(second.primary[4].frame, image=b"no picture")
+    primary = (*second.primary[:4], Keyframe(second.primary[4].id, broken), *second.primary[5:])
+    assert localizer.process(dataclasses.replace(second, primary=primary)) is None
+    reasons = [skipped.reason for skipped in localizer.skipped]
+    assert "both clocks" in reasons[0] and "not a readable image" in reasons[1]
+    assert localizer.process(third).submap.n_overlap == 0
+
+
+class Learning(ScriptedBackbone):
+    """One log focal, learnt from the third window on; a wrong focal stretches the motion."""
+
+    WRONG = 0.2
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.inferred, self.resolved = [], []
+
+    def _seen(self, prediction, hints, log_error):
+        K, T = prediction.K.copy(), prediction.T_s_c.copy()
+        K[:, :2, :2] *= np.exp(log_error)
+        T[:, 2, 3] *= np.exp(log_error)
+        sigma = np.full(len(hints.t_ns), 0.002 if log_error == 0 else 0.3)
+        information = np.array([[sigma[0] ** -2]])
+        kit = KitBelief(mean=np.array([log_error]), information=information)
+        return dataclasses.replace(
+            prediction, K=K, T_s_c=T, focal_log_sigma=sigma, kit=kit, landmarks=None
+        )
+
+    def infer(self, images, hints):
+        self.inferred.append(hints.kit)
+        late = hints.t_ns[0] > START_NS + 20 * PERIOD_NS
+        return self._seen(super().infer(images, hints), hints, 0.0 if late else self.WRONG)
+
+    def resolve(self, prediction, hints):
+        assert prediction.depth is None
+        assert hints.kit is not None
+        self.resolved.append(int(hints.t_ns[0] - START_NS) // PERIOD_NS)
+        if abs(hints.kit.mean[0]) > 0.01:
+            raise BackboneError("still unsure")
+        return self._seen(ScriptedBackbone.infer(self, [], hints), hints, 0.0)
+
+
+def test_windows_are_solved_again_once_the_focal_is_known():
+    T = straight(70)
+    backbone = Learning(scene(T))
+    localizer = Localizer(METRES, backbone)
+    updates = [localizer.process(window) for window in windows(70)]
+    assert backbone.inferred[0] is None
+    assert backbone.inferred[1].mean == pytest.approx([0.2])
+    # the third window starts at keyframe 24; it is sure, so the two before it are solved again
+    assert backbone.resolved == [0, 12]
+    assert [update.trajectory.epoch for update in updates] == [0, 0, 1, 1, 1, 1][: len(updates)]
+    old, new = updates[1].trajectory, updates[2].trajectory
+    assert position_error(old.T_w_c, T[:27]).max() > 1.0
+    assert position_error(new.T_w_c, T[:39]).max() < 1e-9
+    moved = updates[2].T_odom_correction @ old.T_w_c[-1]
+    assert np.allclose(moved, new.T_w_c[26], atol=1e-9)
+    final = localizer.finish()
+    assert backbone.resolved[2:] == [0, 12, 24, 36, 48, 60]
+    assert position_error(final.T_w_c, T).max() < 1e-9
+    assert final.epoch == 3
+
+
+def test_only_so_many_windows_are_kept_for_solving_again():
+    backbone = Learning(scene(straight(70)))
+    config = merge(METRES, {"backbone": {"resolve_windows": 2}})
+    localizer = Localizer(config, backbone)
+    for window in windows(70):
+        localizer.process(window)
+    assert backbone.resolved == [12]
+    localizer.finish()
+    assert backbone.resolved[1:] == [48, 60]
