@@ -110,7 +110,8 @@ def report_data(
         t_ns = common_origin(estimate.t_ns, truth.t_ns, estimate.first_frame)
         truth_w, windows = _truth_in_world(estimate, truth, t_ns), _windows(estimate, truth, t_ns)
     start = estimate.t_ns[0] if len(estimate.t_ns) else 0
-    submaps = [update.submap for update in updates]
+    # the first of an id is what was believed when it was placed; later ones are hindsight
+    submaps = list({update.submap.id: update.submap for update in reversed(updates)}.values())[::-1]
     focal = [[s.K[0, 0, 0], s.K[s.n_primary if s.assistant_ids else 0, 0, 0]] for s in submaps]
     scale = np.array([s.scale for s in submaps])
     points = 0 if estimate.points_w is None else len(estimate.points_w)

@@ -74,7 +74,11 @@ def from_updates(
     pose_age_ms: dict[str, float] | None = None,
     first_frame: tuple[int, int] | None = None,
 ) -> Estimate:
-    """The newest trajectory and focals of a run. spacing_m: 0 or None when not given."""
+    """The newest whole trajectory and the focals of a run. spacing_m: 0 or None when not given.
+
+    At its end a run writes each sub-map again and the trajectory with the last one only; in a
+    recording cut before that, the newest trajectory is a piece, so the longest counts.
+    """
     if not updates:
         return Estimate(
             source,
@@ -86,7 +90,7 @@ def from_updates(
             spacing_m or None,
             pose_age_ms=pose_age_ms,
         )
-    last = updates[-1]
+    last = max(reversed(updates), key=lambda u: len(u.trajectory.t_ns))
     submap, trajectory = last.submap, last.trajectory
     eyes = (0, submap.n_primary) if submap.assistant_ids else (0, 0)
     sigma = 100 * submap.focal_log_sigma

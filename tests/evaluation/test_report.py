@@ -110,6 +110,12 @@ def test_curves_hold_the_truth_only_when_given() -> None:
     assert np.allclose(data.scale_windows[:, 1], 1, atol=1e-3)
 
 
+def test_a_sub_map_written_again_is_drawn_once_as_it_was_placed() -> None:
+    again = [replace(u, submap=replace(u.submap, scale=9.0)) for u in _updates()]
+    data = report_data("t", from_updates("r", _updates(), N, 0.5), [*_updates(), *again])
+    assert np.allclose(data.scale, [1, 1.5, 2, 2.5])
+
+
 def test_what_was_not_observed_is_said() -> None:
     (focal, spacing) = unobserved(from_updates("r", _updates(sigma=0.11)))
     assert "assistant" in focal and "11.0 %" in focal and "unobserved" in focal

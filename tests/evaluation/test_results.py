@@ -130,6 +130,15 @@ def test_updates_give_counts_focals_ages_and_stages() -> None:
     assert result["align"] == "se3" and result["ate_se3_m"] < 1e-9
 
 
+def test_a_final_rewrite_that_was_cut_does_not_shorten_the_drive() -> None:
+    T, t = _moved(curve(N)), stamps(N)
+    whole, piece = update(T, t, submap_id=3), update(T[:9], t[:9], submap_id=0)
+    assert compare(from_updates("r", [whole, piece]), _truth())["keyframes"] == N
+    better = update(curve(N), t, focal=(501.0, 600.0), submap_id=3)
+    chosen = from_updates("r", [whole, piece, better])
+    assert chosen.focal_px == (501.0, 600.0) and np.array_equal(chosen.T_w_c, curve(N))
+
+
 def test_a_run_without_sub_maps_is_null_not_an_error() -> None:
     result = compare(from_updates("r", [], frames=7), _truth())
     assert (result["frames"], result["keyframes"], result["submaps"]) == (7, 0, 0)
