@@ -18,7 +18,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     devices = list_devices()
     for device in devices:
-        print(f"v4l2:{device.bus_info}  {device.card}  {device.path}")
+        print(f"v4l2:{device.address}  {device.card}  {device.path}")
     if not devices:
         print("calm-edge: no V4L2 camera found; plug one in, see: ls /dev/video*", file=sys.stderr)
         return ERROR

@@ -172,7 +172,7 @@ def report(result: RecordResult, out: Path) -> int:
     if result.error:
         say(result.error)
         return ERROR
-    return LOSS if losses else OK
+    return LOSS if losses or (result.windows and not result.submaps) else OK
 
 
 def say(text: str) -> None:

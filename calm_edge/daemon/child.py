@@ -23,7 +23,8 @@ CHILD_ENVIRONMENT = {
 
 
 @contextmanager
-def _environment(values: dict[str, str]) -> Iterator[None]:
+def environment(values: dict[str, str]) -> Iterator[None]:
+    """Sets environment variables for the processes started inside."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:
@@ -52,7 +53,7 @@ class Child:
         self._process = context.Process(
             target=target, args=(theirs, *arguments), name=f"calm-edge-{name}", daemon=True
         )
-        with _environment(CHILD_ENVIRONMENT):
+        with environment(CHILD_ENVIRONMENT):
             self._process.start()
         theirs.close()
         self._inbox = inbox

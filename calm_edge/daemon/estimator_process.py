@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import signal
 import time
 import traceback
@@ -10,14 +11,15 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import cv2
-import numpy as np
 
 from calm_edge.backbones.base import open_backbone
 from calm_edge.config import Config
 from calm_edge.daemon.child import serve
 from calm_edge.daemon.messages import Finish, Finished, Process, Processed, Ready, Refused, Stop
 from calm_edge.localizer import Localizer
-from calm_edge.types import CalmEdgeError, Hints, LocalizerUpdate, SubmapWindow
+from calm_edge.offline.densify import window_hints
+from calm_edge.recording.window_record import of_window
+from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
 
 
 class EstimatorWork:
@@ -59,27 +61,17 @@ class EstimatorWork:
     def _densified(self, window: SubmapWindow, update: LocalizerUpdate) -> LocalizerUpdate:
         start = time.perf_counter()
         images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
-        hints = window_hints(window, self._config, update)
+        hints = window_hints(of_window(window), update, self._config)
         prediction = self._backbone.densify(images, hints, update.prediction)
         stage_ms = {**update.stage_ms, "densify": 1e3 * (time.perf_counter() - start)}
         return dataclasses.replace(update, prediction=prediction, stage_ms=stage_ms)
 
 
-def window_hints(window: SubmapWindow, config: Config, update: LocalizerUpdate) -> Hints:
-    """What is known of a window's batch once it has been placed."""
-    frames = [keyframe.frame for keyframe in window.keyframes()]
-    given = config.backbone.hfov_deg
-    return Hints(
-        eyes=np.array([f.eye for f in frames], np.int64),
-        t_ns=np.array([f.t_ns for f in frames], np.int64),
-        hfov_deg=(given[0], given[-1]) if given else (None, None),
-        kit=update.kit,
-    )
-
-
 def run_estimator(connection: Connection, config: Config) -> None:
     """The process's main function."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # what it skips is said by capture, once, and logged into the recording
+    logging.basicConfig(level=logging.ERROR)
     cv2.setNumThreads(1)
     try:
         work = EstimatorWork(config)

@@ -14,6 +14,25 @@ from device.frame import Eye, Frame
 LEAD_NS = 50_000_000
 
 
+class TimelineClock:
+    """Real time told in the stamps of a recording, so that a replay keeps its original stamps."""
+
+    def __init__(self, epoch_ns: int) -> None:
+        self._system = SystemClock()
+        self._epoch_ns = epoch_ns
+        self.restart()
+
+    def restart(self) -> None:
+        """It is LEAD_NS before the epoch now."""
+        self._origin_ns = self._system.now_ns() + LEAD_NS
+
+    def now_ns(self) -> int:
+        return self._epoch_ns + self._system.now_ns() - self._origin_ns
+
+    def sleep_until_ns(self, t_ns: int) -> None:
+        self._system.sleep_until_ns(t_ns - self._epoch_ns + self._origin_ns)
+
+
 @dataclass(frozen=True, slots=True)
 class Source:
     """open: gives the primary and the assistant camera, not yet started; once, when all else is
@@ -35,20 +54,20 @@ def replayed(
 ) -> Source:
     """Stored frames of both eyes, the first stamped epoch_ns.
 
-    Paced: in real time, stamps moved to now. Not paced: as fast as asked, stamps as they are.
+    Paced: in real time; not paced: as fast as asked. Stamps stay as they are.
     """
-    clock = SystemClock()
+    clock = TimelineClock(epoch_ns)
     stale_after_ms = config.capture.stale_after_ms
 
     def cameras() -> tuple[Camera, Camera]:
-        origin_ns = clock.now_ns() + LEAD_NS
+        clock.restart()
         primary, assistant = (
             open_camera(
                 CameraSpec(eye, "replay", description, stale_after_ms=stale_after_ms),
                 clock,
                 frames=frames(eye),
                 epoch_ns=epoch_ns,
-                origin_ns=origin_ns,
+                origin_ns=epoch_ns,
                 paced=paced,
             )
             for eye in Eye

@@ -1,0 +1,1 @@
+"""What `map` does before the Mapper: every window's sub-map, and its depth."""

@@ -1,0 +1,104 @@
+"""Depth for every window, by worker processes, in order."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from calm_edge.backbones.base import Backbone, open_backbone
+from calm_edge.config import Config
+from calm_edge.daemon.child import CHILD_ENVIRONMENT, environment
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.window_record import WindowRecord
+from calm_edge.types import CalmEdgeError, Float32, Hints, LocalizerUpdate
+
+WORKERS = 2
+# windows given out ahead of the one that is taken: bounds what waits in memory
+AHEAD = 2 * WORKERS
+
+_worker: dict[str, Any] = {}
+
+
+class DensifyError(CalmEdgeError):
+    """A worker was killed."""
+
+
+def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
+    """What is known of a window's batch once it has been placed."""
+    given = config.backbone.hfov_deg
+    hfov_deg = (given[0], given[-1]) if given else (None, None)
+    return Hints(record.eyes, record.t_ns, hfov_deg, update.kit)
+
+
+def densified(
+    path: Path,
+    config: Config,
+    windows: Sequence[WindowRecord],
+    updates: Sequence[LocalizerUpdate],
+    workers: int = WORKERS,
+) -> Iterator[tuple[Float32, Float32] | str]:
+    """Depth (N, h, w) raw unit and confidence (N, h, w) of each window, in order.
+
+    A window that has none and cannot be given any yields one line saying why.
+    Raises DensifyError when a worker dies.
+    """
+    jobs = iter(zip(windows, updates, strict=True))
+    waiting: deque[Future[tuple[Float32, Float32] | str]] = deque()
+    with environment(CHILD_ENVIRONMENT):
+        pool = ProcessPoolExecutor(
+            workers, multiprocessing.get_context("spawn"), _set_up, (path, config)
+        )
+        try:
+            while True:
+                while len(waiting) < AHEAD and (job := next(jobs, None)) is not None:
+                    record, update = job
+                    light = replace(update, trajectory=_nothing(update))
+                    waiting.append(pool.submit(_densify, record, light))
+                if not waiting:
+                    return
+                yield waiting.popleft().result()
+        except BrokenProcessPool:
+            raise DensifyError(
+                "a worker that computes depth was killed; free memory and map again"
+            ) from None
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _nothing(update: LocalizerUpdate) -> Any:
+    """The trajectory grows with the drive and no worker reads it: an empty one is sent."""
+    t = update.trajectory
+    return replace(t, keyframe_ids=t.keyframe_ids[:0], t_ns=t.t_ns[:0], T_w_c=t.T_w_c[:0])
+
+
+def _set_up(path: Path, config: Config) -> None:
+    cv2.setNumThreads(1)
+    backbone: Backbone = open_backbone(config)
+    _worker.update(recording=Recording(path), backbone=backbone, config=config)
+
+
+def _densify(record: WindowRecord, update: LocalizerUpdate) -> tuple[Float32, Float32] | str:
+    prediction = update.prediction
+    if prediction.depth is None:
+        try:
+            window = _worker["recording"].window(record)
+            images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
+            hints = window_hints(record, update, _worker["config"])
+            prediction = _worker["backbone"].densify(images, hints, prediction)
+        except CalmEdgeError as error:
+            return f"window {record.submap_id}: no depth: {error}"
+    if prediction.depth is None:
+        return f"window {record.submap_id}: the backbone gives no depth"
+    confidence = prediction.confidence
+    if confidence is None:
+        confidence = np.ones_like(prediction.depth)
+    return prediction.depth, confidence

@@ -1,0 +1,174 @@
+"""The sub-maps of a recording where they finally are: as logged, or computed again.
+
+Rule: what `record` logged is used when the run was finished and every window it solved has its
+sub-map; otherwise all windows are computed again in order, for the Localizer is a deterministic
+function of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calm_edge.backbones.base import open_backbone
+from calm_edge.config import Config
+from calm_edge.frontend.association import WindowBuilder
+from calm_edge.frontend.keyframes import KeyframeSelector
+from calm_edge.geometry import pinhole
+from calm_edge.localizer import Localizer
+from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.schema import STATUS
+from calm_edge.recording.window_record import WindowRecord, of_window
+from calm_edge.types import (
+    Float,
+    Landmarks,
+    LocalizerUpdate,
+    Prediction,
+    SubmapWindow,
+    Trajectory,
+)
+from device.frame import Eye, UnreadableImage
+
+
+@dataclass(slots=True)
+class Drive:
+    """windows and updates go together, in order of time. losses: one line for each thing gone."""
+
+    windows: list[WindowRecord] = field(default_factory=list)
+    updates: list[LocalizerUpdate] = field(default_factory=list)
+    trajectory: Trajectory | None = None
+    recomputed: bool = False
+    unsolved: list[int] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)
+
+
+def gather(recording: Recording, config: Config, say: Callable[[str], None]) -> Drive:
+    """Every placed window of a recording; computes where `record` did not."""
+    records = {record.submap_id: record for record in recording.windows()}
+    drive = _logged(recording, records)
+    if drive is None:
+        if not records:
+            say("the recording holds no windows: choosing keyframes again")
+        drive = _recompute(recording, records, config, say)
+    return drive
+
+
+def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | None:
+    """What `record` left, None when it does not cover every window."""
+    status: dict[str, object] = {}
+    for message in recording.json_messages(STATUS):
+        status = message if "finished" in message else status
+    first: dict[int, LocalizerUpdate] = {}
+    last: dict[int, LocalizerUpdate] = {}
+    newest: Trajectory | None = None
+    for update in recording.updates():
+        first.setdefault(update.submap.id, update)
+        last[update.submap.id] = update
+        newest = update.trajectory
+    told = status.get("unsolved_windows")
+    unsolved = [int(i) for i in told] if isinstance(told, list) else []
+    if not (status.get("finished") and records) or set(records) - set(last) - set(unsolved):
+        return None
+    ids = sorted(set(records) & set(last))
+    updates = [_final(first[i], last[i]) for i in ids]
+    return Drive([records[i] for i in ids], updates, newest, unsolved=unsolved)
+
+
+def _final(first: LocalizerUpdate, last: LocalizerUpdate) -> LocalizerUpdate:
+    """The last placement with the first prediction, whose points follow the last poses and K."""
+    prediction = with_poses(first.prediction, last.submap.K_raw, last.submap.T_s_c_raw)
+    return replace(last, prediction=prediction, stage_ms=first.stage_ms)
+
+
+def with_poses(prediction: Prediction, K: Float, T_s_c: Float) -> Prediction:
+    """A prediction moved to other intrinsics (N, 3, 3) and poses (N, 4, 4) of its own views.
+
+    Landmarks are triangulated again; depth, which belonged to the old poses, is dropped.
+    """
+    if np.array_equal(prediction.K, K) and np.array_equal(prediction.T_s_c, T_s_c):
+        return prediction
+    marks = prediction.landmarks
+    if marks is not None:
+        marks = replace(marks, points_s=triangulated(marks, K, T_s_c))
+    return replace(prediction, K=K, T_s_c=T_s_c, landmarks=marks, depth=None, confidence=None)
+
+
+def triangulated(marks: Landmarks, K: Float, T_s_c: Float) -> Float:
+    """Points (M, 3) closest to the rays of their observations; unchanged where these are parallel.
+
+    K (N, 3, 3) px, T_s_c (N, 4, 4) of the views that saw them.
+    """
+    rays = pinhole.back_project(K[marks.view], marks.uv.astype(np.float64), np.ones(len(marks.uv)))
+    d = (T_s_c[marks.view, :3, :3] @ rays[..., None])[..., 0]
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    across = np.eye(3) - d[:, :, None] * d[:, None, :]
+    A = np.zeros((len(marks.points_s), 3, 3))
+    b = np.zeros((len(marks.points_s), 3))
+    np.add.at(A, marks.index, across)
+    np.add.at(b, marks.index, (across @ T_s_c[marks.view, :3, 3, None])[..., 0])
+    points = np.array(marks.points_s)
+    fixed = np.linalg.eigvalsh(A)[:, 0] > 1e-6
+    points[fixed] = np.linalg.solve(A[fixed], b[fixed][..., None])[..., 0]
+    return points
+
+
+def _recompute(
+    recording: Recording,
+    records: dict[int, WindowRecord],
+    config: Config,
+    say: Callable[[str], None],
+) -> Drive:
+    localizer = Localizer(config, open_backbone(config))
+    drive = Drive(recomputed=True)
+    found: dict[int, tuple[WindowRecord, LocalizerUpdate]] = {}
+    for window in _windows(recording, records, config, drive):
+        update = localizer.process(window)
+        if update is None:
+            drive.unsolved.append(window.submap_id)
+            continue
+        light = replace(update.prediction, depth=None, confidence=None)
+        found[window.submap_id] = of_window(window), replace(update, prediction=light)
+        say(f"window {window.submap_id} computed again")
+    drive.trajectory = localizer.finish()
+    for submap in localizer.submaps:
+        record, update = found[submap.id]
+        prediction = with_poses(update.prediction, submap.K_raw, submap.T_s_c_raw)
+        drive.windows.append(record)
+        drive.updates.append(replace(update, submap=submap, prediction=prediction))
+    if drive.updates and drive.trajectory is not None:
+        drive.updates[-1] = replace(drive.updates[-1], trajectory=drive.trajectory)
+    return drive
+
+
+def _windows(
+    recording: Recording, records: dict[int, WindowRecord], config: Config, drive: Drive
+) -> Iterator[SubmapWindow]:
+    """The logged windows with their pixels; without any, those the frontend now chooses."""
+    if not records:
+        yield from _chosen_again(recording, config, drive)
+        return
+    for _, record in sorted(records.items()):
+        try:
+            yield recording.window(record)
+        except RecordingError as error:
+            drive.losses.append(f"window {record.submap_id}: {error}")
+
+
+def _chosen_again(recording: Recording, config: Config, drive: Drive) -> Iterator[SubmapWindow]:
+    selector, builder = KeyframeSelector(config.frontend), WindowBuilder(config.frontend)
+    for frame in recording.frames():
+        if frame.eye is Eye.ASSISTANT:
+            yield from builder.add_assistant(frame)
+            continue
+        try:
+            keyframe = selector.consider(frame, frame.gray())
+        except UnreadableImage as error:
+            drive.losses.append(str(error))
+            continue
+        yield from builder.advance(frame.t_ns)
+        if keyframe is not None:
+            yield from builder.add_keyframe(keyframe)
+    yield from builder.flush()
