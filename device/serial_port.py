@@ -7,6 +7,7 @@ import os
 import select
 import termios
 import threading
+import time
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -73,7 +74,7 @@ class SerialPort:
         return True
 
     def stop(self) -> None:
-        """Ends within a tenth of a second, whatever the reader does; may be called again."""
+        """Ends within a fifth of a second, whatever the reader does; may be called again."""
         self._stopping.set()
         with self._wake:
             self._wake.notify()
@@ -149,13 +150,20 @@ class SerialPort:
     def _close(self) -> None:
         port, self._port = self._port, None
         if port is not None:
-            # unsent bytes are thrown away, or the kernel waits up to 30 s for a stalled reader;
-            # a vanished device fails to close as well, and there is nothing more to lose
-            try:
-                port.reset_output_buffer()
-                port.close()
-            except (OSError, termios.error) as error:
-                log.debug("%s: close: %s", self.path, error)
+            # each may fail on a vanished device, and the descriptor must not stay open
+            for step in (self._let_go, type(port).close):
+                try:
+                    step(port)
+                except (OSError, termios.error) as error:
+                    log.debug("%s: close: %s", self.path, error)
+
+    def _let_go(self, port: Any) -> None:
+        """Bytes a stalled reader never takes are thrown away: the kernel would wait 30 s."""
+        limit = time.monotonic() + self._POLL_S
+        while port.out_waiting and time.monotonic() < limit:
+            time.sleep(0.005)
+        if port.out_waiting:
+            port.reset_output_buffer()
 
     def _report(self, error: str) -> None:
         """Keeps the fault, and logs it when it is news."""

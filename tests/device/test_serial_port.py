@@ -62,6 +62,15 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
+def open_files() -> list[str]:
+    """What this process holds open."""
+    names = []
+    for link in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            names.append(str(link.readlink()))
+    return names
+
+
 def test_bytes_arrive_unchanged_and_in_order(line: Line, port: SerialPort) -> None:
     messages = [bytes(range(256))[k : k + 60] for k in (0, 40, 80, 120, 196)]
     for message in messages:
@@ -101,6 +110,7 @@ def test_a_message_larger_than_the_buffer_is_refused(port: SerialPort) -> None:
 def test_a_vanished_port_is_opened_again(line: Line, port: SerialPort) -> None:
     port.write(b"before")
     until(lambda: port.stats().written == 1)
+    tty = os.ttyname(line.slave)
     line.unplug()
 
     def lost() -> bool:
@@ -109,6 +119,7 @@ def test_a_vanished_port_is_opened_again(line: Line, port: SerialPort) -> None:
 
     until(lost)
     until(lambda: "tty" in (port.error or ""))
+    assert not {tty, f"{tty} (deleted)"} & set(open_files())
     line.plug()
     until(lambda: port.connected)
     port.write(b"after")
@@ -138,3 +149,10 @@ def test_stop_is_quick_although_the_reader_sleeps(line: Line, port: SerialPort) 
     assert time.monotonic() - began < 1
     assert not port.connected
     assert not port.write(b"late")
+
+
+def test_what_was_written_before_stop_can_still_be_read(line: Line, port: SerialPort) -> None:
+    port.write(b"last words")
+    until(lambda: port.stats().written == 1)
+    port.stop()
+    assert line.read() == b"last words"
