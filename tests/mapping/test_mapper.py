@@ -6,6 +6,7 @@ import pytest
 
 from calm_edge.config import MappingConfig
 from calm_edge.geometry import se3
+from calm_edge.mapping.fuse import suppress
 from calm_edge.mapping.mapper import CACHED, Mapper
 from calm_edge.mapping.views import MappingError
 from tests.mapping import scene
@@ -129,6 +130,10 @@ def test_fused_positions_are_the_weighted_mean_of_the_table(exact, exact_map):
         w = 1 / ((table.p_s[row] - submap.T_s_c[submap.n_primary // 2, :3, 3]) ** 2).sum()
         top, bottom = top + w * se3.transform(submap.T_w_s, table.p_s[row]), bottom + w
     np.testing.assert_allclose(anchors.p_w[most], top / bottom)
+    # 0.75 map units, and the world unit is half a map unit here
+    expected = suppress(anchors.p_w, anchors.n_observations, 0.75 * scene.SPACING)
+    np.testing.assert_array_equal(anchors.active, expected)
+    assert 0.5 < anchors.active.mean() < 0.99
     assert anchors.n_observations[most] == 3
 
 
