@@ -1,21 +1,27 @@
 """The pose graph's residuals and their exact derivatives, all of them in one pass (paper IV-C).
 
-Poses move on the right, T <- T exp(d), twists ordered (translation, rotation). The same
-residual serves E_pri and E_loop: they are E_ast of a camera mounted at the identity.
+Poses move on the right, T <- T exp(d), twists ordered (translation, rotation). E_pri and E_loop
+are the same residual of a camera mounted at the identity: `between` is what all of them share.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from calm_edge.geometry import se3
 from calm_edge.types import Float
 
 
+class Between(NamedTuple):
+    """r (P, 6) and its derivatives (P, 6, 6) by the camera poses i and j."""
+
+    r: Float
+    by_i: Float
+    by_j: Float
+
+
 class Linearised(NamedTuple):
-    """r (P, 6) and its derivatives (P, 6, 6) by the poses i and j and by T_p_a."""
+    """r (P, 6) and its derivatives (P, 6, 6) by the primary poses i and j and by T_p_a."""
 
     r: Float
     by_i: Float
@@ -23,19 +29,20 @@ class Linearised(NamedTuple):
     by_rig: Float
 
 
-def residual(T_j_i: Float, T_w_i: Float, T_w_j: Float, T_p_a: Float) -> Float:
-    """log((T_j_i)^-1 (T_w_j T_p_a)^-1 (T_w_i T_p_a)), E_ast of IV-C, unweighted: (P, 6).
+def residual(T_j_i: Float, T_w_i: Float, T_w_j: Float) -> Float:
+    """log((T_j_i)^-1 T_w_j^-1 T_w_i), unweighted (P, 6); T_j_i as measured, all (P, 4, 4)."""
+    return se3.log(se3.inverse(T_w_j @ T_j_i) @ T_w_i)
 
-    T_j_i: measured, of the assistant. T_w_i, T_w_j: primary. All (P, 4, 4); T_p_a (4, 4).
-    """
-    return se3.log(se3.inverse(T_j_i) @ se3.inverse(T_w_j @ T_p_a) @ T_w_i @ T_p_a)
+
+def between(T_j_i: Float, T_w_i: Float, T_w_j: Float) -> Between:
+    """`residual` of one camera and its exact derivatives: E_pri and E_loop of IV-C."""
+    r = residual(T_j_i, T_w_i, T_w_j)
+    by_i = se3.right_jacobian_inverse(r)
+    return Between(r, by_i, -by_i @ se3.adjoint(se3.inverse(T_w_i) @ T_w_j))
 
 
 def linearise(T_j_i: Float, T_w_i: Float, T_w_j: Float, T_p_a: Float) -> Linearised:
-    """`residual` and its exact derivatives."""
-    T_i_j = se3.inverse(T_w_i @ T_p_a) @ (T_w_j @ T_p_a)
-    r = residual(T_j_i, T_w_i, T_w_j, T_p_a)
-    J = se3.right_jacobian_inverse(r)
+    """E_ast of IV-C: T_j_i of the assistant, T_w_i and T_w_j of the primary, T_p_a (4, 4)."""
+    r, by_a_i, by_a_j = between(T_j_i, T_w_i @ T_p_a, T_w_j @ T_p_a)
     to_assistant = se3.adjoint(se3.inverse(T_p_a))
-    J_move = J @ se3.adjoint(T_i_j)
-    return Linearised(r, J @ to_assistant, -J_move @ to_assistant, np.asarray(J - J_move))
+    return Linearised(r, by_a_i @ to_assistant, by_a_j @ to_assistant, by_a_i + by_a_j)

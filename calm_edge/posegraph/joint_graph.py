@@ -156,7 +156,7 @@ class JointGraph:
             sigma_prior=np.sqrt(config.rig_prior_variance) * unit,
         )
 
-    def optimise(self, tolerance: float = 1e-8) -> Optimised:
+    def optimise(self, tolerance: float = 1e-6) -> Optimised:
         """Moves every pose and T_p_a to the optimum; the first keyframe stays where it is.
 
         tolerance: it ends when an iteration lowers the cost by less than this share.

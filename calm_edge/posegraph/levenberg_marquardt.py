@@ -78,8 +78,9 @@ def cost(problem: Problem, state: State, kernel: Kernel) -> float:
     """Half the sum of squared Mahalanobis distances, loops through the kernel."""
     edges, (T_w_p, T_p_a) = problem.edges, state
     i, j = T_w_p[edges.i], T_w_p[edges.j]
-    primary = assistant_factor.residual(edges.T_j_i, i, j, np.eye(4)) / problem.sigma
-    assistant = assistant_factor.residual(edges.T_j_i_assistant, i, j, T_p_a) / problem.sigma
+    primary = assistant_factor.residual(edges.T_j_i, i, j) / problem.sigma
+    a_i, a_j = i @ T_p_a, j @ T_p_a
+    assistant = assistant_factor.residual(edges.T_j_i_assistant, a_i, a_j) / problem.sigma
     prior = se3.log(se3.inverse(problem.T_p_a_prior) @ T_p_a) / problem.sigma_prior
     squared = (primary**2).sum(-1) * edges.weight
     loops = kernel(np.sqrt(squared[edges.robust]))[0].sum()
@@ -143,7 +144,7 @@ class _Linear:
     def _add_edges(self, problem: Problem, state: State, kernel: Kernel) -> None:
         edges, sigma = problem.edges, problem.sigma
         i, j = state.T_w_p[edges.i], state.T_w_p[edges.j]
-        primary = assistant_factor.linearise(edges.T_j_i, i, j, np.eye(4))
+        primary = assistant_factor.between(edges.T_j_i, i, j)
         assistant = assistant_factor.linearise(edges.T_j_i_assistant, i, j, state.T_p_a)
         root = np.sqrt(edges.weight)
         norm = np.linalg.norm(primary.r / sigma, axis=-1) * root
@@ -152,7 +153,7 @@ class _Linear:
         rows_a = (np.sqrt(edges.weight_assistant)[:, None] / sigma)[..., None]
         A_i = np.concatenate([primary.by_i * rows_p, assistant.by_i * rows_a], 1)
         A_j = np.concatenate([primary.by_j * rows_p, assistant.by_j * rows_a], 1)
-        A_rig = np.concatenate([np.zeros_like(primary.by_rig), assistant.by_rig * rows_a], 1)
+        A_rig = np.concatenate([np.zeros_like(primary.by_i), assistant.by_rig * rows_a], 1)
         b = -np.concatenate([primary.r * rows_p[..., 0], assistant.r * rows_a[..., 0]], 1)
         factor, unit = self._gtsam.JacobianFactor, self._gtsam.noiseModel.Unit.Create(12)
         for p, (key_i, key_j) in enumerate(zip(edges.i.tolist(), edges.j.tolist(), strict=True)):

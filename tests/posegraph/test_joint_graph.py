@@ -1,4 +1,6 @@
 import dataclasses
+import subprocess
+import sys
 
 import gtsam
 import numpy as np
@@ -202,3 +204,8 @@ def test_optimising_needs_a_rig_prior():
     with pytest.raises(ValueError, match="set_rig_prior"):
         graph.problem()
     assert graph.optimise().iterations == 0
+
+
+def test_gtsam_waits_until_it_is_needed():
+    code = "import calm_edge.localizer, sys; sys.exit('gtsam' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
