@@ -14,6 +14,9 @@ from calm_edge.evaluation import curves, map_image
 from calm_edge.evaluation.table import pretty
 from calm_edge.types import Bytes, Float, Float32
 
+# More than this a picture cannot show.
+MAX_DRAWN_POINTS = 3_000_000
+
 _STYLE = """
 :root{color-scheme:light}*{box-sizing:border-box}
 body{margin:0;background:#f5f6f8;color:#1f2933;font:16px/1.55 system-ui,-apple-system,"Segoe UI",
@@ -107,16 +110,16 @@ def _map_from_above(view: map_image.TopDown, path: Float, unit: str) -> str:
 def _map_sections(data: ReportData, R: Float, path: Float) -> list[str]:
     if data.points_w is None or data.color is None:
         return []
-    finite = np.isfinite(data.points_w).all(1)
-    points = np.asarray(data.points_w, np.float64)[finite] @ R.T
-    color = data.color[finite]
-    if len(points) == 0:
+    finite = np.flatnonzero(np.isfinite(data.points_w).all(1))
+    if len(finite) == 0:
         return []
+    drawn = finite[:: max(len(finite) // MAX_DRAWN_POINTS, 1)]
+    points, color = np.asarray(data.points_w[drawn], np.float64) @ R.T, data.color[drawn]
     above = _map_from_above(map_image.top_down(points, color, path), path, data.unit)
     views = map_image.best_chases(points, color, path)
     photos = "".join(f'<img alt="map along the street" src="{_photo(v)}">' for v in views)
     return [
-        _section("The map from above", f"{len(points):,} points in their own colours.", above),
+        _section("The map from above", f"{len(finite):,} points in their own colours.", above),
         _section("The map along the street", "Seen from behind and above the car.", photos),
     ]
 

@@ -153,16 +153,15 @@ def with_honesty(result: dict[str, Any]) -> dict[str, Any]:
     return {**result, "focal_error_in_sigma": ratio}
 
 
-def _calm_edge(*arguments: str, allowed: tuple[int, ...] = (0,)) -> str:
-    code = "import sys; from calm_edge.cli import main; sys.exit(main())"
+def _calm_edge(*arguments: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
+        [sys.executable, "-m", "calm_edge.cli", *arguments],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
     )
-    if done.returncode not in allowed:
+    if done.returncode:
         said = (done.stderr or done.stdout).strip().splitlines() or ["it said nothing"]
         raise TargetError(f"calm-edge {arguments[0]}: exit {done.returncode}: {said[-1]}")
     return done.stdout
