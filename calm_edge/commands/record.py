@@ -115,6 +115,9 @@ def run(arguments: argparse.Namespace) -> int:
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
     config = effective_config(arguments)
     source = open_source(arguments, config)
+    if source.is_replay:
+        # what ends a replay is a file, not a fault of ours: one line, no traceback
+        logging.getLogger("device.camera_thread").setLevel(logging.CRITICAL)
     out: Path = arguments.out
     if out.exists() and (not out.is_dir() or segment_files(out)):
         raise RecordingError(f"{out}: already holds a recording; choose another output folder")

@@ -83,9 +83,10 @@ class Capture:
             for thread in threads:
                 if thread.error is not None and thread.error not in said:
                     said.add(thread.error)
-                    self._desk.say(thread.error)
                     if self._source.is_replay:
                         self._desk.result.error = thread.error
+                    else:
+                        self._desk.say(thread.error)
             self._tick_status()
             if not any(running) or self._desk.result.error:
                 break

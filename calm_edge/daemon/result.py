@@ -64,6 +64,8 @@ class RecordResult:
     def losses(self) -> list[str]:
         """One line for each thing that is missing from the recording or the trajectory."""
         lines = []
+        if self.estimator_restarts:
+            lines.append("the estimator was restarted and its trajectory with it; map mends it")
         if self.lost_windows:
             lines.append(
                 f"windows {self.lost_windows} were lost with the estimator; map computes them again"

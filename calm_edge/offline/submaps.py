@@ -50,6 +50,8 @@ def gather(recording: Recording, config: Config, say: Callable[[str], None]) -> 
     records = {record.submap_id: record for record in recording.windows()}
     drive = _logged(recording, records)
     if drive is None:
+        if not records and not len(recording.frame_times(Eye.PRIMARY)):
+            return Drive()
         if not records:
             say("the recording holds no windows: choosing keyframes again")
         drive = _recompute(recording, records, config, say)
@@ -70,7 +72,10 @@ def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | N
         newest = update.trajectory
     told = status.get("unsolved_windows")
     unsolved = [int(i) for i in told] if isinstance(told, list) else []
-    if not (status.get("finished") and records) or set(records) - set(last) - set(unsolved):
+    # a restarted estimator began a new world: its poses do not go with the earlier ones
+    if status.get("estimator_restarts") or not (status.get("finished") and records):
+        return None
+    if set(records) - set(last) - set(unsolved):
         return None
     ids = sorted(set(records) & set(last))
     updates = [_final(first[i], last[i]) for i in ids]

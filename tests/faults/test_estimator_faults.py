@@ -1,0 +1,64 @@
+"""The estimator is killed: recording goes on, it comes back, what was lost is said and mended."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+from calm_edge.cli import main
+from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.recording.reader import Recording
+from device.frame import Eye
+from tests.replay.daemon_run import record
+from tests.replay.small_drive import write_drive
+
+N = 40
+
+
+class Killer:
+    """Kills the estimator once, when it has solved `after` windows."""
+
+    def __init__(self, after: int) -> None:
+        self.after = after
+        self.killed = 0
+
+    def __call__(self, desk: Switchboard, _: str) -> None:
+        if not self.killed and desk.result.submaps >= self.after:
+            self.killed = desk.estimator.child.pid
+            # as if it died over a window that it had in hand
+            os.kill(self.killed, signal.SIGKILL)
+
+
+def test_a_killed_estimator_costs_no_frame_and_map_makes_it_good(tmp_path: Path) -> None:
+    drive = write_drive(tmp_path / "drive", N)
+    killer = Killer(after=1)
+    out = tmp_path / "rec"
+    result, said = record(drive, out, lockstep=False, during=killer)
+    assert killer.killed and result.estimator_restarts == 1
+    assert any("estimator died" in line and "recording goes on" in line for line in said)
+    assert result.frames == [N, N] and result.unrecorded == 0
+    assert any("map mends it" in line for line in result.losses())
+    recording = Recording(out)
+    assert not recording.losses
+    assert [recording.count(f"/{e.name.lower()}/image") for e in Eye] == [N, N]
+    assert result.windows == len(list(recording.windows())) > 2
+    assert main(["map", str(out), "--out", str(tmp_path / "map")]) == 0
+    rows = (tmp_path / "map" / "trajectory.tum").read_text().splitlines()
+    assert len(rows) == result.keyframes
+
+
+def test_an_estimator_that_always_dies_is_given_up_and_recording_goes_on(tmp_path: Path) -> None:
+    drive = write_drive(tmp_path / "drive", N)
+
+    def kill_each(desk: Switchboard, _: str) -> None:
+        if desk.result.windows and desk.estimator.child.alive:
+            os.kill(desk.estimator.child.pid, signal.SIGKILL)
+
+    out = tmp_path / "rec"
+    result, said = record(drive, out, lockstep=False, during=kill_each)
+    assert result.frames == [N, N] and result.submaps == 0
+    assert any("not started again" in line for line in said)
+    assert result.losses()
+    recording = Recording(out)
+    assert recording.count("/primary/image") == N and not recording.losses

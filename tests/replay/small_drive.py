@@ -1,0 +1,44 @@
+"""A small sequence folder with truth beside it, for the scripted backbone: cheap and exact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calm_edge.geometry import se3
+from calm_edge.types import Float
+from tests.frontend.plane_world import HEIGHT, WIDTH, K, PlaneWorld, drive
+
+SPACING_M = 0.5
+ASSISTANT_DELAY_S = 0.017
+
+
+def poses(n: int) -> Float:
+    """(n, 4, 4) of the primary, starting at the origin."""
+    T = drive(n, 0.12)
+    return np.asarray(se3.inverse(T[0]) @ T)
+
+
+def write_drive(folder: Path, n: int = 40) -> Path:
+    """`n` frames an eye at 10 Hz, the assistant 17 ms late, in the layout of a sequence folder."""
+    world = PlaneWorld()
+    T_w_p, T_p_a = poses(n), se3.exp(np.array([SPACING_M, 0, 0, 0, 0.02, 0]))
+    late = se3.interpolate_at(
+        np.arange(n, dtype=float), T_w_p, np.arange(n) + ASSISTANT_DELAY_S * 10
+    )
+    T_start = drive(n, 0.12)[0]
+    for eye, T_w_c in enumerate((T_w_p, late @ T_p_a)):
+        images = folder / f"cam{eye}"
+        images.mkdir(parents=True)
+        for i, T in enumerate(T_w_c):
+            gray = world.render(T_start @ T)
+            cv2.imwrite(str(images / f"{i:06d}.jpg"), cv2.merge([gray, gray, gray]))
+        stamps = np.arange(n) * 0.1 + eye * ASSISTANT_DELAY_S
+        np.savetxt(folder / f"times{eye}.txt", stamps, fmt="%.6f")
+    np.savetxt(folder / "poses0.txt", T_w_p[:, :3].reshape(-1, 12))
+    np.savetxt(folder / "T_p_a.txt", T_p_a[:3].reshape(1, 12))
+    row = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], WIDTH, HEIGHT]
+    np.savetxt(folder / "calib.txt", [row, row])
+    return folder

@@ -1,0 +1,212 @@
+"""The command line: what goes wrong is one line and the right exit code; help is light."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calm_edge.cli import COMMANDS, main
+from calm_edge.config import Config
+from calm_edge.recording.writer import RecordingWriter
+from tests.replay.small_drive import write_drive
+
+HEAVY = ("cv2", "numpy", "scipy", "gtsam", "mcap", "depthai", "matplotlib", "rich", "serial")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("cli") / "sequence", 20)
+
+
+@pytest.fixture(scope="module")
+def recorded(drive: Path) -> Path:
+    out = drive.parent / "rec"
+    arguments = ["record", "--sequence", str(drive), "--out", str(out), "--pace", "lockstep"]
+    arguments += ["--set", f"backbone.name=scripted:{drive}", "--set", "frontend.n_max=4"]
+    assert main([*arguments, "--set", "frontend.n_overlap=2", "--spacing-m", "0.5"]) == 0
+    return out
+
+
+def only_line(capsys: pytest.CaptureFixture[str]) -> str:
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith("calm-edge: ")
+    return line
+
+
+def test_help_names_every_command_and_loads_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom calm_edge.cli import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as e:\n    code = e.code\n"
+        f"print('LOADED', code, [m for m in {HEAVY!r} if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "LOADED 0 []"
+    assert all(name in run.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("arguments", [[], ["nonsense"], ["record"], ["map", "x"], ["eval", "x"]])
+def test_wrong_usage_is_exit_2(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == 2
+
+
+def _gone(folder: Path) -> None:
+    shutil.rmtree(folder)
+
+
+def _one_camera(folder: Path) -> None:
+    shutil.rmtree(folder / "cam1")
+
+
+def _unequal(folder: Path) -> None:
+    cv2.imwrite(str(folder / "cam0" / "000003.jpg"), np.zeros((10, 10, 3), np.uint8))
+
+
+def _backwards(folder: Path) -> None:
+    times = (folder / "times0.txt").read_text().splitlines()
+    times[4], times[5] = times[5], times[4]
+    (folder / "times0.txt").write_text("\n".join(times))
+
+
+@pytest.mark.parametrize(
+    ("harm", "names"),
+    [(_gone, "sequence"), (_one_camera, "cam1"), (_unequal, "000003"), (_backwards, "times0.txt")],
+)
+def test_a_bad_sequence_is_one_line(
+    harm: Callable[[Path], None],
+    names: str,
+    drive: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "sequence"
+    shutil.copytree(drive, folder)
+    harm(folder)
+    out = tmp_path / "rec"
+    assert main(["record", "--sequence", str(folder), "--out", str(out)]) == 1
+    assert names in only_line(capsys)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("pace", ["lockstep", "realtime"])
+def test_an_unreadable_image_is_one_line_that_names_it(
+    pace: str, drive: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "sequence"
+    shutil.copytree(drive, folder)
+    image = folder / "cam0" / "000003.jpg"
+    image.write_bytes(image.read_bytes()[:700])
+    command = [sys.executable, "-m", "calm_edge.cli", "record", "--sequence", str(folder)]
+    command += ["--out", str(tmp_path / "rec"), "--pace", pace]
+    command += ["--set", f"backbone.name=scripted:{drive}"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert run.returncode == 1
+    assert "Traceback" not in run.stderr
+    (line,) = run.stderr.splitlines()
+    assert "000003.jpg" in line
+    assert line.startswith("calm-edge: ")
+
+
+@pytest.mark.parametrize(
+    ("extra", "names"),
+    [
+        (["--set", "frontend.n_maxx=3"], "frontend.n_maxx"),
+        (["--set", "frontend.n_max=many"], "frontend.n_max"),
+        (["--set", "nonsense"], "section.key=value"),
+        (["--config", "/nonexistent.toml"], "/nonexistent.toml"),
+        (["--set", "backbone.name=nothing"], "backbone.name"),
+        (["--hfov-deg", "80", "80", "80"], "--hfov-deg"),
+        (["--hfov-deg", "190"], "hfov_deg"),
+        (["--spacing-m", "-1"], "spacing_m"),
+    ],
+)
+def test_a_bad_setting_is_one_line(
+    extra: list[str],
+    names: str,
+    drive: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out = tmp_path / "rec"
+    assert main(["record", "--sequence", str(drive), "--out", str(out), *extra]) == 1
+    assert names in only_line(capsys)
+    assert not out.exists()
+
+
+def test_a_folder_that_holds_a_recording_is_never_overwritten(
+    recorded: Path, drive: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {p.name: p.stat().st_mtime_ns for p in recorded.iterdir()}
+    assert main(["record", "--sequence", str(drive), "--out", str(recorded)]) == 1
+    assert "already holds a recording" in only_line(capsys)
+    assert before == {p.name: p.stat().st_mtime_ns for p in recorded.iterdir()}
+
+
+def test_lockstep_of_live_cameras_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["record", "--out", str(tmp_path / "r"), "--pace", "lockstep"]) == 1
+    assert "lockstep" in only_line(capsys)
+
+
+def test_map_uses_what_record_logged_and_eval_reads_all_three(
+    recorded: Path, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "map"
+    assert main(["map", str(recorded), "--out", str(out), "--truth", str(drive)]) == 0
+    captured = capsys.readouterr()
+    assert "computed again" not in captured.err
+    for name in ("map.ply", "trajectory.tum", "trajectory.kitti", "summary.json", "report.html"):
+        assert str(out / name) in captured.out or (out / name).stat().st_size > 0
+    logged = (recorded / "record_trajectory.tum").read_text()
+    assert (out / "trajectory.tum").read_text() == logged
+    for target in (recorded, out, out / "trajectory.tum"):
+        assert main(["eval", str(target), "--truth", str(drive), "--json"]) == 0
+        figures = json.loads(capsys.readouterr().out)
+        assert figures["ate_sim3_m"] < 0.01
+    assert main(["map", str(recorded), "--out", str(out)]) == 1
+    assert "already holds" in only_line(capsys)
+
+
+def test_a_truncated_recording_is_mapped_with_loss(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = (recorded / "0000.mcap").read_bytes()
+    cut.write_bytes(data[: len(data) * 9 // 10])
+    assert main(["map", str(cut), "--out", str(tmp_path / "map")]) == 3
+    captured = capsys.readouterr()
+    assert any("loss" in line and "cut.mcap" in line for line in captured.err.splitlines())
+    assert (tmp_path / "map" / "map.ply").stat().st_size > 1000
+    assert main(["validate", str(cut)]) == 3
+    assert main(["recover", str(cut), "--out", str(tmp_path / "whole.mcap")]) == 3
+    assert main(["validate", str(tmp_path / "whole.mcap")]) == 0
+
+
+def test_what_is_no_recording_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for path in (tmp_path / "missing", tmp_path):
+        assert main(["map", str(path), "--out", str(tmp_path / "map")]) == 1
+        only_line(capsys)
+    empty = tmp_path / "empty"
+    RecordingWriter(empty, Config()).close()
+    assert main(["map", str(empty), "--out", str(tmp_path / "map")]) == 1
+    only_line(capsys)
+    assert not (tmp_path / "map").exists()
+
+
+def test_doctor_finds_nothing_fatal_here(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["doctor", "--out", str(tmp_path)]) == 0
+    assert "missing" not in capsys.readouterr().out.replace("nothing is missing", "")
