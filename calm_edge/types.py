@@ -18,6 +18,7 @@ from device.frame import Eye, Frame
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Int = NDArray[np.int64]
+Int32 = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
 
@@ -216,9 +217,9 @@ class AnchorTable:
     anchor: Int
     submap: Int
     p_s: Float
-    seen_anchor: Int
-    seen_submap: Int
-    seen_view: Int
+    seen_anchor: Int32
+    seen_submap: Int32
+    seen_view: Int32
     uv: Float32
 
 

@@ -13,8 +13,8 @@ from calm_edge.types import AnchorTable, Float, Int
 def empty() -> AnchorTable:
     """No anchors."""
     none = np.empty(0, np.int64)
-    no_uv = np.empty((0, 2), np.float32)
-    return AnchorTable(none, none, np.empty((0, 3)), none, none, none, no_uv)
+    unseen, no_uv = np.empty(0, np.int32), np.empty((0, 2), np.float32)
+    return AnchorTable(none, none, np.empty((0, 3)), unseen, unseen, unseen, no_uv)
 
 
 def from_sightings(submap_id: int, anchor: Int, p_s: Float, sightings: Sightings) -> AnchorTable:
@@ -24,9 +24,9 @@ def from_sightings(submap_id: int, anchor: Int, p_s: Float, sightings: Sightings
         anchor,
         np.full(len(anchor), submap_id, np.int64),
         p_s,
-        anchor[row],
-        np.full(len(row), submap_id, np.int64),
-        view.astype(np.int64),
+        anchor[row].astype(np.int32),
+        np.full(len(row), submap_id, np.int32),
+        view.astype(np.int32),
         sightings.uv[row, view],
     )
 

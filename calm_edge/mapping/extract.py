@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.views import DenseViews, confirmed, lift, sight
-from calm_edge.types import AnchorTable, Int
+from calm_edge.types import AnchorTable, Int, Int32
 
 Bool = NDArray[np.bool_]
 
 
-def cell_of(views: DenseViews, view: Int, uv: NDArray[np.floating], grid: int) -> Int:
+def cell_of(views: DenseViews, view: Int | Int32, uv: NDArray[np.floating], grid: int) -> Int:
     """Grid cell (...) in [0, grid^2) of image pixels uv (..., 2) in views (...)."""
     height, width = views.inverse_depth.shape[1:]
     share = (views.to_map(view, uv) + 0.5) / [width, height]

@@ -28,7 +28,7 @@ PROBES = 2000
 class Mapper:
     """Add sub-maps in order, then take the tiles. Depth and colour wait on disk in between.
 
-    In memory stay the anchors (about a megabyte a sub-map) and the depth of three sub-maps.
+    In memory stay the anchors (up to 6 MB a sub-map of 30 views) and the depth of three sub-maps.
     """
 
     def __init__(

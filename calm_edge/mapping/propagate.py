@@ -47,7 +47,7 @@ def carried(source: AnchorTable, pairs: Int, present: Int) -> AnchorTable:
         none.p_s,
         source.seen_anchor[take],
         source.seen_submap[take],
-        view[take],
+        view[take].astype(np.int32),
         source.uv[take],
     )
 
@@ -61,7 +61,8 @@ def place(
     verification, which drops what the target sees as an occlusion edge. Of several shared
     pictures the one most views agree with gives the position.
     """
-    anchor, view, uv = carried_rows.seen_anchor, carried_rows.seen_view, carried_rows.uv
+    anchor, view = (a.astype(np.int64) for a in (carried_rows.seen_anchor, carried_rows.seen_view))
+    uv = carried_rows.uv
     z = sample(target, view, uv)
     known = z > 0
     anchor, view, uv, z = anchor[known], view[known], uv[known], z[known]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.geometry import pinhole, se3
-from calm_edge.types import Bytes, CalmEdgeError, Float, Float32, Int, Submap
+from calm_edge.types import Bytes, CalmEdgeError, Float, Float32, Int, Int32, Submap
 
 Bool = NDArray[np.bool_]
 
@@ -32,7 +32,7 @@ class DenseViews:
     T_s_c: Float
     map_per_image: Float
 
-    def to_map(self, view: Int, uv: NDArray[np.floating]) -> Float:
+    def to_map(self, view: Int | Int32, uv: NDArray[np.floating]) -> Float:
         """Image px (..., 2) -> depth-map px (..., 2) of views (...), as cv2.resize maps them."""
         return np.asarray((uv + 0.5) * self.map_per_image[view] - 0.5)
 
@@ -128,7 +128,7 @@ def sample(views: DenseViews, view: Int, uv: NDArray[np.floating]) -> Float:
 def sight(views: DenseViews, p_s: Float, tolerance: float) -> Sightings:
     """Points (M, 3), sub-map frame, in every view: |z - D(u)| <= tolerance D(u) (paper VI-A.1)."""
     T_c_s = se3.inverse(views.T_s_c)
-    p_c = np.einsum("nij,mj->mni", T_c_s[:, :3, :3], p_s) + T_c_s[:, :3, 3]
+    p_c = np.moveaxis(T_c_s[:, :3, :3] @ p_s.T + T_c_s[:, :3, 3:], 2, 0)
     z = p_c[..., 2]
     uv = pinhole.project(views.K, p_c)
     view = np.broadcast_to(np.arange(len(T_c_s)), z.shape)
