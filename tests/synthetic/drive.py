@@ -174,7 +174,7 @@ def make_sequence(
     seed: int = 0,
     *,
     start_s: float = 0.0,
-    density: float = 20.0,
+    density: float = 14.0,
     world: World | None = None,
 ) -> Rig:
     """A small sequence folder for tests, in seconds; returns its truth.

@@ -6,6 +6,7 @@ within each piece; each piece is one homography of the texture copy whose texels
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -142,17 +143,19 @@ def _clipped(corners: Float) -> Float:
 
 def _level(texture: Texture, M: Float, centre: Float) -> tuple[int, int]:
     """How often to halve each axis so that a texel is about a pixel. M: pixel -> (u, v, 1) / z."""
-    w = float(M[2] @ centre)
-    u, v = M[0] @ centre / w, M[1] @ centre / w
-    J = (M[:2, :2] - np.outer((u, v), M[2, :2])) / w
-    per_u, per_v = np.abs(J).max(1)
-    height, width = texture.base().shape[:2]
+    # plain floats: this runs for every piece, where numpy's call overhead would rule
+    x, y = float(centre[0]), float(centre[1])
+    (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = M.tolist()
+    w = c0 * x + c1 * y + c2
+    u, v = (a0 * x + a1 * y + a2) / w, (b0 * x + b1 * y + b2) / w
+    ux, uy, vx, vy = (a0 - u * c0) / w, (a1 - u * c1) / w, (b0 - v * c0) / w, (b1 - v * c1) / w
+    per_u, per_v = max(abs(ux), abs(uy)), max(abs(vx), abs(vy))
     # an oblique view of rotated texels would ask to blur both axes: blur by area at most
-    slack = min(1.0, 2 * abs(J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]) / max(per_u * per_v, 1e-18))
-    per_u, per_v = per_u * np.sqrt(slack), per_v * np.sqrt(slack)
-    lx = int(np.clip(np.round(np.log2(max(per_u * width, 1e-9))), 0, np.log2(width)))
-    ly = int(np.clip(np.round(np.log2(max(per_v * height, 1e-9))), 0, np.log2(height)))
-    return lx, ly
+    slack = math.sqrt(min(1.0, 2 * abs(ux * vy - uy * vx) / max(per_u * per_v, 1e-18)))
+    height, width = texture.base().shape[:2]
+    lx = round(math.log2(max(per_u * slack * width, 1.0)))
+    ly = round(math.log2(max(per_v * slack * height, 1.0)))
+    return min(lx, int(math.log2(width))), min(ly, int(math.log2(height)))
 
 
 def sky_colors(sky: Image, R_w_c: Float, K: Float, size: tuple[int, int]) -> Image:
@@ -206,8 +209,9 @@ def render_view(
         outline = pixels[k]
         if z_min[k] < NEAR_M:
             outline = pinhole.project(K_fine, _clipped(corners[k]))
-        x0, y0 = np.clip(np.floor(outline.min(0)) - 1, 0, fine).astype(int)
-        x1, y1 = np.clip(np.ceil(outline.max(0)) + 2, 0, fine).astype(int)
+        (left, top), (right, foot) = outline.min(0).tolist(), outline.max(0).tolist()
+        x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
+        x1, y1 = min(fine[0], math.ceil(right) + 2), min(fine[1], math.ceil(foot) + 2)
         if x1 <= x0 or y1 <= y0:
             continue
         seen = nearness[y0:y1, x0:x1]
@@ -225,7 +229,7 @@ def render_view(
         closer = cv2.bitwise_and(cv2.compare(new, seen, cv2.CMP_GT), covered)
         if not cv2.hasNonZero(closer):
             continue
-        centre = np.append(np.clip(outline.mean(0), 0, fine), 1.0)
+        centre = np.minimum(np.maximum(outline.mean(0), 0), fine)
         texels = texture.level(*_level(texture, M[k], centre))
         to_texel = np.array([[texels.shape[1], 0, -0.5], [0, texels.shape[0], -0.5], [0, 0, 1.0]])
         shift = np.array([[1.0, 0, x0], [0, 1, y0], [0, 0, 1]])
