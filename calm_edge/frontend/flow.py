@@ -14,10 +14,18 @@ BACKWARD_PX = 0.7
 CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.03)
 
 
-def corners(gray: Bytes, count: int) -> Float32:
-    """Up to `count` Shi-Tomasi corners spread over the image, (M, 2) px, strongest first."""
+def corners(gray: Bytes, count: int, taken: Float32 | None = None) -> Float32:
+    """Up to `count` Shi-Tomasi corners spread over the image, (M, 2) px, strongest first.
+
+    taken: (Q, 2) px to stay away from.
+    """
     spread = max(5.0, 0.5 * float(np.sqrt(gray.size / max(count, 1))))
-    found = cv2.goodFeaturesToTrack(gray, count, qualityLevel=0.005, minDistance=spread)
+    mask = None
+    if taken is not None:
+        mask = np.full(gray.shape, 255, np.uint8)
+        for u, v in taken:
+            cv2.circle(mask, (round(float(u)), round(float(v))), round(spread), 0, -1)
+    found = cv2.goodFeaturesToTrack(gray, count, 0.005, spread, mask=mask)
     if found is None:
         return np.zeros((0, 2), np.float32)
     return np.asarray(found, np.float32).reshape(-1, 2)

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calm_edge.config import FrontendConfig
-from calm_edge.frontend import landmark_cloud
+from calm_edge.frontend import candidates, landmark_cloud
+from calm_edge.frontend.candidates import Candidates
 from calm_edge.frontend.flow import follow
 from calm_edge.frontend.pnp import PoseFit, locate, reprojection
 from calm_edge.geometry import se3
@@ -25,6 +26,8 @@ REMEMBERED = 60
 HOP = 4
 VELOCITY_WINDOW_NS = 300_000_000
 INLIER_PX = 3.0
+# of the logarithm of a length: beyond it the old track is not worth keeping
+MAX_DISAGREEMENT = 0.2
 
 
 @dataclass(slots=True)
@@ -54,6 +57,7 @@ class Tracker:
         self.epoch = 0
         self.lagging = False
         self._tracks: _Tracks | None = None
+        self._candidates = Candidates.none()
         self._past: deque[_Past] = deque(maxlen=REMEMBERED)
         self._path: deque[tuple[int, Float]] = deque()
         self._ever_tracked = False
@@ -68,6 +72,7 @@ class Tracker:
             # a blurred frame or two may be bridged; after that the track is gone
             if self._path and t_ns - self._path[-1][0] > self.config.lost_after_ms * 1e6:
                 self._tracks = None
+                self._candidates = Candidates.none()
                 self._path.clear()
             nothing = np.full((4, 4), np.nan), np.full(3, np.nan), np.full((6, 6), np.nan)
             return PoseSample(t_ns, *nothing, self.epoch, PoseStatus.LOST)
@@ -97,9 +102,33 @@ class Tracker:
         fit = locate(K, p_m, uv, T_now, self._threshold(gray))
         if fit is None or fit.n_inliers < 2 * MIN_INLIERS:
             return False
-        self._switch(fit)
-        self._tracks = _Tracks(K, p_m[fit.inlier], uv[fit.inlier], gray)
+        ratio = self._scale_ratio(starts[-1], known[starts[-1]], fit.T_w_c)
+        T_new_old = self._switch(fit)
+        p_m, uv = p_m[fit.inlier], uv[fit.inlier]
+        old = self._tracks
+        if T_new_old is not None and ratio is not None and old is not None and old.seen_in is gray:
+            # what is already followed is still seen where it was: few new points may reach so far
+            room = max(0, self.config.tracker_points - len(uv))
+            centre = fit.T_w_c[:3, 3]
+            followed = se3.transform(T_new_old, old.p_m[:room])
+            p_m = np.concatenate([p_m, centre + ratio * (followed - centre)])
+            uv = np.concatenate([uv, old.uv[:room]])
+        self._tracks = _Tracks(K, p_m, uv, gray)
         return True
+
+    def _scale_ratio(self, keyframe: int, T_w_k: Float, T_w_c: Float) -> float | None:
+        """New lengths over old ones, from the way between a remembered keyframe and now.
+
+        None when the old track does not know that way, or disagrees by more than MAX_DISAGREEMENT.
+        """
+        T_old_k, T_old_c = self._past[keyframe].T_m_c, self._past[-1].T_m_c
+        if T_old_k is None or T_old_c is None:
+            return None
+        old = float(np.linalg.norm(T_old_c[:3, 3] - T_old_k[:3, 3]))
+        new = float(np.linalg.norm(T_w_c[:3, 3] - T_w_k[:3, 3]))
+        if min(old, new) <= 0 or abs(np.log(new / old)) > MAX_DISAGREEMENT:
+            return None
+        return new / old
 
     def _threshold(self, gray: Bytes) -> float:
         return float(max(2.0, INLIER_PX * gray.shape[1] / self.config.flow_reference_width_px))
@@ -118,8 +147,22 @@ class Tracker:
             return None
         # while nothing moves the image tracked from stays, so that noise cannot become drift
         if np.median(step) >= self.config.standstill_px:
-            self._tracks = _Tracks(tracks.K, p_m[fit.inlier], uv[fit.inlier], gray)
+            kept = _Tracks(tracks.K, p_m[fit.inlier], uv[fit.inlier], gray)
+            self._tracks = self._ripened(kept, tracks.seen_in, fit.T_w_c)
         return fit
+
+    def _ripened(self, tracks: _Tracks, previous: Bytes, T_m_c: Float) -> _Tracks:
+        """The tracks and the candidates that became points; new candidates where there is room."""
+        self._candidates, p_m, uv = candidates.step(
+            self._candidates, previous, tracks.seen_in, tracks.K, T_m_c
+        )
+        p_m, uv = np.concatenate([tracks.p_m, p_m]), np.concatenate([tracks.uv, uv])
+        room = self.config.tracker_points - len(uv)
+        if len(self._candidates.uv) < room / 2:
+            self._candidates = candidates.replenish(
+                self._candidates, tracks.seen_in, uv, T_m_c, room
+            )
+        return _Tracks(tracks.K, p_m, uv, tracks.seen_in)
 
     def _guess(self, T_predicted: Float) -> Float32 | None:
         """Where the tracks should be: their shift under the predicted motion, (M, 2) px."""
@@ -154,24 +197,30 @@ class Tracker:
         moved = T_o_c[:3, 3] - T_0[:3, 3]
         return np.asarray(T_o_c[:3, :3].T @ moved / ((t_ns - t_0) * 1e-9))
 
-    def _switch(self, fit: PoseFit) -> None:
-        """The newest frame has a pose in the new map: carry the odometry over to it."""
-        newest = self._past[-1]
+    def _switch(self, fit: PoseFit) -> Float | None:
+        """The newest frame has a pose in the new map: carry the odometry over to it.
+
+        Returns new map<-old map, None when the old track was lost.
+        """
+        newest, T_new_old = self._past[-1], None
         if newest.T_m_c is not None:
             T_o_c = self._path[-1][1]
             self.T_map_odom = fit.T_w_c @ se3.inverse(T_o_c)
             T_new_old = fit.T_w_c @ se3.inverse(newest.T_m_c)
+            self._candidates = self._candidates.moved_to(T_new_old)
             for past in self._past:
                 past.T_m_c = None if past.T_m_c is None else T_new_old @ past.T_m_c
         else:
             # the odometry was cut: its frame stays where it was, and the pose jumps
             self.epoch += self._ever_tracked
+            self._candidates = Candidates.none()
             for past in self._past:
                 past.T_m_c = None
             self._path.clear()
             self._path.append((newest.t_ns, se3.inverse(self.T_map_odom) @ fit.T_w_c))
         newest.T_m_c = fit.T_w_c
         self._ever_tracked = True
+        return T_new_old
 
     def _bring_forward(
         self, K: Float, p_w: Float, uv: Float32, born: np.ndarray, known: dict[int, Float]

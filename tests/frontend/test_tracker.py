@@ -9,7 +9,7 @@ from calm_edge.config import FrontendConfig
 from calm_edge.frontend.tracker import Tracker
 from calm_edge.geometry import se3
 from calm_edge.types import Float, PoseSample, PoseStatus
-from tests.frontend.plane_world import PlaneWorld, drive
+from tests.frontend.plane_world import DEPTH, PlaneWorld, drive
 
 PERIOD_NS = 100_000_000
 WORLD = PlaneWorld()
@@ -104,11 +104,22 @@ def test_darkness_is_lost_at_once_and_a_short_one_is_bridged() -> None:
     assert after.status is PoseStatus.LOST and np.isnan(after.T_w_c).all()
 
 
-def test_running_out_of_points_is_lost() -> None:
-    poses = drive(60, step_m=0.5)
+def test_between_submaps_new_points_carry_the_pose() -> None:
+    poses = drive(70, step_m=0.4)
     tracker = attached(poses, 8)
-    statuses = [s.status for s in feed(tracker, poses[8:], 8)]
-    assert statuses[0] is PoseStatus.LIVE and statuses[-1] is PoseStatus.LOST
+    samples = feed(tracker, poses[8:], 8)
+    assert all(s.status is PoseStatus.LIVE for s in samples)
+    # every point of the sub-map left the view after about 40 frames
+    assert 2 * DEPTH * np.tan(np.radians(40)) < 0.4 * 62
+    assert error(samples, poses[8:]) < 0.03 * 0.4 * 62
+
+
+def test_a_wall_without_texture_is_lost() -> None:
+    poses = drive(30)
+    tracker = attached(poses, 8)
+    feed(tracker, poses[8:10], 8)
+    blank = np.full_like(WORLD.render(poses[0]), 128)
+    assert all(tracker.track(stamp(i), blank).status is PoseStatus.LOST for i in range(10, 16))
 
 
 def test_a_new_submap_elsewhere_moves_the_map_and_not_the_pose() -> None:

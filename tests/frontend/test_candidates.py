@@ -1,0 +1,38 @@
+"""Candidates become points exactly where they are, once the rays open enough."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calm_edge.frontend.candidates import MIN_PARALLAX_RAD, Candidates, replenish, step
+from tests.frontend.plane_world import DEPTH, K, PlaneWorld, drive
+
+WORLD = PlaneWorld()
+
+
+def test_points_ripen_on_the_wall_and_not_before_the_rays_open() -> None:
+    poses = drive(12, 0.1)
+    images = [WORLD.render(T) for T in poses]
+    nothing = np.zeros((0, 2), np.float32)
+    known = replenish(Candidates.none(), images[0], nothing, poses[0], 100)
+    assert 20 < len(known.uv) <= 100
+    ripened = []
+    for i in range(1, 12):
+        known, p_m, uv = step(known, images[i - 1], images[i], K, poses[i])
+        assert len(p_m) == len(uv)
+        moved = np.linalg.norm(poses[i][:3, 3] - poses[0][:3, 3])
+        if moved < 0.5 * MIN_PARALLAX_RAD * (DEPTH - poses[i][2, 3]):
+            assert len(p_m) == 0
+        ripened.append(p_m)
+    points = np.concatenate(ripened)
+    assert len(points) > 20
+    assert np.median(np.abs(points[:, 2] - DEPTH)) < 0.02 * DEPTH
+
+
+def test_new_corners_stay_away_from_what_is_taken() -> None:
+    T = drive(1)[0]
+    image = WORLD.render(T)
+    first = replenish(Candidates.none(), image, np.zeros((0, 2), np.float32), T, 60)
+    second = replenish(Candidates.none(), image, first.uv, T, 60)
+    gaps = np.linalg.norm(first.uv[:, None] - second.uv[None], axis=-1)
+    assert len(second.uv) and gaps.min() > 5
