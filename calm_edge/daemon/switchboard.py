@@ -82,7 +82,15 @@ class Switchboard:
 
     def start(self) -> None:
         """Waits for both children, opens the recording; raises CalmEdgeError."""
-        if not self.until(lambda: self._tracker_ready and self.estimator.ready, START_LIMIT_S):
+        self.until(
+            lambda: (
+                (self._tracker_ready and self.estimator.ready)
+                or self.estimator.given_up
+                or self._tracker_mourned
+            ),
+            START_LIMIT_S,
+        )
+        if not (self._tracker_ready and self.estimator.ready):
             raise DaemonError("the tracker or the estimator did not start; see the lines above")
         self.writer = self._open_writer()
 
