@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,10 +20,12 @@ from calm_edge.frontend.pnp import PoseFit, locate, reprojection
 from calm_edge.geometry import se3
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
-MIN_INLIERS = 12
+MIN_INLIERS, SAFE_INLIERS = 12, 80
 # Frames kept so that a sub-map that comes late can be followed from its keyframes to now.
 REMEMBERED = 60
 HOP = 4
+# remembered frames tracked again with each new one: bounds what a late sub-map adds to latency
+CATCH_UP_FRAMES = 5
 VELOCITY_WINDOW_NS = 300_000_000
 INLIER_PX = 3.0
 # of the logarithm of a length: beyond it the old track is not worth keeping
@@ -61,9 +63,12 @@ class Tracker:
         self._past: deque[_Past] = deque(maxlen=REMEMBERED)
         self._path: deque[tuple[int, Float]] = deque()
         self._ever_tracked = False
+        self._follower: Tracker | None = None
+        self._followed_ns = 0
 
     def track(self, t_ns: int, gray: Bytes, keyframe_id: int | None = None) -> PoseSample:
         """The pose of the frame exposed at t_ns; without a fresh track LOST, all NaN."""
+        self._advance_follower()
         guess = self._predict(t_ns)
         fit = self._follow(gray, guess)
         T_m_c = None if fit is None else fit.T_w_c
@@ -85,7 +90,8 @@ class Tracker:
         """Takes over a new sub-map's points where its keyframes are remembered; False if it cannot.
 
         The points are followed from their keyframes to the newest frame in hops. When that fails
-        the old points stay: an old track is better than none, and is said to be LOST in time.
+        the frames since are tracked again, a few with each frame to come, and the old points stay
+        until then: an old track is better than none, and is said to be LOST in time.
         """
         newest_id = update.submap.primary_ids[-1]
         place = {p.keyframe_id: i for i, p in enumerate(self._past) if p.keyframe_id is not None}
@@ -100,10 +106,13 @@ class Tracker:
         known = {place[i]: T for i, T in T_w_c.items() if i in place}
         p_m, uv, T_now, gray = self._bring_forward(K, cloud.p_w, cloud.uv, born, known)
         fit = locate(K, p_m, uv, T_now, self._threshold(gray))
-        if fit is None or fit.n_inliers < 2 * MIN_INLIERS:
-            return False
+        if fit is None or fit.n_inliers < SAFE_INLIERS:
+            newest_born = born == starts[-1]
+            start = _Tracks(K, cloud.p_w[newest_born], cloud.uv[newest_born], gray)
+            return self._catch_up(starts[-1], start, known)
         ratio = self._scale_ratio(starts[-1], known[starts[-1]], fit.T_w_c)
-        T_new_old = self._switch(fit)
+        self._follower = None
+        T_new_old = self._switch(fit.T_w_c)
         p_m, uv = p_m[fit.inlier], uv[fit.inlier]
         old = self._tracks
         if T_new_old is not None and ratio is not None and old is not None and old.seen_in is gray:
@@ -115,6 +124,34 @@ class Tracker:
             uv = np.concatenate([uv, old.uv[:room]])
         self._tracks = _Tracks(K, p_m, uv, gray)
         return True
+
+    def _catch_up(self, keyframe: int, start: _Tracks, known: dict[int, Float]) -> bool:
+        """Begins to track the remembered frames since a keyframe as if they came now.
+
+        Dearer than hops, but new points replace those that leave the view on the way.
+        """
+        first = self._past[keyframe]
+        self._follower = Tracker(self.config)
+        self._follower._tracks = replace(start, seen_in=first.gray)
+        self._follower._path.append((first.t_ns, known[keyframe]))
+        self._followed_ns = first.t_ns
+        return True
+
+    def _advance_follower(self) -> None:
+        """A few frames nearer to now; once it is there, it takes over."""
+        follower = self._follower
+        if follower is None:
+            return
+        ahead = [past for past in self._past if past.t_ns > self._followed_ns]
+        for past in ahead[:CATCH_UP_FRAMES]:
+            follower.track(past.t_ns, past.gray)
+            self._followed_ns = past.t_ns
+        if len(ahead) <= CATCH_UP_FRAMES:
+            self._follower = None
+            T_w_c = follower._past[-1].T_m_c if follower._past else None
+            if T_w_c is not None:
+                self._switch(T_w_c)
+                self._tracks, self._candidates = follower._tracks, follower._candidates
 
     def _scale_ratio(self, keyframe: int, T_w_k: Float, T_w_c: Float) -> float | None:
         """New lengths over old ones, from the way between a remembered keyframe and now.
@@ -197,7 +234,7 @@ class Tracker:
         moved = T_o_c[:3, 3] - T_0[:3, 3]
         return np.asarray(T_o_c[:3, :3].T @ moved / ((t_ns - t_0) * 1e-9))
 
-    def _switch(self, fit: PoseFit) -> Float | None:
+    def _switch(self, T_w_c: Float) -> Float | None:
         """The newest frame has a pose in the new map: carry the odometry over to it.
 
         Returns new map<-old map, None when the old track was lost.
@@ -205,8 +242,8 @@ class Tracker:
         newest, T_new_old = self._past[-1], None
         if newest.T_m_c is not None:
             T_o_c = self._path[-1][1]
-            self.T_map_odom = fit.T_w_c @ se3.inverse(T_o_c)
-            T_new_old = fit.T_w_c @ se3.inverse(newest.T_m_c)
+            self.T_map_odom = T_w_c @ se3.inverse(T_o_c)
+            T_new_old = T_w_c @ se3.inverse(newest.T_m_c)
             self._candidates = self._candidates.moved_to(T_new_old)
             for past in self._past:
                 past.T_m_c = None if past.T_m_c is None else T_new_old @ past.T_m_c
@@ -217,8 +254,8 @@ class Tracker:
             for past in self._past:
                 past.T_m_c = None
             self._path.clear()
-            self._path.append((newest.t_ns, se3.inverse(self.T_map_odom) @ fit.T_w_c))
-        newest.T_m_c = fit.T_w_c
+            self._path.append((newest.t_ns, se3.inverse(self.T_map_odom) @ T_w_c))
+        newest.T_m_c = T_w_c
         self._ever_tracked = True
         return T_new_old
 
