@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import os
 import signal
 import time
 import traceback
@@ -70,6 +71,8 @@ class EstimatorWork:
 def run_estimator(connection: Connection, config: Config) -> None:
     """The process's main function."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # a window may wait, a frame and its pose may not
+    os.nice(10)
     # what it skips is said by capture, once, and logged into the recording
     logging.basicConfig(level=logging.ERROR)
     cv2.setNumThreads(1)

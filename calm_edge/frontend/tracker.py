@@ -25,7 +25,7 @@ MIN_INLIERS, SAFE_INLIERS = 12, 80
 REMEMBERED = 60
 HOP = 4
 # remembered frames tracked again with each new one: bounds what a late sub-map adds to latency
-CATCH_UP_FRAMES = 5
+CATCH_UP_FRAMES = 3
 VELOCITY_WINDOW_NS = 300_000_000
 INLIER_PX = 3.0
 # of the logarithm of a length: beyond it the old track is not worth keeping

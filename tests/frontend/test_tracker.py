@@ -155,10 +155,10 @@ def test_recovering_from_loss_is_a_new_epoch() -> None:
 def test_a_submap_that_comes_after_its_points_left_the_view_is_caught_up_with() -> None:
     poses = drive(75, step_m=0.4)
     tracker = Tracker(FrontendConfig())
-    feed(tracker, poses[:50])
+    feed(tracker, poses[:40])
     assert tracker.attach(WORLD.update(0, [0, 1], [stamp(0), stamp(3)], poses[[0, 3]]))
-    samples = feed(tracker, poses[50:], 50)
-    assert all(s.status is PoseStatus.LIVE for s in samples[13:])
+    samples = feed(tracker, poses[40:], 40)
+    assert all(s.status is PoseStatus.LIVE for s in samples[20:])
     assert samples[0].status is PoseStatus.LOST
     driven = 0.4 * 75
     assert np.linalg.norm(samples[-1].T_w_c[:3, 3] - poses[-1][:3, 3]) < 0.05 * driven
