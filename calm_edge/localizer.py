@@ -23,6 +23,7 @@ from calm_edge.config import Config
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
 from calm_edge.types import (
+    Bytes,
     Float,
     Hints,
     Int,
@@ -75,10 +76,10 @@ class Localizer:
     def process(self, window: SubmapWindow) -> LocalizerUpdate | None:
         """One window more; None where it could not be reconstructed (see `skipped`)."""
         before, stage_ms = self.trajectory(), dict[str, float]()
-        hints = self._hints(window)
         try:
             with _timed(stage_ms, "decode"):
                 images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
+            hints = self._hints(window, images)
             with _timed(stage_ms, "infer"):
                 prediction = self._backbone.infer(images, hints)
             with _timed(stage_ms, "scale"):
@@ -137,7 +138,7 @@ class Localizer:
     def _empty_graph(self) -> JointGraph:
         return JointGraph(self._config.posegraph, self._spacing_m or 1.0)
 
-    def _hints(self, window: SubmapWindow) -> Hints:
+    def _hints(self, window: SubmapWindow, images: list[Bytes]) -> Hints:
         frames = [keyframe.frame for keyframe in window.keyframes()]
         given = self._config.backbone.hfov_deg
         return Hints(
@@ -145,6 +146,7 @@ class Localizer:
             t_ns=np.array([frame.t_ns for frame in frames], np.int64),
             hfov_deg=(given[0], given[-1]) if given else (None, None),
             kit=self._memory.belief(),
+            sizes=_sizes(window, images),
         )
 
     def _append(self, submap: Submap) -> None:
@@ -251,6 +253,14 @@ def _raw(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Submap:
         T_w_s=np.eye(4),
         focal_log_sigma=_focal_log_sigma(len(window.primary), prediction),
     )
+
+
+def _sizes(window: SubmapWindow, images: list[Bytes]) -> Int | None:
+    """(2, 2) width and height [px] of each eye's pictures, None without an assistant."""
+    if not window.assistant:
+        return None
+    shapes = [images[0].shape, images[len(window.primary)].shape]
+    return np.array([[shape[1], shape[0]] for shape in shapes], np.int64)
 
 
 def _rig_views(submap: Submap) -> Int:

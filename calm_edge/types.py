@@ -71,12 +71,14 @@ class Hints:
 
     eyes: (N,) Eye values. t_ns: (N,). hfov_deg: one an eye, None where unknown.
     kit: what earlier windows of the same kit taught, or None.
+    sizes: (2, 2) width, height [px] of each eye's pictures, None where not known.
     """
 
     eyes: Int
     t_ns: Int
     hfov_deg: tuple[float | None, float | None] = (None, None)
     kit: KitBelief | None = None
+    sizes: Int | None = None
 
 
 @dataclass(frozen=True, slots=True)

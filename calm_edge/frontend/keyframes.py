@@ -10,22 +10,24 @@ from calm_edge.frontend.flow import corners, follow
 from calm_edge.types import Bytes, Float32, Keyframe
 from device.frame import Frame
 
-# A mean that a passing car cannot carry: this share is cut at each end, and half the
-# tracks must have moved by MOVING_SHARE of the threshold.
-TRIM = 0.1
+# Half of an open scene lies too far to show any parallax, so the mean is over the half that
+# moves most, less the largest tenth. A passing car cannot carry it: three quarters of the
+# tracks may stand still, but not more, at MOVING_SHARE of the threshold.
+MOVING_HALF = (0.5, 0.9)
+MOVING_QUANTILE = 0.75
 MOVING_SHARE = 0.2
-# Below this share of surviving tracks the scene has changed: a turn, or an exit from a tunnel.
-SURVIVING_SHARE = 0.3
+# Below this share of surviving tracks the scene has changed: a turn, or near ground rushing by.
+SURVIVING_SHARE = 0.5
 MIN_TRACKS = 20
 CORNERS = 400
 
 
 def robust_mean(disparity: NDArray[np.floating]) -> float:
-    """Mean of disparities (M,) px without the smallest and largest tenth; 0 when empty."""
+    """Mean of the disparities (M,) px between the quantiles MOVING_HALF; 0 when empty."""
     if len(disparity) == 0:
         return 0.0
-    cut = int(TRIM * len(disparity))
-    return float(np.sort(disparity)[cut : len(disparity) - cut].mean())
+    low, high = (int(q * len(disparity)) for q in MOVING_HALF)
+    return float(np.sort(disparity)[low : max(high, low + 1)].mean())
 
 
 class KeyframeSelector:
@@ -58,9 +60,10 @@ class KeyframeSelector:
         alive = int(good.sum())
         if alive < max(MIN_TRACKS, SURVIVING_SHARE * self._n_detected):
             return self._accept(frame, gray)
-        mean, median = robust_mean(disparity), float(np.median(disparity))
+        mean = robust_mean(disparity)
+        moving = float(np.quantile(disparity, MOVING_QUANTILE)) > MOVING_SHARE * threshold
         overdue = frame.t_ns - self._keyframe_t_ns > self.config.max_keyframe_gap_s * 1e9
-        if median > MOVING_SHARE * threshold and (mean > threshold or overdue):
+        if moving and (mean > threshold or overdue):
             return self._accept(frame, gray)
         step = np.linalg.norm(moved - self._uv, axis=1)[good]
         if float(np.median(step)) >= self.config.standstill_px:

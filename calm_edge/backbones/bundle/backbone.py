@@ -1,0 +1,156 @@
+"""The bundle backbone: two uncalibrated cameras in, intrinsics, poses, depth, confidence out.
+
+Matches -> a first guess -> bundle adjustment over poses, points, optics and rig -> plane-sweep
+depth. It meets the definition of a visual geometry model (paper III) with no learned part: the
+network of a later model replaces tracks.py and depth.py, the solver stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.bundle import kit, window
+from calm_edge.backbones.bundle.initialise import initial_state, triangulated
+from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
+from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve
+from calm_edge.backbones.kit_belief import product
+from calm_edge.config import BackboneConfig
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Hints, KitBelief, Prediction
+
+# Errors along one track and over one texture are not independent news; this share of the
+# information counted observation by observation is what the windows' scatter supports.
+TEMPERING = 0.02
+# What the pinhole model leaves out (distortion, rolling shutter, a stamp's error) as a share of f.
+FOCAL_FLOOR = 0.012
+ROBUST_SCALE = 2.0
+# A belief this sharp is used as it is; a vaguer one makes several first guesses compete.
+RIG_KNOWN_RAD = 0.02
+FOCAL_KNOWN = 0.05
+FOCAL_GUESSES = (1.0, 1.25, 0.75)
+GUESS_ITERATIONS = 15
+GUESS_POINTS = 200
+# Beyond these a solution is believed neither as a sub-map nor as evidence on the kit.
+MAX_MEDIAN_PX = 2.0
+MAX_EVIDENCE_PX = 0.8
+
+
+class BundleBackbone:
+    """Stateless: what is learned of the kit travels in `Hints.kit` and `Prediction.kit`."""
+
+    name = "bundle"
+
+    def __init__(self, config: BackboneConfig) -> None:
+        self._seed = config.seed
+
+    def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
+        """Poses, K and landmarks; depth comes with `densify`. Raises BackboneError."""
+        belief = believed(hints)
+        sigma = _sigma(belief)
+        rig_known = bool(sigma[8:11].max() < RIG_KNOWN_RAD)
+        m = window.measure(images, hints, belief.mean, rig_known)
+        ties = rig_ties(m)
+        known = rig_known and bool(sigma[list(kit.LOG_FOCAL)].max() < FOCAL_KNOWN)
+        start = _first_guess(m, ties, belief, known)
+        return _prediction(m, ties, belief, _solve(start, m, ties, belief))
+
+    def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
+        """The same views again under the kit of `hints`, from landmarks; raises BackboneError."""
+        belief = believed(hints)
+        m, start = window.from_prediction(prediction, hints, belief.mean)
+        ties = rig_ties(m)
+        return _prediction(m, ties, belief, _solve(start, m, ties, belief))
+
+    def densify(
+        self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+    ) -> Prediction:
+        """The prediction with plane-sweep depth and confidence (depth.py)."""
+        if prediction.depth is not None:
+            return prediction
+        # `record` solves poses only and need not load this
+        from calm_edge.backbones.bundle.depth import sweep_window
+
+        depth, confidence = sweep_window(images, hints, prediction)
+        return replace(prediction, depth=depth, confidence=confidence)
+
+
+def believed(hints: Hints) -> KitBelief:
+    """The prior under the hints times what other windows taught."""
+    prior = kit.prior(hints.hfov_deg)
+    joint = product([prior, hints.kit]) if hints.kit else prior
+    assert joint is not None
+    t = joint.mean[11:14]
+    length = np.linalg.norm(t)
+    if length > 1e-6:
+        joint.mean[11:14] = t / length
+    return joint
+
+
+def _sigma(belief: KitBelief) -> Float:
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(belief.information))))
+
+
+def _sharpened(belief: KitBelief) -> KitBelief:
+    """The belief as strong against a window's pixels as tempering makes those weak."""
+    return KitBelief(belief.mean, belief.information / TEMPERING)
+
+
+def _solve(start: State, m: Measurements, ties: RigTies, belief: KitBelief) -> Solution:
+    solution = solve(start, m, ties, _sharpened(belief), robust_scale=ROBUST_SCALE)
+    if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
+        raise BackboneError("bundle: the pictures do not fit one rigid scene")
+    return solution
+
+
+def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool) -> State:
+    """The best of a few starts: a wrong focal can trap the solver, a few steps tell which.
+
+    The starts compete on the longest tracks only; the winner's poses then place every point.
+    """
+    few = m if known else window.thinned(m, GUESS_POINTS)
+    candidates: list[tuple[float, State]] = []
+    failure = BackboneError("bundle: no first guess")
+    for factor in FOCAL_GUESSES[:1] if known else FOCAL_GUESSES:
+        theta = belief.mean.copy()
+        theta[list(kit.LOG_FOCAL)] += np.log(factor)
+        try:
+            state = initial_state(few, theta, known)
+        except BackboneError as error:
+            failure = error
+            continue
+        if known:
+            return state
+        trial = solve(
+            state, few, ties, _sharpened(belief),
+            robust_scale=ROBUST_SCALE, max_iterations=GUESS_ITERATIONS,
+        )  # fmt: skip
+        candidates.append((trial.cost, trial.state))
+    if not candidates:
+        raise failure
+    best = min(candidates, key=lambda candidate: candidate[0])[1]
+    return State(best.T_c_s, triangulated(m, best.T_c_s, best.theta), best.theta)
+
+
+def _prediction(
+    m: Measurements, ties: RigTies, belief: KitBelief, solution: Solution
+) -> Prediction:
+    state = solution.state
+    evidence = None
+    if np.median(solution.residual * m.sigma_px) < MAX_EVIDENCE_PX:
+        evidence = kit_evidence(solution, m, ties, ROBUST_SCALE, TEMPERING)
+    joint = product([belief, evidence]) if evidence else belief
+    assert joint is not None
+    sigma = np.hypot(_sigma(joint)[list(kit.LOG_FOCAL)], FOCAL_FLOOR)
+    K = np.stack([kit.camera_matrix(state.theta, eye, *m.size[eye]) for eye in (0, 1)])
+    return Prediction(
+        K=K[m.eye],
+        T_s_c=se3.inverse(state.T_c_s),
+        focal_log_sigma=sigma[m.eye],
+        landmarks=window.to_landmarks(state, m, solution.residual),
+        kit=evidence,
+    )

@@ -1,0 +1,213 @@
+"""A first guess of poses, points and rig, from matches alone and a rough focal.
+
+Two primary views by their essential matrix, the others by resection, the assistant's views by
+resection too: its rotation is unconstrained, so nothing is assumed of it.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.bundle import kit
+from calm_edge.backbones.bundle.problem import Measurements, State
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Int
+
+MIN_COMMON = 30
+MIN_RESECTION = 10
+RESECTION_PX = 4.0
+
+
+def normalised(m: Measurements, theta: Float) -> Float:
+    """Observations as rays (O, 2) on z = 1 under the optics in theta (radial term ignored)."""
+    out = np.empty_like(m.uv)
+    for eye in (0, 1):
+        rows = m.eye[m.view] == eye
+        K = kit.camera_matrix(theta, eye, *m.size[eye])
+        out[rows] = (m.uv[rows] - K[:2, 2]) / K[0, 0]
+    return out
+
+
+def triangulate(T_c_s: Float, view: Int, point: Int, rays: Float, n_points: int) -> Float:
+    """Linear triangulation of all points at once: (M, 4) unit homogeneous, NaN when unseen twice.
+
+    Signed so that z > 0 in the views.
+    Each ray gives two rows of A X = 0; the 4x4 A^T A of every point is built by summation.
+    """
+    P = T_c_s[view][:, :3]
+    rows = np.stack([rays[:, 0, None] * P[:, 2] - P[:, 0], rays[:, 1, None] * P[:, 2] - P[:, 1]], 1)
+    outer = rows.transpose(0, 2, 1) @ rows
+    A = np.zeros((n_points, 4, 4))
+    np.add.at(A, point, outer)
+    X = np.linalg.eigh(A)[1][:, :, 0]
+    z = np.bincount(point, (P[:, 2] * X[point]).sum(1), n_points)
+    X *= np.where(z < 0, -1.0, 1.0)[:, None]
+    X[np.bincount(point, minlength=n_points) < 2] = np.nan
+    return np.asarray(X)
+
+
+def _rows_of(m: Measurements, view: int) -> Int:
+    return np.flatnonzero(m.view == view)
+
+
+def two_views(m: Measurements, rays: Float, first: int, second: int, f: float) -> Float | None:
+    """T_second_first (4, 4), unit translation, or None when too few matches agree."""
+    a, b = _rows_of(m, first), _rows_of(m, second)
+    _, ia, ib = np.intersect1d(m.point[a], m.point[b], return_indices=True)
+    if len(ia) < MIN_COMMON:
+        return None
+    pa, pb = rays[a[ia]], rays[b[ib]]
+    E, mask = cv2.findEssentialMat(
+        pa, pb, np.eye(3), method=cv2.USAC_MAGSAC, prob=0.999, threshold=1.0 / f
+    )
+    if E is None or E.shape != (3, 3):
+        return None
+    count, R, t, _ = cv2.recoverPose(E, pa, pb, np.eye(3), mask=mask.copy())
+    if count < MIN_COMMON // 2:
+        return None
+    return se3.compose(R, t.ravel())
+
+
+def resection(points: Float, rays: Float, f: float, guess: Float | None) -> Float | None:
+    """T_c_s (4, 4) of a view that sees known points (n, 3) along rays (n, 2), or None."""
+    if len(points) < MIN_RESECTION:
+        return None
+    K = np.eye(3)
+    ok, rvec, tvec, inliers = cv2.solvePnPRansac(
+        points, rays, K, None, iterationsCount=200, reprojectionError=RESECTION_PX / f,
+        confidence=0.999, flags=cv2.SOLVEPNP_SQPNP,
+    )  # fmt: skip
+    if not ok or inliers is None or len(inliers) < MIN_RESECTION:
+        return guess
+    i = inliers.ravel()
+    rvec, tvec = cv2.solvePnPRefineLM(points[i], rays[i], K, None, rvec, tvec)
+    return se3.compose(se3.so3_exp(rvec.ravel()), tvec.ravel())
+
+
+def _usable(X: Float) -> np.ndarray:
+    """Points at a finite distance, not beyond infinity."""
+    return np.asarray(np.isfinite(X[:, 0]) & (X[:, 3] > 1e-4))
+
+
+def initial_state(m: Measurements, theta: Float, rig_known: bool) -> State:
+    """Poses of all views, points and kit from scratch; raises BackboneError when it cannot.
+
+    theta: (14,) the best guess of the kit; its rig part is used only when `rig_known`, else
+    it is found here.
+    """
+    rays = normalised(m, theta)
+    n_points = int(m.point.max()) + 1
+    primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
+    f = [kit.camera_matrix(theta, e, *m.size[e])[0, 0] for e in (0, 1)]
+
+    poses = _seed(m, rays, primary, f[0])
+    X = _triangulate_known(m, rays, poses, n_points)
+    for view in _outward(primary, list(poses)):
+        pose = _resect(m, rays, X, view, f[0], _nearest(poses, view))
+        if pose is None:
+            raise BackboneError("bundle: a keyframe shares too few matches with its neighbours")
+        poses[view] = pose
+        X = _triangulate_known(m, rays, poses, n_points)
+    t = m.t[primary]
+    T_s_p = se3.inverse(np.stack([poses[v] for v in primary]))
+    found: list[Float] = []
+    at: list[Float] = []
+    for view in assistant:
+        reference = se3.interpolate_at(t, T_s_p, m.t[view : view + 1])[0]
+        at.append(reference)
+        pose = _resect(m, rays, X, view, f[1], None)
+        if pose is not None:
+            poses[view] = pose
+            found.append(se3.inverse(reference) @ se3.inverse(pose))
+    if rig_known:
+        T_p_a = kit.rig(theta)
+        spacing = _spacing_of(found, T_p_a)
+    else:
+        if not found:
+            raise BackboneError("bundle: no matches between the two eyes")
+        T_p_a, spacing = _median_rig(found)
+    # everything in spacings; the assistant's views start exactly on the rig
+    out = np.empty((m.n_views, 4, 4))
+    for i, view in enumerate(primary):
+        T = T_s_p[i].copy()
+        T[:3, 3] /= spacing
+        out[view] = se3.inverse(T)
+    for i, view in enumerate(assistant):
+        T = at[i].copy()
+        T[:3, 3] /= spacing
+        out[view] = se3.inverse(T @ T_p_a)
+    theta = theta.copy()
+    theta[kit.RIG] = kit.rig_vector(T_p_a)
+    return State(out, triangulated(m, out, theta), theta)
+
+
+def triangulated(m: Measurements, T_c_s: Float, theta: Float) -> Float:
+    """(M, 4) every point from its views; a point no two views see starts far ahead."""
+    n_points = int(m.point.max()) + 1
+    X = triangulate(T_c_s, m.view, m.point, normalised(m, theta), n_points)
+    return np.where(np.isfinite(X[:, :1]), X, [0.0, 0.0, 1.0, 0.0])
+
+
+def _seed(m: Measurements, rays: Float, primary: Int, f: float) -> dict[int, Float]:
+    """The first view and the farthest one that still shares enough matches."""
+    for share in (0.5, 0.35, 0.7, 0.2, 0.0):
+        second = int(primary[max(1, int(share * (len(primary) - 1)))])
+        T = two_views(m, rays, int(primary[0]), second, f)
+        if T is not None:
+            return {int(primary[0]): np.eye(4), second: T}
+    raise BackboneError("bundle: the first keyframes share too few matches (dark, or standing?)")
+
+
+def _triangulate_known(
+    m: Measurements, rays: Float, poses: dict[int, Float], n_points: int
+) -> Float:
+    stack = np.tile(np.eye(4), (m.n_views, 1, 1))
+    for view, T in poses.items():
+        stack[view] = T
+    known = np.isin(m.view, list(poses))
+    return triangulate(stack, m.view[known], m.point[known], rays[known], n_points)
+
+
+def _resect(
+    m: Measurements, rays: Float, X: Float, view: int, f: float, guess: Float | None
+) -> Float | None:
+    rows = _rows_of(m, view)
+    rows = rows[_usable(X[m.point[rows]])]
+    points = X[m.point[rows]]
+    return resection(points[:, :3] / points[:, 3:], rays[rows], f, guess)
+
+
+def _outward(primary: Int, known: list[int]) -> list[int]:
+    """Views still unknown, those between the known ones first, then onward."""
+    return [int(v) for v in primary if v not in known and v < max(known)] + [
+        int(v) for v in primary if v > max(known)
+    ]
+
+
+def _nearest(poses: dict[int, Float], view: int) -> Float:
+    return poses[min(poses, key=lambda v: (abs(v - view), v))]
+
+
+def _median_rig(found: list[Float]) -> tuple[Float, float]:
+    """T_p_a in spacings and the spacing in the initial unit: the medoid of the found ones."""
+    stack = np.stack(found)
+    error = se3.log(se3.inverse(stack)[:, None] @ stack[None])
+    scale = np.median(np.linalg.norm(stack[:, :3, 3], axis=1)) + 1e-12
+    cost = np.linalg.norm(error[..., :3] / scale, axis=2) + np.linalg.norm(error[..., 3:], axis=2)
+    best = stack[int(np.argmin(np.median(cost, axis=1)))].copy()
+    spacing = float(np.linalg.norm(best[:3, 3]))
+    best[:3, 3] /= spacing
+    return best, spacing
+
+
+def _spacing_of(found: list[Float], T_p_a: Float) -> float:
+    """The spacing in the initial unit when the rig's direction is known."""
+    if not found:
+        raise BackboneError("bundle: no matches between the two eyes")
+    along = [float(T[:3, 3] @ T_p_a[:3, 3]) for T in found]
+    spacing = float(np.median(along))
+    if spacing <= 0:
+        raise BackboneError("bundle: the assistant is not where the kit says")
+    return spacing

@@ -1,0 +1,115 @@
+"""From pictures, or from the landmarks of an earlier solution, to a window's measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.bundle import kit
+from calm_edge.backbones.bundle.problem import Measurements, State
+from calm_edge.backbones.bundle.tracks import Tracks, window_tracks
+from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
+
+SIGMA_PX = 0.5
+MIN_VIEWS_OF_A_POINT = 3
+MIN_POINTS = 40
+FARTHEST = 1e6  # spacings: where a point at infinity is written down
+KEPT_PX = 5.0  # an observation farther off than this is no observation of its point
+
+
+def split_eyes(hints: Hints) -> tuple[Int, Int]:
+    """Batch indices of the primary and the assistant views; raises BackboneError."""
+    eyes = np.asarray(hints.eyes)
+    primary, assistant = np.flatnonzero(eyes == 0), np.flatnonzero(eyes == 1)
+    if len(primary) < 2 or len(assistant) < 1:
+        raise BackboneError("bundle: needs two primary pictures and one of the assistant at least")
+    if np.any(np.diff(eyes) < 0) or np.any(np.diff(hints.t_ns[primary]) <= 0):
+        raise BackboneError("bundle: pictures must be in order: primary by time, then assistant")
+    return primary, assistant
+
+
+def seconds(hints: Hints) -> Float:
+    """(N,) stamps as seconds since the first."""
+    return np.asarray((hints.t_ns - hints.t_ns[0]) * 1e-9)
+
+
+def measure(
+    images: Sequence[NDArray[np.uint8]], hints: Hints, theta: Float, rig_known: bool
+) -> Measurements:
+    """Matches of all pictures (H, W, 3) as measurements; raises BackboneError when too few.
+
+    theta: (14,) kit, which guides the search across the eyes when `rig_known`.
+    """
+    primary, assistant = split_eyes(hints)
+    gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
+    t = seconds(hints)
+    partner = [int(np.argmin(np.abs(t[primary] - t[j]))) for j in assistant]
+    size = np.array([gray[primary[0]].shape[::-1], gray[assistant[0]].shape[::-1]])
+    H_a_p = _infinite_homography(theta, size) if rig_known else None
+    tracks = window_tracks([gray[i] for i in primary], [gray[j] for j in assistant], partner, H_a_p)
+    return _measurements(tracks, hints, size)
+
+
+def _infinite_homography(theta: Float, size: Int) -> Float:
+    """H_a_p (3, 3): where far points seen by the primary appear to the assistant."""
+    K_p, K_a = (kit.camera_matrix(theta, eye, *size[eye]) for eye in (0, 1))
+    return np.asarray(K_a @ kit.rig(theta)[:3, :3].T @ np.linalg.inv(K_p))
+
+
+def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
+    _, of, count = np.unique(tracks.track, return_inverse=True, return_counts=True)
+    keep = count[of] >= MIN_VIEWS_OF_A_POINT
+    ids, point = np.unique(tracks.track[keep], return_inverse=True)
+    if len(ids) < MIN_POINTS:
+        raise BackboneError(f"bundle: only {len(ids)} points could be followed (dark or blurred?)")
+    sigma = np.full(int(keep.sum()), SIGMA_PX)
+    return Measurements(
+        tracks.view[keep],
+        point,
+        tracks.uv[keep],
+        sigma,
+        np.asarray(hints.eyes),
+        seconds(hints),
+        size,
+    )
+
+
+def thinned(m: Measurements, n_points: int) -> Measurements:
+    """The same window with its `n_points` most often seen points only."""
+    count = np.bincount(m.point)
+    kept = np.sort(np.argsort(-count, kind="stable")[:n_points])
+    rows = np.isin(m.point, kept)
+    point = np.searchsorted(kept, m.point[rows])
+    return replace(m, view=m.view[rows], point=point, uv=m.uv[rows], sigma_px=m.sigma_px[rows])
+
+
+def to_landmarks(state: State, m: Measurements, residual: Float) -> Landmarks:
+    """The solved points and the observations that fit them. residual: (O,) in sigmas."""
+    X = state.points
+    points = X[:, :3] / np.maximum(
+        X[:, 3:], np.linalg.norm(X[:, :3], axis=1, keepdims=True) / FARTHEST
+    )
+    keep = residual * m.sigma_px < KEPT_PX
+    return Landmarks(points, m.point[keep], m.view[keep], m.uv[keep].astype(np.float32))
+
+
+def from_prediction(
+    prediction: Prediction, hints: Hints, theta: Float
+) -> tuple[Measurements, State]:
+    """An earlier solution as a problem again, at another kit; raises BackboneError."""
+    marks = prediction.landmarks
+    if marks is None or hints.sizes is None:
+        raise BackboneError("bundle: a prediction without landmarks cannot be solved again")
+    sigma = np.full(len(marks.index), SIGMA_PX)
+    m = Measurements(
+        marks.view, marks.index, marks.uv.astype(np.float64), sigma,
+        np.asarray(hints.eyes), seconds(hints), hints.sizes,
+    )  # fmt: skip
+    X = np.c_[marks.points_s, np.ones(len(marks.points_s))]
+    X /= np.linalg.norm(X, axis=1, keepdims=True)
+    return m, State(np.linalg.inv(prediction.T_s_c), X, theta)
