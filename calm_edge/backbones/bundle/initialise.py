@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import kit
@@ -110,34 +111,20 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool) -> State:
             raise BackboneError("bundle: a keyframe shares too few matches with its neighbours")
         poses[view] = pose
         X = _triangulate_known(m, rays, poses, n_points)
-    t = m.t[primary]
     T_s_p = se3.inverse(np.stack([poses[v] for v in primary]))
-    found: list[Float] = []
-    at: list[Float] = []
-    for view in assistant:
-        reference = se3.interpolate_at(t, T_s_p, m.t[view : view + 1])[0]
-        at.append(reference)
-        pose = _resect(m, rays, X, view, f[1], None)
-        if pose is not None:
-            poses[view] = pose
-            found.append(se3.inverse(reference) @ se3.inverse(pose))
+    at = se3.interpolate_at(m.t[primary], T_s_p, m.t[assistant])  # the primary's, at their instants
     if rig_known:
         T_p_a = kit.rig(theta)
-        spacing = _spacing_of(found, T_p_a)
+        spacing = _spacing_of(_resected(m, rays, X, assistant, at, f[1]), T_p_a)
     else:
-        if not found:
-            raise BackboneError("bundle: no matches between the two eyes")
-        T_p_a, spacing = _median_rig(found)
+        T_p_a, theta = _rig(m, theta, X, assistant, at, _resected(m, rays, X, assistant, at, f[1]))
+        spacing = float(np.linalg.norm(T_p_a[:3, 3]))
+        T_p_a[:3, 3] /= spacing
     # everything in spacings; the assistant's views start exactly on the rig
     out = np.empty((m.n_views, 4, 4))
-    for i, view in enumerate(primary):
-        T = T_s_p[i].copy()
-        T[:3, 3] /= spacing
-        out[view] = se3.inverse(T)
-    for i, view in enumerate(assistant):
-        T = at[i].copy()
-        T[:3, 3] /= spacing
-        out[view] = se3.inverse(T @ T_p_a)
+    for views, T_s_c in ((primary, T_s_p), (assistant, at)):
+        T_s_c[:, :3, 3] /= spacing
+        out[views] = se3.inverse(T_s_c if views is primary else T_s_c @ T_p_a)
     theta = theta.copy()
     theta[kit.RIG] = kit.rig_vector(T_p_a)
     return State(out, triangulated(m, out, theta), theta)
@@ -190,22 +177,52 @@ def _nearest(poses: dict[int, Float], view: int) -> Float:
     return poses[min(poses, key=lambda v: (abs(v - view), v))]
 
 
-def _median_rig(found: list[Float]) -> tuple[Float, float]:
-    """T_p_a in spacings and the spacing in the initial unit: the medoid of the found ones."""
+def _resected(
+    m: Measurements, rays: Float, X: Float, assistant: Int, at: Float, f: float
+) -> list[Float]:
+    """T_p_a (4, 4), initial unit, of every assistant view that resection can place."""
+    found = []
+    for view, T_s_p in zip(assistant, at, strict=True):
+        pose = _resect(m, rays, X, int(view), f, None)
+        if pose is not None:
+            found.append(se3.inverse(pose @ T_s_p))
+    if not found:
+        raise BackboneError("bundle: no matches between the two eyes")
+    return found
+
+
+def _rig(
+    m: Measurements, theta: Float, X: Float, assistant: Int, at: Float, found: list[Float]
+) -> tuple[Float, Float]:
+    """T_p_a (4, 4), initial unit, and theta with the assistant's focal, both from all its views.
+
+    Resection alone turns an error of that focal into a step along the axis many times the
+    spacing, so the two are found together: one rig, one focal, the primary's points held.
+    """
     stack = np.stack(found)
-    error = se3.log(se3.inverse(stack)[:, None] @ stack[None])
-    scale = np.median(np.linalg.norm(stack[:, :3, 3], axis=1)) + 1e-12
-    cost = np.linalg.norm(error[..., :3] / scale, axis=2) + np.linalg.norm(error[..., 3:], axis=2)
-    best = stack[int(np.argmin(np.median(cost, axis=1)))].copy()
-    spacing = float(np.linalg.norm(best[:3, 3]))
-    best[:3, 3] /= spacing
-    return best, spacing
+    rotation = se3.log(se3.inverse(stack)[:, None] @ stack[None])[..., 3:]
+    start = stack[int(np.argmin(np.median(np.linalg.norm(rotation, axis=2), axis=1)))]
+    rows = np.flatnonzero(np.isin(m.view, assistant))
+    rows = rows[_usable(X[m.point[rows]])]
+    points = X[m.point[rows], :3] / X[m.point[rows], 3:]
+    p_p = np.linalg.inv(at)[np.searchsorted(assistant, m.view[rows])]
+    p_p = (p_p[:, :3, :3] @ points[..., None])[..., 0] + p_p[:, :3, 3]
+    K = kit.camera_matrix(theta, 1, *m.size[1])
+
+    def error_px(x: Float) -> Float:
+        q = se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p))
+        z = np.where(q[:, 2:] > 1e-6, q[:, 2:], 1e-6)
+        uv = np.exp(x[6]) * K[0, 0] * q[:, :2] / z + K[:2, 2]
+        return np.asarray(np.clip(uv - m.uv[rows], -1e3, 1e3).ravel())
+
+    fit = least_squares(error_px, np.zeros(7), loss="cauchy", f_scale=2.0, max_nfev=30)
+    theta = theta.copy()
+    theta[kit.LOG_FOCAL[1]] += fit.x[6]
+    return start @ se3.inverse(se3.exp(fit.x[:6])), theta
 
 
 def _spacing_of(found: list[Float], T_p_a: Float) -> float:
     """The spacing in the initial unit when the rig's direction is known."""
-    if not found:
-        raise BackboneError("bundle: no matches between the two eyes")
     along = [float(T[:3, 3] @ T_p_a[:3, 3]) for T in found]
     spacing = float(np.median(along))
     if spacing <= 0:

@@ -110,7 +110,7 @@ def whitened_lengths(state: State, m: Measurements) -> Float:
 def total_cost(
     state: State, m: Measurements, ties: RigTies, prior: KitBelief, scale: float
 ) -> float:
-    """Half the robust cost of pixels, rig ties, kit prior and the unit spacing."""
+    """Half the robust cost of pixels, rig ties and kit prior."""
     length = whitened_lengths(state, m)
     pixels = scale**2 * np.log1p((length / scale) ** 2).sum()
     T = state.T_c_s
@@ -118,8 +118,7 @@ def total_cost(
         T[ties.before], T[ties.after], T[ties.assistant], kit.rig(state.theta), ties
     )
     off = state.theta - prior.mean
-    spacing = (np.linalg.norm(state.theta[11:14]) - 1) / kit.SPACING_SIGMA
-    return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off + spacing**2)
+    return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off)
 
 
 def _scatter(H: Float, rows: np.ndarray, blocks: Float) -> None:
@@ -191,23 +190,27 @@ def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, 
     k = slice(len(g) - kit.SIZE, len(g))
     H[k, k] += prior.information
     g[k] += prior.information @ (state.theta - prior.mean)
-    _add_spacing(H, g, state.theta)
+    _add_spacing(H, state.theta)
     return H, g
 
 
-def _add_spacing(H: Float, g: Float, theta: Float) -> None:
-    """The gauge: the assistant is one map unit away."""
-    t = theta[11:14]
-    length = np.linalg.norm(t)
-    row = t / length / kit.SPACING_SIGMA
+def _add_spacing(H: Float, theta: Float) -> None:
+    """The gauge, as a stiff spring on a direction `_step` rescales away: |t_p_a| stays 1."""
+    row = theta[11:14] / kit.SPACING_SIGMA
     H[-3:, -3:] += np.outer(row, row)
-    g[-3:] += row * (length - 1) / kit.SPACING_SIGMA
 
 
 def _step(state: State, n_views: int, delta: Float, delta_points: Float) -> State:
+    """The stepped state, the whole scene rescaled so that the spacing is one again."""
     poses = se3.exp(delta[: 6 * n_views].reshape(n_views, 6)) @ state.T_c_s
     points = move_points(state.points, tangent_basis(state.points), delta_points)
-    return State(poses, points, state.theta + delta[-kit.SIZE :])
+    theta = state.theta + delta[-kit.SIZE :]
+    spacing = np.linalg.norm(theta[11:14])
+    poses[:, :3, 3] /= spacing
+    theta[11:14] /= spacing
+    points[:, 3] *= spacing
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return State(poses, points, theta)
 
 
 def solve(
@@ -270,7 +273,7 @@ def kit_evidence(
     n = 6 * m.n_views
     pose = slice(6, n)
     H, g = normal.H, normal.g
-    _add_spacing(H, g, state.theta)
+    _add_spacing(H, state.theta)
     solved = np.linalg.solve(H[pose, pose] + 1e-9 * np.eye(n - 6), np.c_[H[pose, n:], g[pose]])
     information = H[n:, n:] - H[n:, pose] @ solved[:, :-1]
     gradient = g[n:] - H[n:, pose] @ solved[:, -1]
