@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from calm_edge.evaluation.trajectory_file import EvaluationError, read_tum
-from calm_edge.types import Float, Float32, Int, LocalizerUpdate
+from calm_edge.types import Float, Float32, Int, LocalizerUpdate, PoseSample
 from device.frame import Eye
 
 # Older than any pose a live run would publish.
@@ -27,6 +28,7 @@ class Estimate:
     world is in spacings. focal_px, focal_sigma_percent: one an eye. pose_age_ms: {p50, p99}.
     stage_ms: mean a sub-map, by stage. points_w: (P, 3) map points, world units.
     first_frame: (its number in the sequence, its stamp), which tells how stamps were moved.
+    live: the poses as they left, LOST ones too, in the order of their stamps.
     """
 
     source: str
@@ -42,6 +44,7 @@ class Estimate:
     stage_ms: dict[str, float] = field(default_factory=dict)
     points_w: Float32 | None = None
     first_frame: tuple[int, int] | None = None
+    live: tuple[PoseSample, ...] = ()
 
 
 def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
@@ -204,7 +207,7 @@ def from_recording(path: Path) -> Estimate:
     recording = Recording(path)
     told = [s["pose_age_ms"] for s in recording.json_messages(STATUS) if s.get("pose_age_ms")]
     first = next(recording.frames(Eye.PRIMARY), None)
-    return from_updates(
+    estimate = from_updates(
         str(path),
         list(recording.updates()),
         recording.count(IMAGE_TOPICS[Eye.PRIMARY]),
@@ -212,6 +215,8 @@ def from_recording(path: Path) -> Estimate:
         told[-1] if told else _published_ages(path),
         (first.sequence, first.t_ns) if first else None,
     )
+    live = tuple(sorted(recording.poses(), key=lambda sample: sample.t_ns))
+    return dataclasses.replace(estimate, live=live)
 
 
 def read_estimate(target: Path) -> Estimate:

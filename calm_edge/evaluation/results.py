@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calm_edge.evaluation import cloud, trajectory
+from calm_edge.evaluation import cloud, live, trajectory
 from calm_edge.evaluation.estimate import Estimate, read_estimate
 from calm_edge.evaluation.sequences import Truth, read_truth
 from calm_edge.evaluation.trajectory_file import EvaluationError
@@ -149,6 +149,16 @@ def _map_figures(
     return dict(zip(_MAP_KEYS, values, strict=True))
 
 
+def _live_figures(
+    estimate: Estimate, truth: Truth, motion: trajectory.Similarity | None
+) -> dict[str, Any] | None:
+    if motion is None:
+        return None
+    stamps = np.array([sample.t_ns for sample in estimate.live], np.int64)
+    stamps = common_origin(stamps, truth.t_ns, estimate.first_frame)
+    return live.compare(estimate.live, stamps, truth.t_ns, truth.T_w_c, motion.scale)
+
+
 def _plain(value: Any) -> Any:
     """JSON has neither NaN nor infinity: both become None."""
     if isinstance(value, dict):
@@ -165,7 +175,8 @@ def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) ->
 
     align: which alignment `ate_percent`, the RPE and the map use; None takes SE(3) when the
     estimate is in metres, else Sim(3). `poses` counts those compared, `coverage_percent` is
-    the part of the true path they span; focal errors are signed, estimate minus truth.
+    the part of the true path they span; focal errors are signed, estimate minus truth. `live`:
+    see live.compare; its lengths take the scale of the alignment.
     Raises EvaluationError when the two do not overlap in time.
     """
     chosen = choose(estimate, align)
@@ -181,6 +192,7 @@ def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) ->
         **figures,
         **_focal_figures(estimate, truth.K),
         **_map_figures(estimate, truth, motion),
+        "live": _live_figures(estimate, truth, motion),
         "pose_age_ms": estimate.pose_age_ms,
         "stage_ms": estimate.stage_ms or None,
     }

@@ -68,6 +68,8 @@ def refine(K: Float, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float)
         T_w_c = T_w_c @ se3.exp(step)
         if np.linalg.norm(step) < 1e-9:
             break
+    # poses are predicted from poses for a whole drive: rounding must not add up
+    T_w_c = se3.compose(se3.so3_exp(se3.so3_log(T_w_c[:3, :3])), T_w_c[:3, 3])
     seen, p_c = reprojection(K, p_w, T_w_c)
     size = np.linalg.norm(uv - seen, axis=1)
     inlier = size < threshold_px

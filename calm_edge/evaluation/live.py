@@ -1,0 +1,86 @@
+"""How good the poses were that left the car: seen when they left, not as they were mended later."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from calm_edge.evaluation import trajectory
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Int, PoseSample, PoseStatus
+
+SPAN_NS = 1_000_000_000
+
+
+def spans(t_ns: Int, epoch: Int, span_ns: int = SPAN_NS) -> tuple[Int, Int]:
+    """Index pairs (S,), (S,) of sorted stamps `span_ns` apart, within the tolerance and one epoch.
+
+    Odometry promises no more than this: across a cut of the track the frame is another one.
+    """
+    j = np.searchsorted(t_ns, t_ns + span_ns - trajectory.TOLERANCE_NS)
+    i = np.flatnonzero(j < len(t_ns))
+    j = j[i]
+    near = np.abs(t_ns[j] - t_ns[i] - span_ns) <= trajectory.TOLERANCE_NS
+    near &= epoch[i] == epoch[j]
+    return i[near], j[near]
+
+
+def _percentiles(values: Float) -> dict[str, float] | None:
+    if len(values) == 0:
+        return None
+    p50, p90, most = np.percentile(values, [50, 90, 100])
+    return {"p50": float(p50), "p90": float(p90), "max": float(most)}
+
+
+def compare(
+    samples: Sequence[PoseSample], t_ns: Int, t_truth: Int, T_truth: Float, scale: float = 1.0
+) -> dict[str, Any] | None:
+    """The live poses of a drive against its truth; None without samples.
+
+    t_ns: (N,) the samples' stamps on the truth's clock, sorted. T_truth: (M, 4, 4) at t_truth
+    (M,), metres. scale: metres a world unit.
+    first_s: from the first frame to the first pose; None, as all below, when there never was one.
+    live_percent: of the frames since, those with a pose (LIVE or LAGGING). longest_gap_s: without
+    one, since. jumps: epochs begun since. The errors are over spans of 1 s: span_m and span_deg of
+    the relative motion (p50, p90, max), span_percent their mean over the mean way.
+    velocity_m_s: against the truth's own difference over the frames beside.
+    """
+    if not samples:
+        return None
+    live = np.array([s.status is not PoseStatus.LOST for s in samples])
+    if not live.any():
+        return {"frames": len(samples), "first_s": None}
+    first = int(np.argmax(live))
+    stamps = t_ns[live]
+    ends = np.append(stamps, t_ns[-1])
+    epoch = np.array([s.epoch for s in samples], np.int64)[live]
+    result: dict[str, Any] = {
+        "frames": len(samples),
+        "first_s": float(t_ns[first] - t_ns[0]) / 1e9,
+        "live_percent": 100 * float(live[first:].mean()),
+        "longest_gap_s": float(np.diff(ends).max()) / 1e9,
+        "jumps": int(epoch[-1] - epoch[0]),
+    }
+    a, b = trajectory.associate(stamps, t_truth)
+    T = np.stack([s.T_w_c for s in samples])[live][a]
+    T[:, :3, 3] *= scale
+    i, j = spans(stamps[a], epoch[a])
+    true = se3.inverse(T_truth[b[i]]) @ T_truth[b[j]]
+    error = se3.inverse(true) @ se3.inverse(T[i]) @ T[j]
+    missed = np.linalg.norm(error[:, :3, 3], axis=-1)
+    way = float(np.linalg.norm(true[:, :3, 3], axis=-1).sum())
+    result["span_m"] = _percentiles(missed)
+    result["span_percent"] = 100 * float(missed.sum()) / way if way > 0 else None
+    result["span_deg"] = _percentiles(
+        np.degrees(np.linalg.norm(se3.so3_log(error[:, :3, :3]), axis=-1))
+    )
+    velocity = scale * np.stack([s.velocity_c for s in samples])[live][a]
+    inside = (b > 0) & (b < len(t_truth) - 1) & np.isfinite(velocity).all(1)
+    before, now, after = b[inside] - 1, b[inside], b[inside] + 1
+    moved = (T_truth[after] - T_truth[before])[:, :3, 3]
+    moved /= ((t_truth[after] - t_truth[before]) / 1e9)[:, None]
+    rate = (np.swapaxes(T_truth[now, :3, :3], -1, -2) @ moved[..., None])[..., 0]
+    result["velocity_m_s"] = _percentiles(np.linalg.norm(velocity[inside] - rate, axis=-1))
+    return result
