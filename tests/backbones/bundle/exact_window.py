@@ -1,0 +1,109 @@
+"""A window of two eyes whose truth is known to the last digit: points, path, kit, pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calm_edge.backbones.bundle import kit, problem
+from calm_edge.geometry import se3
+from calm_edge.types import Float
+
+SIZE = np.array([[640, 240], [480, 200]])
+DELAY_S = 0.017
+PERIOD_S = 0.3
+
+
+def theta_of(hfov_deg=(76.0, 66.0), rotation_deg=(1.0, -3.7, 1.2), radial=(0.0, 0.0)) -> Float:
+    """(14,) a kit with two focals and 4 degrees between its eyes."""
+    theta = kit.prior(hfov_deg).mean
+    theta[[3, 7]] = radial
+    theta[8:11] = np.radians(rotation_deg)
+    theta[11:14] = np.array([0.99, 0.03, 0.1]) / np.linalg.norm([0.99, 0.03, 0.1])
+    return theta
+
+
+def turn(n: int, yaw_rad: float = 0.07) -> Float:
+    """T_s_p (n, 4, 4) from the identity: 3 spacings a step, yaw and pitch that come and go."""
+    k = np.arange(n - 1)
+    steps = np.zeros((n - 1, 6))
+    steps[:, 2] = 3.0
+    steps[:, 0] = 0.1 * np.sin(k)
+    steps[:, 3] = 0.1 * yaw_rad * np.cos(1.7 * k)
+    steps[:, 4] = yaw_rad * (1 + np.sin(1.3 * k))
+    T = [np.eye(4)]
+    for step in se3.exp(steps):
+        T.append(T[-1] @ step)
+    return np.array(T)
+
+
+@dataclass(frozen=True)
+class Window:
+    """What is measured and what is true."""
+
+    m: problem.Measurements
+    truth: problem.State
+
+    @property
+    def ties(self):
+        return problem.rig_ties(self.m)
+
+
+def window(
+    T_s_p: Float,
+    theta: Float,
+    *,
+    n_points: int = 150,
+    noise_px: float = 0.0,
+    outliers: float = 0.0,
+    delay_s: float = DELAY_S,
+    seed: int = 0,
+) -> Window:
+    """Points about a path, seen by both eyes; the assistant sits exactly on the rig.
+
+    outliers: share of the pixels moved by up to 60 px. Points lie 3 to 300 spacings ahead.
+    """
+    rng = np.random.default_rng(seed)
+    n = len(T_s_p)
+    t = PERIOD_S * np.arange(n)
+    T_s_a = se3.interpolate_at(t, T_s_p, t + delay_s) @ kit.rig(theta)
+    T_c_s = se3.inverse(np.concatenate([T_s_p, T_s_a]))
+    # a point is born in front of some view, nearer ones more often
+    ahead = np.exp(rng.uniform(np.log(5), np.log(300), n_points))
+    p_c = np.c_[
+        rng.uniform(-0.7, 0.7, n_points), rng.uniform(-0.25, 0.2, n_points), np.ones(n_points)
+    ]
+    birth = T_s_p[rng.integers(0, n, n_points)]
+    p_s = (birth[:, :3, :3] @ (p_c * ahead[:, None])[..., None])[..., 0] + birth[:, :3, 3]
+    X = np.c_[p_s, np.ones(n_points)]
+    X /= np.linalg.norm(X, axis=1, keepdims=True)
+    view, point = (index.ravel() for index in np.indices((2 * n, n_points)))
+    every = problem.Measurements(
+        view, point, np.zeros((len(view), 2)), np.full(len(view), 0.5),
+        np.repeat([0, 1], n), np.concatenate([t, t + delay_s]), SIZE,
+    )  # fmt: skip
+    truth = problem.State(T_c_s, X, theta)
+    uv, q = problem.project(truth, every)
+    seen = (q[:, 2] > 1e-3) & (uv >= 0).all(1) & (uv <= SIZE[every.eye[view]] - 1).all(1)
+    seen &= q[:, 2] > 2 * X[point, 3]
+    seen &= (np.bincount(point[seen], minlength=n_points) >= 3)[point]
+    kept, point = np.unique(point[seen], return_inverse=True)
+    uv = uv[seen] + noise_px * rng.standard_normal((len(point), 2))
+    wrong = rng.random(len(point)) < outliers
+    uv[wrong] += rng.uniform(-60, 60, (int(wrong.sum()), 2))
+    m = replace(every, view=view[seen], point=point, uv=uv, sigma_px=np.full(len(point), 0.5))
+    return Window(m, replace(truth, points=X[kept]))
+
+
+def perturbed(truth: problem.State, *, seed: int = 1, pose: float = 0.02, focal: float = 0.1):
+    """A start near the truth: twists of `pose`, points of 2 %, log focals of +-`focal`."""
+    rng = np.random.default_rng(seed)
+    twist = pose * rng.standard_normal((len(truth.T_c_s), 6))
+    twist[0] = 0
+    twist[:, 3:] /= 4
+    points = truth.points + 0.02 * truth.points[:, 3:] * rng.standard_normal(truth.points.shape)
+    theta = truth.theta + np.r_[focal, 0, 0, 0, -focal, 0, 0, 0, 0.02 * rng.standard_normal(6)]
+    theta[11:] /= np.linalg.norm(theta[11:])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return problem.State(se3.exp(twist) @ truth.T_c_s, points, theta)

@@ -1,0 +1,111 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.bundle import initialise, kit
+from calm_edge.geometry import se3
+from tests.backbones.bundle.exact_window import theta_of, turn, window
+
+N = 8
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return window(turn(N), theta_of())
+
+
+def rotation_deg(T, T_true):
+    return np.degrees(np.linalg.norm(se3.log(se3.inverse(T_true) @ T)[..., 3:], axis=-1))
+
+
+def guess_of(truth, factor):
+    """The truth's optics with both focals off by a factor, and nothing of the rig."""
+    theta = kit.prior((None, None)).mean
+    theta[:8] = truth.theta[:8]
+    theta[list(kit.LOG_FOCAL)] += np.log(factor)
+    return theta
+
+
+def test_rays_undo_the_camera_matrix(exact):
+    rays = initialise.normalised(exact.m, exact.truth.theta)
+    q = (exact.truth.T_c_s[exact.m.view] @ exact.truth.points[exact.m.point][..., None])[..., 0]
+    assert np.allclose(rays, q[:, :2] / q[:, 2:3])
+
+
+def test_triangulation_of_exact_rays_is_exact(exact):
+    rays = initialise.normalised(exact.m, exact.truth.theta)
+    m = exact.m
+    X = initialise.triangulate(exact.truth.T_c_s, m.view, m.point, rays, len(exact.truth.points))
+    assert np.allclose(X, exact.truth.points, atol=1e-9)
+
+
+def test_a_point_without_two_views_is_not_triangulated(exact):
+    rays = initialise.normalised(exact.m, exact.truth.theta)
+    m, n = exact.m, len(exact.truth.points)
+    rows = (m.point != 3) | (np.cumsum(m.point == 3) == 1)
+    X = initialise.triangulate(exact.truth.T_c_s, m.view[rows], m.point[rows], rays[rows], n + 1)
+    assert np.array_equal(np.flatnonzero(np.isnan(X).any(1)), [3, n])
+    thin = replace(m, view=m.view[rows], point=m.point[rows], uv=m.uv[rows])
+    placed = initialise.triangulated(thin, exact.truth.T_c_s, exact.truth.theta)
+    assert np.array_equal(placed[3], [0, 0, 1, 0])
+    assert np.allclose(np.delete(placed, 3, 0), np.delete(exact.truth.points, 3, 0), atol=1e-9)
+
+
+def test_the_right_focals_give_the_truth_at_once(exact):
+    state = initialise.initial_state(exact.m, guess_of(exact.truth, 1.0), rig_known=False)
+    assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
+    assert np.allclose(state.theta, exact.truth.theta, atol=2e-3)
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
+    state = initialise.initial_state(exact.m, guess_of(exact.truth, factor), rig_known=False)
+    truth = exact.truth
+    # the turn of 33 degrees looks longer to a shorter focal
+    assert rotation_deg(state.T_c_s, truth.T_c_s).max() < 10
+    assert np.abs(np.diff(rotation_deg(state.T_c_s, truth.T_c_s)[:N])).max() < 3
+    assert rotation_deg(kit.rig(state.theta), kit.rig(truth.theta)) < 2
+    assert np.linalg.norm(state.theta[11:14]) == pytest.approx(1)
+    # lengths are in spacings, so the distance driven tells whether the spacing was found
+    driven, true = (np.linalg.norm(se3.inverse(T[[0, N - 1]])[1, :3, 3] - se3.inverse(T[0])[:3, 3])
+                    for T in (state.T_c_s, truth.T_c_s))  # fmt: skip
+    assert 0.5 < driven / true < 2
+    assert np.isfinite(state.points).all()
+    assert np.allclose(np.linalg.norm(state.points, axis=1), 1)
+
+
+def test_a_known_rig_is_kept_and_gives_the_unit(exact):
+    state = initialise.initial_state(exact.m, exact.truth.theta, rig_known=True)
+    assert np.allclose(state.theta, exact.truth.theta)
+    assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
+
+
+def test_an_assistant_on_the_other_side_than_believed_is_said(exact):
+    theta = exact.truth.theta.copy()
+    theta[11:14] *= -1
+    with pytest.raises(BackboneError, match=r"^bundle: the assistant is not where the kit says$"):
+        initialise.initial_state(exact.m, theta, rig_known=True)
+
+
+def kept(m, rows):
+    return replace(m, view=m.view[rows], point=m.point[rows], uv=m.uv[rows])
+
+
+def test_no_matches_between_the_eyes_are_said(exact):
+    m = kept(exact.m, exact.m.eye[exact.m.view] == 0)
+    with pytest.raises(BackboneError, match=r"^bundle: no matches between the two eyes$"):
+        initialise.initial_state(m, exact.truth.theta, rig_known=False)
+
+
+def test_a_first_keyframe_that_shares_nothing_is_said(exact):
+    m = kept(exact.m, exact.m.view != 0)
+    with pytest.raises(BackboneError, match=r"^bundle: the first keyframes share too few"):
+        initialise.initial_state(m, exact.truth.theta, rig_known=False)
+
+
+def test_a_keyframe_that_shares_nothing_is_said(exact):
+    m = kept(exact.m, exact.m.view != 5)
+    with pytest.raises(BackboneError, match=r"^bundle: a keyframe shares too few"):
+        initialise.initial_state(m, exact.truth.theta, rig_known=False)

@@ -1,0 +1,174 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calm_edge.backbones.bundle import kit, problem
+from calm_edge.backbones.bundle.problem import State
+from calm_edge.geometry import se3
+from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
+
+H = 1e-6
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """A window with radial terms, off-centre optics and some points at or beyond infinity."""
+    made = window(turn(4), theta_of(radial=(0.06, -0.04)), n_points=60)
+    state = perturbed(made.truth)
+    state.theta[[1, 2, 5, 6]] = 0.01, -0.02, 0.015, 0.005
+    far = np.argsort(np.abs(state.points[:, 3]))[:4]
+    state.points[far, 3] = [0, 0, -1e-4, 1e-5]
+    state.points[:] /= np.linalg.norm(state.points, axis=1, keepdims=True)
+    return made.m, state
+
+
+def central_difference(stepped, m, size):
+    """Derivative (O, 2, size) of the pixels along each axis of `stepped`(vector)."""
+    columns = []
+    for axis in np.eye(size):
+        high, low = (problem.project(stepped(sign * H * axis), m)[0] for sign in (1, -1))
+        columns.append((high - low) / (2 * H))
+    return np.stack(columns, -1)
+
+
+def assert_jacobian(analytic, numeric):
+    assert analytic.shape == numeric.shape
+    assert np.abs(analytic - numeric).max() < 1e-6 * np.abs(numeric).max()
+
+
+def test_pixels_by_pose(seen):
+    m, state = seen
+    basis = problem.tangent_basis(state.points)
+    numeric = central_difference(lambda d: replace(state, T_c_s=se3.exp(d) @ state.T_c_s), m, 6)
+    assert_jacobian(problem.reprojection(state, m, basis).pose, numeric)
+
+
+def test_pixels_by_optics_with_radial_term(seen):
+    m, state = seen
+    basis = problem.tangent_basis(state.points)
+    both = lambda d: np.r_[d, d, np.zeros(6)]  # noqa: E731
+    numeric = central_difference(lambda d: replace(state, theta=state.theta + both(d)), m, 4)
+    assert_jacobian(problem.reprojection(state, m, basis).optics, numeric)
+
+
+def test_pixels_by_point_tangent(seen):
+    m, state = seen
+    basis = problem.tangent_basis(state.points)
+
+    def stepped(d):
+        every = np.broadcast_to(d, (len(state.points), 3))
+        return replace(state, points=problem.move_points(state.points, basis, every))
+
+    numeric = central_difference(stepped, m, 3)
+    assert_jacobian(problem.reprojection(state, m, basis).point, numeric)
+
+
+def test_pixels_are_the_pinholes_where_nothing_is_bent():
+    made = window(turn(3), theta_of(), n_points=30)
+    uv, q = problem.project(made.truth, made.m)
+    right = made.m.eye[made.m.view] == 1
+    K = kit.camera_matrix(made.truth.theta, 1, 480, 200)
+    expected = (q[right] / q[right, 2:]) @ K.T
+    assert np.allclose(uv[right], expected[:, :2])
+    assert np.allclose(made.m.uv, uv)
+
+
+def test_a_radial_term_pushes_pixels_out_by_the_square_of_their_radius():
+    m = window(turn(3), theta_of(), n_points=30).m
+    flat, bent = (window(turn(3), theta_of(radial=(k, 0)), n_points=30).truth for k in (0, 0.1))
+    bent = replace(bent, points=flat.points, T_c_s=flat.T_c_s)
+    left = m.eye[m.view] == 0
+    K = kit.camera_matrix(flat.theta, 0, 640, 240)
+    before = (problem.project(flat, m)[0] - K[:2, 2]) / K[0, 0]
+    after = (problem.project(bent, m)[0] - K[:2, 2]) / K[0, 0]
+    r2 = (before**2).sum(1, keepdims=True)
+    assert np.allclose(after[left], (before * (1 + 0.1 * r2))[left])
+    assert np.allclose(after[~left], before[~left])
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[0, 0, 0, 1.0]],
+        [[0, 0, 0, -1.0]],
+        [[0, 0, 1.0, 0]],
+        [[0.6, 0, 0.8, -0.0]],
+        np.random.default_rng(0).normal(size=(20, 4)),
+    ],
+    ids=["near", "beyond", "far", "far aside", "any"],
+)
+def test_tangent_bases_are_orthonormal(points):
+    points = np.array(points, float)
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    whole = np.concatenate([problem.tangent_basis(points), points[:, :, None]], 2)
+    assert np.allclose(whole.transpose(0, 2, 1) @ whole, np.eye(4), atol=1e-12)
+
+
+def test_a_far_point_goes_through_infinity_without_a_wall():
+    made = window(turn(4), theta_of(), n_points=40)
+    points = np.tile([0.1, 0.0, 1.0, 0.0], (len(made.truth.points), 1))
+    pixels = []
+    for w in (2e-6, 0.0, -2e-6):
+        points[:, 3] = w
+        state = replace(made.truth, points=points / np.linalg.norm(points, axis=1, keepdims=True))
+        jac = problem.reprojection(state, made.m, problem.tangent_basis(state.points))
+        assert jac.in_front.all()
+        pixels.append(jac.predicted)
+    assert np.allclose(pixels[0] - pixels[1], pixels[1] - pixels[2], atol=1e-6)
+    assert 0 < np.abs(pixels[0] - pixels[1]).max() < 0.1
+
+
+def test_a_point_behind_its_view_is_told():
+    made = window(turn(4), theta_of(), n_points=40)
+    behind = made.m.point == 0
+    made.truth.points[0] *= -1
+    jac = problem.reprojection(made.truth, made.m, problem.tangent_basis(made.truth.points))
+    assert np.array_equal(jac.in_front, ~behind)
+
+
+def residuals(state: State, ties):
+    T = state.T_c_s
+    return problem.tie_residuals(
+        T[ties.before], T[ties.after], T[ties.assistant], kit.rig(state.theta), ties
+    )
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.017, 0.12, -0.05])
+def test_ties_vanish_on_a_rig_that_follows_the_geodesic(delay_s):
+    made = window(turn(5), theta_of(), n_points=10, delay_s=delay_s)
+    ties = made.ties
+    assert np.array_equal(ties.assistant, np.arange(5, 10))
+    assert np.abs(residuals(made.truth, ties)).max() < 1e-7
+    # an interpolated tie is a softer one
+    at_rest = problem.rig_ties(window(turn(5), theta_of(), n_points=10, delay_s=0.0).m)
+    softer = (ties.information_root < at_rest.information_root).all()
+    assert softer == (delay_s != 0)
+
+
+def test_a_tie_measures_how_far_the_assistant_is_off_its_rig():
+    made = window(turn(4), theta_of(), n_points=10)
+    ties, T = made.ties, made.truth.T_c_s.copy()
+    off = np.array([0.01, -0.02, 0.005, 0.002, 0.001, -0.003])
+    T[5] = se3.exp(-off) @ T[5]
+    found = residuals(replace(made.truth, T_c_s=T), ties) / ties.information_root
+    assert np.allclose(found, np.outer(np.arange(4) == 1, off), atol=1e-9)
+
+
+def test_tie_derivatives_predict_the_residual_of_a_step():
+    made = window(turn(4), theta_of(), n_points=10)
+    ties, state = made.ties, perturbed(made.truth, pose=0.003)
+    residual, J = problem.tie_jacobians(state, ties)
+    assert J.shape == (4, 6, 24)
+    assert np.allclose(residual, residuals(state, ties))
+    rng = np.random.default_rng(2)
+    by_view, by_rig = 1e-5 * rng.normal(size=(8, 6)), 1e-5 * rng.normal(size=6)
+    stepped = State(
+        se3.exp(by_view) @ state.T_c_s, state.points, state.theta + np.r_[np.zeros(8), by_rig]
+    )
+    step = np.concatenate(
+        [by_view[ties.before], by_view[ties.after], by_view[ties.assistant],
+         np.tile(by_rig, (4, 1))], 1,
+    )  # fmt: skip
+    change = residuals(stepped, ties) - residual
+    assert np.allclose((J @ step[..., None])[..., 0], change, atol=2e-3 * np.abs(change).max())

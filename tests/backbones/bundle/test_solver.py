@@ -1,0 +1,150 @@
+import numpy as np
+import pytest
+
+from calm_edge.backbones.bundle import kit, problem, solver
+from calm_edge.backbones.kit_belief import product
+from calm_edge.types import KitBelief
+from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
+
+N = 8
+PRIOR = kit.prior((None, None))
+VAGUE = KitBelief(PRIOR.mean, 1e-3 * PRIOR.information)
+FOCALS = list(kit.LOG_FOCAL)
+
+
+def evidence(made, tempering=1.0):
+    """What a window measured with noise teaches, once solved from its truth."""
+    solution = solver.solve(made.truth, made.m, made.ties, PRIOR)
+    return solver.kit_evidence(solution, made.m, made.ties, 2.0, tempering)
+
+
+def sigma(*beliefs):
+    return np.sqrt(np.diag(np.linalg.inv(product([PRIOR, *beliefs]).information)))
+
+
+@pytest.fixture(scope="module")
+def curved():
+    return evidence(window(turn(N), theta_of(), noise_px=0.3))
+
+
+def test_exact_pixels_give_back_the_truth():
+    made = window(turn(N), theta_of())
+    solution = solver.solve(perturbed(made.truth), made.m, made.ties, VAGUE, max_iterations=50)
+    state, truth = solution.state, made.truth
+    assert np.abs(state.theta - truth.theta)[FOCALS].max() < 1e-4
+    assert np.abs(state.T_c_s - truth.T_c_s).max() < 1e-4
+    assert np.array_equal(state.T_c_s[0], truth.T_c_s[0])
+    assert np.linalg.norm(state.theta[11:14]) == pytest.approx(1, abs=1e-12)
+    assert solution.residual.max() < 1e-2
+
+
+def test_gross_outliers_and_noise_leave_the_focal_within_a_percent():
+    made = window(turn(N), theta_of(), noise_px=0.3, outliers=0.15)
+    start = perturbed(made.truth)
+    solution = solver.solve(start, made.m, made.ties, PRIOR)
+    assert np.abs(solution.state.theta - made.truth.theta)[FOCALS].max() < 0.01
+    assert solution.cost < solver.total_cost(start, made.m, made.ties, PRIOR, 2.0)
+    # the outliers are told from the rest
+    wrong = np.linalg.norm(problem.project(made.truth, made.m)[0] - made.m.uv, axis=1) > 3
+    assert 0.1 < wrong.mean() < 0.16
+    assert (solution.residual[wrong] > 4).mean() > 0.95
+    assert (solution.residual[~wrong] < 4).mean() > 0.95
+
+
+def test_a_prior_decides_where_the_pixels_are_silent():
+    made = window(turn(N, yaw_rad=0.0), theta_of())
+    mean = made.truth.theta.copy()
+    mean[FOCALS] += 0.05
+    sure = KitBelief(mean, kit.prior((76.0, 66.0)).information)
+    solution = solver.solve(made.truth, made.m, made.ties, sure)
+    assert solution.state.theta[FOCALS] == pytest.approx(mean[FOCALS], abs=0.01)
+
+
+def test_eliminating_points_is_the_schur_complement_of_the_whole():
+    made = window(turn(3), theta_of(), n_points=25, noise_px=1.0)
+    m, state, ties = made.m, perturbed(made.truth), made.ties
+    weight = np.random.default_rng(0).uniform(0.2, 1, len(m.uv))
+    damping = 0.1
+    normal = solver.normal_equations(state, m, ties, solver.Structure.of(m), weight, damping)
+
+    jac = problem.reprojection(state, m, problem.tangent_basis(state.points))
+    n, points = m.n_views, len(state.points)
+    D = 6 * n + kit.SIZE
+    J = np.zeros((len(m.uv), 2, D + 3 * points))
+    for o, (view, point) in enumerate(zip(m.view, m.point, strict=True)):
+        J[o, :, 6 * view : 6 * view + 6] = jac.pose[o]
+        optics = 6 * n + 4 * m.eye[view]
+        J[o, :, optics : optics + 4] = jac.optics[o]
+        J[o, :, D + 3 * point : D + 3 * point + 3] = jac.point[o]
+    J = (J * (np.sqrt(weight) / m.sigma_px)[:, None, None]).reshape(-1, D + 3 * points)
+    r = ((jac.predicted - m.uv) * (np.sqrt(weight) / m.sigma_px)[:, None]).ravel()
+    residual, tie_J = problem.tie_jacobians(state, ties)
+    whole = np.zeros((len(ties.alpha), 6, D + 3 * points))
+    for a in range(len(ties.alpha)):
+        for k, view in enumerate((ties.before[a], ties.after[a], ties.assistant[a])):
+            whole[a, :, 6 * view : 6 * view + 6] = tie_J[a, :, 6 * k : 6 * k + 6]
+        whole[a, :, D - 6 : D] = tie_J[a, :, 18:]
+    whole = whole.reshape(-1, D + 3 * points)
+    A = J.T @ J + whole.T @ whole
+    b = J.T @ r + whole.T @ residual.ravel()
+    B, C, P = A[:D, :D], A[:D, D:], A[D:, D:]
+    P = P + np.diag(damping * np.diag(P) + solver.POINT_FLOOR)
+    scale = np.abs(B).max()
+    assert np.allclose(normal.H, B - C @ np.linalg.solve(P, C.T), atol=1e-9 * scale)
+    assert np.allclose(normal.g, b[:D] - C @ np.linalg.solve(P, b[D:]), atol=1e-9 * np.abs(b).max())
+    delta = 1e-3 * np.random.default_rng(1).normal(size=D)
+    step = -np.linalg.solve(P, b[D:] + C.T @ delta)
+    assert np.allclose(normal.point_step(delta).ravel(), step, atol=1e-9)
+
+
+def test_a_straight_drive_says_nothing_of_the_focal_and_a_turn_does(curved):
+    straight = evidence(window(turn(N, yaw_rad=0.0), theta_of(), noise_px=0.3))
+    assert sigma(curved)[FOCALS].max() < 0.01
+    # both focals can still change together
+    assert sigma(straight)[FOCALS].min() > 0.1
+    u = np.zeros(kit.SIZE)
+    u[FOCALS] = np.sqrt(0.5)
+    others = np.delete(np.arange(kit.SIZE), FOCALS)
+
+    def along_focal(belief):
+        A = belief.information + 1e-6 * np.eye(kit.SIZE)
+        cross = A[others] @ u
+        return u @ A @ u - cross @ np.linalg.solve(A[np.ix_(others, others)], cross)
+
+    assert along_focal(straight) < 1e-3 * along_focal(curved)
+
+
+def test_evidence_is_a_proper_gaussian_around_the_truth(curved):
+    truth = theta_of()
+    assert np.allclose(curved.information, curved.information.T, rtol=1e-12)
+    values = np.linalg.eigvalsh(curved.information)
+    assert values[0] > -1e-9 * values[-1]
+    off = curved.mean - truth
+    # 14 numbers: their squared distance in sigmas is a chi square
+    assert 0.1 < off @ curved.information @ off < 40
+    assert np.abs(off[FOCALS]).max() < 0.01
+
+
+def test_evidence_does_not_hold_what_the_prior_said():
+    made = window(turn(N), theta_of(), noise_px=0.3)
+    mean = made.truth.theta.copy()
+    mean[FOCALS] += 0.01
+    sure = KitBelief(mean, kit.prior((76.0, 66.0)).information)
+    pulled = solver.solve(made.truth, made.m, made.ties, sure)
+    free = solver.solve(made.truth, made.m, made.ties, PRIOR)
+    beliefs = [solver.kit_evidence(s, made.m, made.ties, 2.0, 1.0) for s in (pulled, free)]
+    moved = np.abs(pulled.state.theta - free.state.theta)[FOCALS]
+    apart = np.abs(beliefs[0].mean - beliefs[1].mean)[FOCALS]
+    assert (moved > 3e-4).all() and (apart < 0.3 * moved).all()
+
+
+def test_tempering_scales_the_information_and_not_the_mean(curved):
+    weak = evidence(window(turn(N), theta_of(), noise_px=0.3), tempering=0.02)
+    assert np.allclose(weak.information, 0.02 * curved.information, rtol=1e-9)
+    assert np.array_equal(weak.mean, curved.mean)
+
+
+def test_a_second_window_halves_the_variance(curved):
+    other = evidence(window(turn(N), theta_of(), noise_px=0.3, seed=5))
+    ratio = (sigma(curved, other) / sigma(curved))[FOCALS] ** 2
+    assert (ratio > 0.35).all() and (ratio < 0.65).all()

@@ -1,0 +1,151 @@
+import cv2
+import numpy as np
+import pytest
+
+from calm_edge.backbones.bundle import tracks
+
+SIZE = (320, 128)
+MIDDLE = np.array([159.5, 63.5])
+
+
+def texture(size=SIZE, seed=0):
+    """Soft random blobs of a few pixels, uint8 (height, width)."""
+    noise = np.random.default_rng(seed).normal(size=size[::-1]).astype(np.float32)
+    soft = cv2.GaussianBlur(noise, (0, 0), 1.6) + 2 * cv2.GaussianBlur(noise, (0, 0), 6.0)
+    return cv2.normalize(soft, None, 10, 245, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+def similarity(zoom, roll_deg, shift):
+    """H (3, 3): zoom and roll about the middle of the picture, then a shift [px]."""
+    c, s = zoom * np.cos(np.radians(roll_deg)), zoom * np.sin(np.radians(roll_deg))
+    A = np.array([[c, -s], [s, c]])
+    return np.block([[A, (MIDDLE - A @ MIDDLE + shift)[:, None]], [0, 0, 1]])
+
+
+def moved(H, uv):
+    q = np.c_[uv, np.ones(len(uv))] @ H.T
+    return q[:, :2] / q[:, 2:]
+
+
+def error_px(found, H, uv):
+    return np.linalg.norm(found - moved(H, uv), axis=1)
+
+
+NONE = np.zeros((0, 2), np.float32)
+
+
+def test_corners_are_spread_over_the_grid():
+    picture = texture()
+    # all the contrast in one corner must not draw all the corners there
+    picture[:, 80:] = 120 + (picture[:, 80:].astype(float) - 120) * 0.3
+    uv = tracks.detect_corners(picture, NONE)
+    assert uv.dtype == np.float32
+    assert ((uv > 8) & (uv < np.array(SIZE) - 9)).all()
+    cells = (uv // (np.array(SIZE) / tracks.GRID)).astype(int)
+    counts = np.bincount(cells[:, 0] + 8 * cells[:, 1], minlength=32)
+    assert (counts > 0).all() and counts.max() <= tracks.CORNERS_PER_VIEW / 32
+
+
+def test_new_corners_keep_away_from_known_ones():
+    first = tracks.detect_corners(texture(), NONE, count=64)
+    second = tracks.detect_corners(texture(), first, count=160)
+    apart = np.linalg.norm(second[:, None] - first[None], axis=2).min(1)
+    assert len(second) > 32 and apart.min() > 4
+    # cells that are full get none
+    assert len(tracks.detect_corners(texture(), first, count=32)) < 8
+
+
+def test_following_a_known_warp():
+    picture, H = texture(), similarity(1.03, 1.0, [6.4, -2.3])
+    target = cv2.warpPerspective(picture, H, SIZE)
+    uv = tracks.detect_corners(picture, NONE)
+    found, ok = tracks.follow(picture, target, uv, uv.copy())
+    assert ok.mean() > 0.8
+    assert np.quantile(error_px(found, H, uv)[ok], 0.95) < 0.2
+    assert np.median(error_px(found, H, uv)[ok]) < 0.1
+
+
+def test_a_guess_reaches_where_the_pyramid_does_not():
+    picture, H = texture(), similarity(1.0, 0.0, [90.0, 0.0])
+    target = cv2.warpPerspective(picture, H, SIZE)
+    uv = tracks.detect_corners(picture, NONE)
+    inside = moved(H, uv)[:, 0] < SIZE[0] - 12
+
+    def share_found(guess):
+        found, ok = tracks.follow(picture, target, uv, guess)
+        return (ok & (error_px(found, H, uv) < 0.5))[inside].mean()
+
+    assert share_found(uv.copy()) < 0.1
+    assert share_found(uv + np.float32([86, 1])) > 0.9
+
+
+def test_what_does_not_come_back_is_not_followed():
+    uv = tracks.detect_corners(texture(), NONE)
+    _, ok = tracks.follow(texture(), texture(seed=1), uv, uv.copy())
+    assert ok.mean() < 0.1
+    assert tracks.follow(texture(), texture(), NONE, NONE)[1].shape == (0,)
+
+
+def test_planted_outliers_are_off_their_epipolar_lines():
+    rng = np.random.default_rng(0)
+    p = np.c_[rng.uniform(-1, 1, (200, 2)) * [4, 1.5], rng.uniform(4, 20, 200)]
+    q = p @ cv2.Rodrigues(np.array([0.01, 0.05, 0.0]))[0].T + [0.3, 0.0, -1.0]
+    a, b = (300 * x[:, :2] / x[:, 2:] + MIDDLE for x in (p, q))
+    wrong = rng.random(200) < 0.25
+    b[wrong] += rng.uniform(5, 20, (int(wrong.sum()), 2)) * rng.choice([-1, 1], (wrong.sum(), 2))
+    kept = tracks.on_epipolar_lines(a.astype(np.float32), b.astype(np.float32), 1.0)
+    assert kept[~wrong].mean() > 0.97
+    # one that moved along its line cannot be told
+    assert kept[wrong].mean() < 0.25
+    assert tracks.on_epipolar_lines(a[:15], b[:15], 1.0).all()
+
+
+@pytest.fixture(scope="module")
+def eyes():
+    """A primary picture, the assistant's at 1.16 the zoom and 4 degrees of roll, H_a_p."""
+    primary, H = texture(), similarity(1.16, 4.0, [-5.0, 3.0])
+    return primary, cv2.warpPerspective(primary, H, SIZE), H
+
+
+def test_corners_are_found_across_zoom_and_roll(eyes):
+    primary, assistant, H = eyes
+    uv = tracks.detect_corners(primary, NONE)
+    inside = ((moved(H, uv) > 0) & (moved(H, uv) < np.array(SIZE) - 1)).all(1)
+    # the homography is known only roughly: 3 px off
+    rough = similarity(1.16, 4.0, [-3.0, 0.8])
+    found, ok = tracks.across_eyes(primary, assistant, rough, uv, np.zeros_like(uv))
+    assert ok[inside].mean() > 0.6 and not ok[~inside].any()
+    error = np.median(error_px(found, H, uv)[ok])
+    assert error < 0.1
+    # unwarped patches are found as well, but not where they should be
+    bare, ok = tracks.follow(primary, assistant, uv, moved(rough, uv).astype(np.float32))
+    assert np.median(error_px(bare, H, uv)[ok]) > 5 * error
+
+
+def test_a_homography_is_found_from_nothing(eyes):
+    primary, assistant, H = eyes
+    found = tracks.sift_homography(primary, assistant)
+    grid = np.stack(np.meshgrid([40, 160, 280], [30, 64, 98]), -1).reshape(-1, 2)
+    assert error_px(moved(found, grid), H, grid).max() < 3
+    assert tracks.sift_homography(primary, np.zeros_like(assistant)) is None
+
+
+def test_tracks_of_a_window_are_the_same_points_in_every_view():
+    big = texture((480, 200))
+    shifts = np.array([[4.0 * k, 0.5 * k] for k in range(4)])
+    primary = [cv2.warpPerspective(big, similarity(1.0, 0.0, s), SIZE) for s in shifts]
+    H_a_p = similarity(1.16, 4.0, [-5.0, 3.0])
+    assistant = [cv2.warpPerspective(p, H_a_p, SIZE) for p in primary[:3]]
+    for H in (None, H_a_p):
+        found = tracks.window_tracks(primary, assistant, [0, 1, 2], H)
+        assert set(found.view) == set(range(7))
+        # where the point would be in the first view
+        home = np.where((found.view < 4)[:, None], found.uv, moved(np.linalg.inv(H_a_p), found.uv))
+        home = home - shifts[np.where(found.view < 4, found.view, found.view - 4)]
+        first = home[np.unique(found.track, return_index=True)[1]]
+        off = np.linalg.norm(home - first[np.unique(found.track, return_inverse=True)[1]], axis=1)
+        assert np.median(off) < 0.1 and np.quantile(off, 0.95) < 0.5
+        long = np.bincount(np.bincount(found.track))
+        assert long[4:].sum() > 100
+        pairs = np.c_[found.track, found.view]
+        assert len(np.unique(pairs, axis=0)) == len(pairs)

@@ -1,0 +1,121 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.bundle import kit, window
+from calm_edge.backbones.bundle.problem import project
+from calm_edge.geometry import se3
+from calm_edge.types import Hints, Prediction
+from tests.backbones.bundle.exact_window import SIZE, theta_of, turn
+from tests.backbones.bundle.exact_window import window as exact_window
+
+N = 6
+
+
+def hints_of(m):
+    return Hints(eyes=m.eye, t_ns=1_000_000_000 + np.round(m.t * 1e9).astype(np.int64), sizes=SIZE)
+
+
+def prediction_of(made, residual):
+    state = made.truth
+    K = np.stack([kit.camera_matrix(state.theta, e, *SIZE[e]) for e in (0, 1)])
+    return Prediction(
+        K=K[made.m.eye],
+        T_s_c=se3.inverse(state.T_c_s),
+        landmarks=window.to_landmarks(state, made.m, residual),
+    )
+
+
+def test_a_solution_becomes_the_same_problem_again():
+    made = exact_window(turn(N), theta_of())
+    # some far, one at infinity, one beyond it
+    made.truth.points[:2, 3] = 0, -1e-9
+    made.truth.points[:2] /= np.linalg.norm(made.truth.points[:2], axis=1, keepdims=True)
+    uv = project(made.truth, made.m)[0]
+    made = replace(made, m=replace(made.m, uv=uv))
+    theta = theta_of(hfov_deg=(70.0, 60.0))
+    hints = hints_of(made.m)
+    m, start = window.from_prediction(prediction_of(made, np.zeros(len(uv))), hints, theta)
+    for name in ("view", "point", "eye", "size"):
+        assert np.array_equal(getattr(m, name), getattr(made.m, name)), name
+    assert np.allclose(m.t, made.m.t, atol=1e-9)
+    assert np.allclose(m.uv, made.m.uv, atol=1e-4)
+    assert np.array_equal(start.theta, theta)
+    assert np.allclose(start.T_c_s, made.truth.T_c_s)
+    assert np.allclose(start.points, made.truth.points, atol=1e-5)
+    # same pixels under the same kit, far points included
+    again = replace(start, theta=made.truth.theta)
+    assert np.abs(project(again, m)[0] - uv).max() < 0.01
+
+
+def test_only_observations_that_fit_are_landmarks():
+    made = exact_window(turn(N), theta_of())
+    residual = np.zeros(len(made.m.uv))
+    residual[3], residual[7] = 9.9, 10.1  # sigmas of half a pixel
+    marks = window.to_landmarks(made.truth, made.m, residual)
+    assert np.array_equal(marks.uv, np.delete(made.m.uv, 7, 0).astype(np.float32))
+    assert np.array_equal(marks.index, np.delete(made.m.point, 7))
+    assert np.array_equal(marks.view, np.delete(made.m.view, 7))
+    X = made.truth.points
+    assert np.allclose(marks.points_s, X[:, :3] / X[:, 3:])
+
+
+@pytest.mark.parametrize("missing", ["landmarks", "sizes"])
+def test_what_was_not_kept_cannot_be_solved_again(missing):
+    made = exact_window(turn(N), theta_of())
+    prediction, hints = prediction_of(made, np.zeros(len(made.m.uv))), hints_of(made.m)
+    if missing == "landmarks":
+        prediction = replace(prediction, landmarks=None)
+    else:
+        hints = replace(hints, sizes=None)
+    with pytest.raises(BackboneError, match="cannot be solved again"):
+        window.from_prediction(prediction, hints, theta_of())
+
+
+def test_thinning_keeps_the_longest_tracks_whole():
+    m = exact_window(turn(N), theta_of()).m
+    count = np.bincount(m.point)
+    thin = window.thinned(m, 30)
+    assert np.array_equal(np.unique(thin.point), np.arange(30))
+    assert np.array_equal(np.sort(np.bincount(thin.point)), np.sort(count)[-30:])
+    assert set(map(tuple, thin.uv)) <= set(map(tuple, m.uv))
+    assert len(thin.view) == len(thin.uv) == len(thin.sigma_px) == np.sort(count)[-30:].sum()
+    assert len(window.thinned(m, 10_000).uv) == len(m.uv)
+
+
+T_NS = np.array([0, 200, 400, 17, 217]) * 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("eyes", "t_ns"),
+    [
+        ([1, 0, 0, 0, 1], T_NS),
+        ([0, 0, 1, 0, 1], T_NS),
+        ([0, 0, 0, 1, 1], T_NS[[1, 0, 2, 3, 4]]),
+        ([0, 0, 0, 1, 1], T_NS[[0, 0, 2, 3, 4]]),
+    ],
+    ids=["assistant first", "mixed", "back in time", "twice"],
+)
+def test_views_out_of_order_are_said(eyes, t_ns):
+    with pytest.raises(BackboneError, match=r"^bundle: pictures must be in order"):
+        window.split_eyes(Hints(eyes=np.array(eyes), t_ns=t_ns))
+
+
+@pytest.mark.parametrize("eyes", [[0, 1, 1], [0, 0, 0]])
+def test_both_eyes_are_needed(eyes):
+    with pytest.raises(BackboneError, match="two primary pictures and one of the assistant"):
+        window.split_eyes(Hints(eyes=np.array(eyes), t_ns=T_NS[:3]))
+
+
+def test_too_few_points_are_counted():
+    """A dozen blobs on black: each is followed, but they are no scene."""
+    picture = np.zeros((128, 320, 3), np.uint8)
+    for u in range(30, 300, 45):
+        for v in (40, 88):
+            picture[v : v + 7, u : u + 7] = 255
+    hints = Hints(eyes=np.array([0, 0, 0, 1, 1]), t_ns=T_NS)
+    with pytest.raises(BackboneError, match=r"^bundle: only (\d+) points could be foll") as error:
+        window.measure([picture] * 5, hints, theta_of(), rig_known=False)
+    assert 5 < int(str(error.value).split()[2]) < window.MIN_POINTS
