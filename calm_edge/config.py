@@ -34,13 +34,18 @@ class RecordingConfig:
 
 @dataclass(frozen=True, slots=True)
 class FrontendConfig:
-    """Paper IV-A and its implementation details."""
+    """Paper IV-A and its implementation details.
+
+    first_window: keyframes of the first window, at most n_max, so that there is a pose soon; the
+    second one holds them all again.
+    """
 
     flow_px: float = 25.0
     flow_reference_width_px: int = 1241
     max_keyframe_gap_s: float = 1.0
     n_max: int = 15
     n_overlap: int = 3
+    first_window: int = 6
     max_pair_gap_s: float = 0.5
     tracker_points: int = 300
     standstill_px: float = 0.3

@@ -101,9 +101,10 @@ class Capture:
         limit_s = finale.REPLAY_LIMIT_S if self._source.is_replay else finale.LIVE_LIMIT_S
         if self._stop_requests:
             limit_s = finale.LIVE_LIMIT_S
-        self._desk.until(lambda: not self._desk.in_tracker, limit_s)
-        self._desk.flush()
-        self._desk.until(lambda: self._desk.flushed, limit_s)
+        tracker = self._desk.tracker
+        self._desk.until(lambda: not tracker.in_flight, limit_s)
+        tracker.flush()
+        self._desk.until(lambda: tracker.flushed, limit_s)
         self._desk.until(self._desk.quiet, None if self._lockstep else limit_s, "finishing")
         if self._desk.estimator.given_up or self._desk.estimator.waiting:
             return
@@ -121,6 +122,8 @@ class Capture:
         result.windows_left_to_map = sorted(link.left_to_map)
         result.unsolved_windows = sorted(link.unsolved)
         result.estimator_restarts = link.restarts
+        result.tracker_restarts = self._desk.tracker.restarts
+        result.untracked += self._desk.tracker.frames_lost
         result.camera_drops = sum(c.stats().drops for c in self._cameras)
         result.clamped_stamps = sum(c.stats().clamped for c in self._cameras)
         if self._desk.writer is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from calm_edge.types import Float, LocalizerUpdate, PoseSample, Submap, SubmapWindow, Trajectory
 from device.frame import Eye
@@ -18,6 +18,30 @@ class Refused:
     """The child cannot be set up; reason is one line for the user."""
 
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """What a tracker counts on from: the next ids, and the epoch of its poses."""
+
+    keyframe_id: int = 0
+    assistant_id: int = 0
+    submap_id: int = 0
+    epoch: int = 0
+
+    def after_window(self, window: SubmapWindow) -> Counters:
+        """The next ids once a window is out."""
+        keyframes = [self.keyframe_id, *(k.id + 1 for k in window.primary)]
+        assistants = [self.assistant_id, *(k.id + 1 for k in window.assistant)]
+        return Counters(max(keyframes), max(assistants), window.submap_id + 1, self.epoch)
+
+    def after_epoch(self, epoch: int) -> Counters:
+        """A pose of `epoch` is out."""
+        return replace(self, epoch=epoch)
+
+    def after_death(self) -> Counters:
+        """The next tracker's poses are in a frame of their own."""
+        return replace(self, epoch=self.epoch + 1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,7 @@ class RecordResult:
     clamped_stamps: int = 0
     unrecorded: int = 0
     estimator_restarts: int = 0
+    tracker_restarts: int = 0
     lost_windows: list[int] = field(default_factory=list)
     windows_left_to_map: list[int] = field(default_factory=list)
     unsolved_windows: list[int] = field(default_factory=list)
@@ -66,6 +67,8 @@ class RecordResult:
         lines = []
         if self.estimator_restarts:
             lines.append("the estimator was restarted and its trajectory with it; map mends it")
+        if self.tracker_restarts:
+            lines.append("the tracker was restarted, and a window or less lost with it")
         if self.lost_windows:
             lines.append(
                 f"windows {self.lost_windows} were lost with the estimator; map computes them again"
@@ -97,6 +100,7 @@ class RecordResult:
             "clamped_stamps": self.clamped_stamps,
             "late_ticks": self.late_ticks,
             "estimator_restarts": self.estimator_restarts,
+            "tracker_restarts": self.tracker_restarts,
             "lost_windows": list(self.lost_windows),
             "windows_left_to_map": list(self.windows_left_to_map),
             "finished": self.trajectory is not None,

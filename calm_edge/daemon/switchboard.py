@@ -15,30 +15,16 @@ import numpy as np
 from calm_edge.config import Config
 from calm_edge.daemon.child import Child
 from calm_edge.daemon.estimator_link import EstimatorLink
-from calm_edge.daemon.messages import (
-    Attach,
-    Attached,
-    Flush,
-    Flushed,
-    FrameIn,
-    Lagging,
-    Ready,
-    Refused,
-    Stop,
-    Tracked,
-)
+from calm_edge.daemon.messages import Attached, Tracked
 from calm_edge.daemon.result import RecordResult
-from calm_edge.daemon.ring import FrameRing
 from calm_edge.daemon.source import Source
-from calm_edge.daemon.tracker_process_entry import run_tracker
+from calm_edge.daemon.tracker_link import TrackerLink
 from calm_edge.frontend.association import is_thin
 from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.writer import RecordingWriter
-from calm_edge.types import CalmEdgeError, KitBelief, PoseStatus, SubmapWindow
+from calm_edge.types import CalmEdgeError, KitBelief, PoseSample, PoseStatus, SubmapWindow
 from device.frame import Frame
 
-RING_SLOTS = 24
-SLOT_BYTES = 4 << 20
 START_LIMIT_S = 60.0
 
 
@@ -47,7 +33,7 @@ class DaemonError(CalmEdgeError):
 
 
 class Switchboard:
-    """Owner of both children, of the ring between them and of the recording.
+    """Owner of the links to both children, and of the recording.
 
     open_writer is called once both children are ready, so that a refused configuration leaves no
     empty recording behind. Nothing here waits, but for `until`.
@@ -67,42 +53,32 @@ class Switchboard:
         self.result = RecordResult()
         self.writer: RecordingWriter | None = None
         self.kit: KitBelief | None = None
-        self.flushed = False
         self.impatient = False
         self.lagging = False
         self.say_to_user = say
         self._open_writer, self._publisher = open_writer, publisher
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
-        self._ring = FrameRing(RING_SLOTS, SLOT_BYTES)
-        arguments = (self._ring.name, SLOT_BYTES, config.frontend)
-        self.tracker = Child("tracker", run_tracker, arguments, self._events)
+        self.tracker = TrackerLink(config.frontend, self._events, self.say)
         self.estimator = EstimatorLink(config, self._events, self.say)
-        self._tracker_ready = self._tracker_mourned = False
-        self.in_tracker = self._attaching = 0
 
     def start(self) -> None:
         """Waits for both children, opens the recording; raises CalmEdgeError."""
         self.until(
             lambda: (
-                (self._tracker_ready and self.estimator.ready)
+                (self.tracker.ready and self.estimator.ready)
                 or self.estimator.given_up
-                or self._tracker_mourned
+                or self.tracker.given_up
             ),
             START_LIMIT_S,
         )
-        if not (self._tracker_ready and self.estimator.ready):
+        if not (self.tracker.ready and self.estimator.ready):
             raise DaemonError("the tracker or the estimator did not start; see the lines above")
         self.writer = self._open_writer()
-
-    def flush(self) -> None:
-        """No more frames; `flushed` once the last windows are here."""
-        self.tracker.send(Flush())
 
     def stop(self) -> None:
         """Ends both children."""
         self.estimator.stop()
-        self.tracker.stop(Stop(), 2.0)
-        self._ring.close()
+        self.tracker.stop()
 
     @property
     def recording(self) -> RecordingWriter:
@@ -119,21 +95,14 @@ class Switchboard:
         assert isinstance(frame.image, bytes)
         self.recording.write_frame(frame)
         self.result.frames[frame.eye] += 1
-        slot = self._ring.put(frame.image) if self.tracker.alive else None
-        if slot is None:
+        if not self.tracker.offer(frame):
             self.result.untracked += 1
-            return
-        self.in_tracker += 1
-        size = len(frame.image)
-        self.tracker.send(FrameIn(frame.eye, frame.sequence, frame.t_ns, slot, size))
 
     def pump(self, wait_s: float = 0.0) -> int:
         """Handles what the children said; how many poses came."""
         poses = 0
         self.estimator.pump()
-        if not self.tracker.alive and not self._tracker_mourned:
-            self._tracker_mourned, self.in_tracker = True, 0
-            self.say("tracker died: no more poses or windows, recording goes on")
+        self.tracker.pump()
         while True:
             try:
                 child, message = self._events.get(timeout=wait_s) if wait_s else self._next()
@@ -142,11 +111,11 @@ class Switchboard:
             wait_s = 0.0
             if child is self.estimator.child:
                 self._from_estimator(message)
-            elif child is self.tracker:
+            elif child is self.tracker.child:
                 poses += self._from_tracker(message)
         if self.estimator.lagging != self.lagging:
             self.lagging = self.estimator.lagging
-            self.tracker.send(Lagging(self.lagging and not self.lockstep))
+            self.tracker.lag(self.lagging and not self.lockstep)
         if not poses and self._publisher is not None:
             self._publisher.publish(None, self.source.clock.now_ns())
         return poses
@@ -155,41 +124,34 @@ class Switchboard:
         return self._events.get_nowait()
 
     def _from_tracker(self, message: Any) -> int:
-        match message:
-            case Ready():
-                self._tracker_ready = True
-            case Refused():
-                raise DaemonError(message.reason)
-            case Tracked():
-                self._ring.release(message.slot)
-                self.in_tracker -= 1
-                if message.problem:
-                    self._unreadable(message.problem)
-                for window in message.windows:
-                    self._window(window)
-                if message.sample is not None:
-                    self.recording.write_pose(message.sample)
-                    now_ns = self.source.clock.now_ns()
-                    if self._publisher is not None:
-                        self._publisher.publish(message.sample, now_ns)
-                    lost = message.sample.status is PoseStatus.LOST
-                    age_ms = None if self.lockstep else (now_ns - message.sample.t_ns) / 1e6
-                    self.result.note_pose(lost, age_ms)
-                    return 1
-            case Attached():
-                self._attaching -= 1
-                self.recording.write_status(
-                    {
-                        "submap_id": message.submap_id,
-                        "tracked": message.taken,
-                        "T_map_odom": np.asarray(message.T_map_odom).ravel().tolist(),
-                    }
-                )
-            case Flushed():
-                for window in message.windows:
-                    self._window(window)
-                self.flushed = True
-        return 0
+        windows = self.tracker.accept(message)
+        if self.tracker.refusal:
+            raise DaemonError(self.tracker.refusal)
+        for window in windows:
+            self._window(window)
+        if isinstance(message, Attached):
+            self.recording.write_status(
+                {
+                    "submap_id": message.submap_id,
+                    "tracked": message.taken,
+                    "T_map_odom": np.asarray(message.T_map_odom).ravel().tolist(),
+                }
+            )
+        if not isinstance(message, Tracked):
+            return 0
+        if message.problem:
+            self._unreadable(message.problem)
+        if message.sample is not None:
+            self._pose(message.sample)
+        return message.sample is not None
+
+    def _pose(self, sample: PoseSample) -> None:
+        self.recording.write_pose(sample)
+        now_ns = self.source.clock.now_ns()
+        if self._publisher is not None:
+            self._publisher.publish(sample, now_ns)
+        age_ms = None if self.lockstep else (now_ns - sample.t_ns) / 1e6
+        self.result.note_pose(sample.status is PoseStatus.LOST, age_ms)
 
     def _from_estimator(self, message: Any) -> None:
         self.estimator.accept(message)
@@ -203,8 +165,7 @@ class Switchboard:
             self.kit = update.kit
             self.recording.write_update(update)
             self.result.submaps += 1
-            self._attaching += 1
-            self.tracker.send(Attach(update))
+            self.tracker.attach(update)
 
     def _window(self, window: SubmapWindow) -> None:
         self.result.windows += 1
@@ -223,7 +184,7 @@ class Switchboard:
 
     def quiet(self) -> bool:
         """Nothing is under way anywhere."""
-        return not (self.in_tracker or self._attaching or self.estimator.waiting)
+        return not (self.tracker.in_flight or self.tracker.attaching or self.estimator.waiting)
 
     def until(self, done: Callable[[], bool], limit_s: float | None, progress: str = "") -> bool:
         """Handles messages until done; False when the limit, or an impatient user, ended it."""
@@ -231,8 +192,6 @@ class Switchboard:
         while not done():
             self.pump(0.05)
             now = time.monotonic()
-            if self._tracker_mourned:
-                self._attaching, self.flushed = 0, True
             if (limit_s is not None and now - started > limit_s) or self.impatient:
                 return False
             if progress and now - said > 5.0:

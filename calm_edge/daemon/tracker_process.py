@@ -13,6 +13,7 @@ from calm_edge.daemon.child import serve
 from calm_edge.daemon.messages import (
     Attach,
     Attached,
+    Counters,
     Flush,
     Flushed,
     FrameIn,
@@ -33,11 +34,11 @@ from device.frame import Eye, Frame, UnreadableImage
 class TrackerWork:
     """Selector, window builder and tracker, fed by messages in order."""
 
-    def __init__(self, config: FrontendConfig, ring: RingReader) -> None:
+    def __init__(self, config: FrontendConfig, ring: RingReader, start: Counters) -> None:
         self._ring = ring
-        self._selector = KeyframeSelector(config)
-        self._builder = WindowBuilder(config)
-        self._tracker = Tracker(config)
+        self._selector = KeyframeSelector(config, start.keyframe_id)
+        self._builder = WindowBuilder(config, start.submap_id, start.assistant_id)
+        self._tracker = Tracker(config, start.epoch)
 
     def handle(self, message: Any) -> Any:
         """The answer to one message, None where there is none."""
@@ -72,7 +73,7 @@ class TrackerWork:
 
 
 def run_tracker(
-    connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig
+    connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig, start: Counters
 ) -> None:
     """The process's main function."""
     # the terminal's Ctrl-C goes to every process; only capture acts on it
@@ -80,7 +81,7 @@ def run_tracker(
     cv2.setNumThreads(1)
     ring = RingReader(ring_name, slot_bytes)
     try:
-        work = TrackerWork(config, ring)
+        work = TrackerWork(config, ring, start)
     except WindowError as error:
         connection.send(Refused(str(error)))
         return

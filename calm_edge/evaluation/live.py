@@ -12,17 +12,19 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int, PoseSample, PoseStatus
 
 SPAN_NS = 1_000_000_000
+# of the span: where the next pose is further, there was none
+LONGEST_SPAN = 1.25
 
 
 def spans(t_ns: Int, epoch: Int, span_ns: int = SPAN_NS) -> tuple[Int, Int]:
-    """Index pairs (S,), (S,) of sorted stamps `span_ns` apart, within the tolerance and one epoch.
+    """Index pairs (S,), (S,) of sorted stamps: each with the first `span_ns` later in its epoch.
 
     Odometry promises no more than this: across a cut of the track the frame is another one.
     """
     j = np.searchsorted(t_ns, t_ns + span_ns - trajectory.TOLERANCE_NS)
     i = np.flatnonzero(j < len(t_ns))
     j = j[i]
-    near = np.abs(t_ns[j] - t_ns[i] - span_ns) <= trajectory.TOLERANCE_NS
+    near = t_ns[j] - t_ns[i] <= LONGEST_SPAN * span_ns
     near &= epoch[i] == epoch[j]
     return i[near], j[near]
 

@@ -28,20 +28,27 @@ class WindowBuilder:
     One assistant frame chosen by two keyframes is one assistant keyframe (de-duplication).
     """
 
-    def __init__(self, config: FrontendConfig) -> None:
+    def __init__(
+        self, config: FrontendConfig, submap_id: int = 0, first_assistant_id: int = 0
+    ) -> None:
         if not 0 < config.n_overlap < config.n_max:
             raise WindowError(
                 f"frontend.n_overlap = {config.n_overlap}: must lie between 1 and n_max - 1 = "
                 f"{config.n_max - 1}"
             )
+        if config.first_window <= config.n_overlap:
+            raise WindowError(
+                f"frontend.first_window = {config.first_window}: must be above n_overlap = "
+                f"{config.n_overlap}"
+            )
         self.config = config
-        self.n_assistant = 0
+        self.n_assistant = first_assistant_id
         self._gap_ns = int(config.max_pair_gap_s * 1e9)
         self._seen: deque[Frame] = deque()
         self._open: deque[Keyframe] = deque()
         self._paired: list[tuple[Keyframe, Keyframe | None]] = []
         self._n_overlap = 0
-        self._submap_id = 0
+        self._submap_id = self._first_submap_id = submap_id
         self._last_assistant: Keyframe | None = None
 
     def add_assistant(self, frame: Frame) -> tuple[SubmapWindow, ...]:
@@ -104,13 +111,27 @@ class WindowBuilder:
     def _emit_full(self) -> tuple[SubmapWindow, ...]:
         windows: list[SubmapWindow] = []
         while True:
-            n_new = self.config.n_max - (self.config.n_overlap if self._submap_id else 0)
+            n_primary, n_new = self._next_size()
             if len(self._paired) - self._n_overlap < n_new:
                 return tuple(windows)
             end = self._n_overlap + n_new
             later, self._paired = self._paired[end:], self._paired[:end]
-            windows.append(self._emit(self.config.n_max, n_new))
+            windows.append(self._emit(n_primary, n_new))
             self._paired += later
+
+    def _next_size(self) -> tuple[int, int]:
+        """Primary keyframes of the next full window, and how many of them are new.
+
+        A short first window gives the live pose its points seconds sooner; the second one holds it
+        whole, so that all windows from then on are those that there would have been without it.
+        """
+        n_max, early = self.config.n_max, self.config.first_window
+        n_emitted = self._submap_id - self._first_submap_id
+        if n_emitted == 0:
+            return min(early, n_max), min(early, n_max)
+        if n_emitted == 1 and early < n_max:
+            return n_max, n_max - early
+        return n_max, n_max - self.config.n_overlap
 
     def _emit(self, n_primary: int, n_new: int) -> SubmapWindow:
         used = self._paired[-n_primary:]

@@ -37,9 +37,9 @@ class KeyframeSelector:
     nothing moves the reference image stays the same one, so that noise cannot add up to motion.
     """
 
-    def __init__(self, config: FrontendConfig) -> None:
+    def __init__(self, config: FrontendConfig, first_id: int = 0) -> None:
         self.config = config
-        self.count = 0
+        self.count = first_id
         self._reference: Bytes | None = None
         self._keyframe_t_ns = 0
         self._n_detected = 0

@@ -53,10 +53,10 @@ class _Tracks:
 class Tracker:
     """Owner of the live pose. Feed every primary frame to `track` and every update to `attach`."""
 
-    def __init__(self, config: FrontendConfig) -> None:
+    def __init__(self, config: FrontendConfig, epoch: int = 0) -> None:
         self.config = config
         self.T_map_odom: Float = np.eye(4)
-        self.epoch = 0
+        self.epoch = epoch
         self.lagging = False
         self._tracks: _Tracks | None = None
         self._candidates = Candidates.none()

@@ -87,6 +87,12 @@ def test_spans_do_not_cross_a_jump() -> None:
     assert figures is not None and figures["span_m"]["max"] > 10
     i, j = spans(stamps(N), np.zeros(N, np.int64))
     assert len(i) == N - 10 and (j - i == 10).all()
+    slow = stamps(N) * 107 // 100
+    i, j = spans(slow, np.zeros(N, np.int64))
+    assert len(i) == N - 10 and (j - i == 10).all()
+    gap = np.delete(stamps(N), range(20, 40))
+    i, j = spans(gap, np.zeros(len(gap), np.int64))
+    assert (np.diff(gap[[i, j]], axis=0) == 1_000_000_000).all() and 15 not in i
 
 
 def test_a_drive_never_live_and_one_without_poses() -> None:

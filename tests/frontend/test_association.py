@@ -50,8 +50,25 @@ def test_windows_overlap_and_hold_every_keyframe_once_as_new() -> None:
     for before, after in itertools.pairwise(windows):
         overlap = after.primary[: after.n_overlap]
         assert before.primary[-after.n_overlap :] == overlap
-    assert [len(w.primary) for w in windows[:-1]] == [15] * (len(windows) - 1)
-    assert [w.n_overlap for w in windows[:-1]] == [0, 3, 3]
+    assert [len(w.primary) for w in windows[:-1]] == [6] + [15] * (len(windows) - 2)
+    assert [w.n_overlap for w in windows[:-1]] == [0, 6, 3, 3]
+
+
+def test_the_early_window_leaves_all_others_as_they_would_be() -> None:
+    early, without = run(50), run(50, first_window=15)
+    assert [w.primary for w in early[1:]] == [w.primary for w in without]
+    assert [w.assistant for w in early[1:]] == [w.assistant for w in without]
+    assert early[0].primary == without[0].primary[:6] and early[1].n_overlap == 6
+
+
+def test_a_builder_goes_on_where_another_ended() -> None:
+    builder = WindowBuilder(FrontendConfig(n_max=4, n_overlap=1, first_window=3), 7, 30)
+    windows: list[SubmapWindow] = []
+    for i in range(6):
+        windows += builder.add_assistant(assistant(i, 100.0 * i))
+        windows += builder.add_keyframe(primary(20 + i, 100.0 * i))
+    assert [(w.submap_id, w.n_overlap, len(w.primary)) for w in windows] == [(7, 0, 3), (8, 3, 4)]
+    assert [a.id for a in windows[1].assistant] == [30, 31, 32, 33]
 
 
 @settings(max_examples=40, deadline=None)
