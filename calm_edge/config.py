@@ -42,7 +42,7 @@ class FrontendConfig:
 
     flow_px: float = 25.0
     flow_reference_width_px: int = 1241
-    max_keyframe_gap_s: float = 1.0
+    max_keyframe_gap_s: float = 0.3
     n_max: int = 15
     n_overlap: int = 3
     first_window: int = 6

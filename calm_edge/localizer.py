@@ -172,7 +172,7 @@ class Localizer:
         """T_w_f (4, 4) of a sub-map's first frame when none of its frames has a pose.
 
         The velocity between the last two keyframes goes on for as long as the skipped keyframes
-        show motion: gaps of max_keyframe_gap_s are a car that stood still.
+        show motion: where nothing moves there are none for longer than max_keyframe_gap_s.
         """
         if not self._submaps:
             return np.eye(4)
@@ -180,8 +180,8 @@ class Localizer:
         start, end = self._stamps[ids[-1]], int(submap.t_ns[0])
         between = [t for skipped in self._skipped for t in skipped.t_ns if start < t < end]
         gaps = np.diff(np.unique([start, *between, end])) * 1e-9
-        # a keyframe forced by the clock comes at the limit give or take a frame
-        moving_s = gaps[gaps < 0.9 * self._config.frontend.max_keyframe_gap_s].sum()
+        # a keyframe forced by the clock comes at the limit, or a frame or two later
+        moving_s = gaps[gaps < 2 * self._config.frontend.max_keyframe_gap_s].sum()
         T_last = self._graph.pose(ids[-1])
         step_s = (start - self._stamps[ids[0]]) * 1e-9
         if step_s == 0:

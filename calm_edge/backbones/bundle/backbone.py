@@ -28,7 +28,9 @@ from calm_edge.types import Float, Hints, KitBelief, Prediction
 TEMPERING = 0.02
 # What the pinhole model leaves out (distortion, rolling shutter, a stamp's error) as a share of f.
 FOCAL_FLOOR = 0.012
-ROBUST_SCALE = 2.0
+# Wide first, so that a poor start loses no match; then narrow, for what a wrong match pulls at is
+# not noise around the truth: most err towards the camera and shrink the scene.
+ROBUST_SCALES = (2.0, 0.5)
 # A belief this sharp is used as it is; a vaguer one makes several first guesses compete.
 RIG_KNOWN_RAD = 0.02
 FOCAL_KNOWN = 0.05
@@ -101,7 +103,9 @@ def _sharpened(belief: KitBelief) -> KitBelief:
 
 
 def _solve(start: State, m: Measurements, ties: RigTies, belief: KitBelief) -> Solution:
-    solution = solve(start, m, ties, _sharpened(belief), robust_scale=ROBUST_SCALE)
+    for robust_scale in ROBUST_SCALES:
+        solution = solve(start, m, ties, _sharpened(belief), robust_scale=robust_scale)
+        start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
     return solution
@@ -127,7 +131,7 @@ def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool)
             return state
         trial = solve(
             state, few, ties, _sharpened(belief),
-            robust_scale=ROBUST_SCALE, max_iterations=GUESS_ITERATIONS,
+            robust_scale=ROBUST_SCALES[0], max_iterations=GUESS_ITERATIONS,
         )  # fmt: skip
         candidates.append((trial.cost, trial.state))
     if not candidates:
@@ -142,7 +146,7 @@ def _prediction(
     state = solution.state
     evidence = None
     if np.median(solution.residual * m.sigma_px) < MAX_EVIDENCE_PX:
-        evidence = kit_evidence(solution, m, ties, ROBUST_SCALE, TEMPERING)
+        evidence = kit_evidence(solution, m, ties, ROBUST_SCALES[-1], TEMPERING)
     joint = product([belief, evidence]) if evidence else belief
     assert joint is not None
     sigma = np.hypot(_sigma(joint)[list(kit.LOG_FOCAL)], FOCAL_FLOOR)

@@ -19,7 +19,7 @@ Gray = NDArray[np.uint8]
 
 CORNERS_PER_VIEW = 320
 GRID = (8, 4)  # columns, rows: corners are spread over the picture
-FORWARD_BACKWARD_PX = 0.7
+FORWARD_BACKWARD_PX = 0.3
 EPIPOLAR_PX = 1.0
 LK_WINDOW_PX = 17
 LK_LEVELS = 4
