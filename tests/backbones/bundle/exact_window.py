@@ -97,13 +97,13 @@ def window(
 
 
 def perturbed(truth: problem.State, *, seed: int = 1, pose: float = 0.02, focal: float = 0.1):
-    """A start near the truth: twists of `pose`, points of 2 %, log focals of +-`focal`."""
+    """A start near the truth: twists, points and rig off by `pose`, log focals by +-`focal`."""
     rng = np.random.default_rng(seed)
     twist = pose * rng.standard_normal((len(truth.T_c_s), 6))
     twist[0] = 0
     twist[:, 3:] /= 4
-    points = truth.points + 0.02 * truth.points[:, 3:] * rng.standard_normal(truth.points.shape)
-    theta = truth.theta + np.r_[focal, 0, 0, 0, -focal, 0, 0, 0, 0.02 * rng.standard_normal(6)]
+    points = truth.points + pose * truth.points[:, 3:] * rng.standard_normal(truth.points.shape)
+    theta = truth.theta + np.r_[focal, 0, 0, 0, -focal, 0, 0, 0, pose * rng.standard_normal(6)]
     theta[11:] /= np.linalg.norm(theta[11:])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return problem.State(se3.exp(twist) @ truth.T_c_s, points, theta)

@@ -76,6 +76,14 @@ def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
     assert np.allclose(np.linalg.norm(state.points, axis=1), 1)
 
 
+@pytest.mark.parametrize("factor", [0.75, 1.3])
+def test_the_assistants_focal_is_found_from_the_primarys_points(exact, factor):
+    theta = guess_of(exact.truth, 1.0)
+    theta[kit.LOG_FOCAL[1]] += np.log(factor)
+    state = initialise.initial_state(exact.m, theta, rig_known=False)
+    assert np.allclose(state.theta, exact.truth.theta, atol=5e-3)
+
+
 def test_a_known_rig_is_kept_and_gives_the_unit(exact):
     state = initialise.initial_state(exact.m, exact.truth.theta, rig_known=True)
     assert np.allclose(state.theta, exact.truth.theta)

@@ -146,6 +146,18 @@ def test_ties_vanish_on_a_rig_that_follows_the_geodesic(delay_s):
     assert softer == (delay_s != 0)
 
 
+def test_a_tie_softens_with_what_constant_velocity_misses():
+    m = window(turn(3), theta_of(), n_points=10, delay_s=0.1).m
+    # a third of the way through 0.3 s: 0.33 x 0.67 / 2 x 0.09 s^2, the last one beyond the end
+    bend = np.array([0.01, 0.01, 0.02])
+    ties = problem.rig_ties(m)
+    assert ties.alpha == pytest.approx([1 / 3, 1 / 3, 4 / 3])
+    assert np.array_equal(ties.before, [0, 1, 1]) and np.array_equal(ties.after, [1, 2, 2])
+    sigma = 1 / ties.information_root
+    assert np.allclose(sigma[:, :3], np.hypot(2e-3, 3.0 * bend)[:, None])
+    assert np.allclose(sigma[:, 3:], np.hypot(1e-4, 0.3 * bend)[:, None])
+
+
 def test_a_tie_measures_how_far_the_assistant_is_off_its_rig():
     made = window(turn(4), theta_of(), n_points=10)
     ties, T = made.ties, made.truth.T_c_s.copy()

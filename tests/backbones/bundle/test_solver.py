@@ -97,6 +97,28 @@ def test_eliminating_points_is_the_schur_complement_of_the_whole():
     assert np.allclose(normal.point_step(delta).ravel(), step, atol=1e-9)
 
 
+def test_a_step_that_lengthens_the_rig_rescales_the_scene_instead():
+    made = window(turn(3), theta_of(), n_points=25)
+    n = made.m.n_views
+    delta = np.zeros(6 * n + kit.SIZE)
+    delta[-3:] = 0.25 * made.truth.theta[11:14]
+    still = np.zeros((len(made.truth.points), 3))
+    state = solver._step(made.truth, n, delta, still)
+    assert np.allclose(state.theta, made.truth.theta)
+    assert np.allclose(state.T_c_s[:, :3, 3] * 1.25, made.truth.T_c_s[:, :3, 3])
+    assert np.allclose(problem.project(state, made.m)[0], made.m.uv)
+
+
+def test_an_outlier_costs_no_more_the_farther_it_is():
+    made = window(turn(3), theta_of(), n_points=25)
+    made.m.uv[:3] += [[1.5, 2.0], [49.0, 0], [900.0, 0]]
+    made.truth.points[made.m.point[-1]] *= -1
+    behind = made.m.point == made.m.point[-1]
+    length = solver.whitened_lengths(made.truth, made.m)
+    assert length[:3] == pytest.approx([5, 98, 100])
+    assert (length[behind] == 100).all() and length[3:][~behind[3:]].max() < 1e-6
+
+
 def test_a_straight_drive_says_nothing_of_the_focal_and_a_turn_does(curved):
     straight = evidence(window(turn(N, yaw_rad=0.0), theta_of(), noise_px=0.3))
     assert sigma(curved)[FOCALS].max() < 0.01
@@ -136,6 +158,17 @@ def test_evidence_does_not_hold_what_the_prior_said():
     moved = np.abs(pulled.state.theta - free.state.theta)[FOCALS]
     apart = np.abs(beliefs[0].mean - beliefs[1].mean)[FOCALS]
     assert (moved > 3e-4).all() and (apart < 0.3 * moved).all()
+
+
+def test_evidence_takes_the_last_step_to_the_optimum_itself():
+    """It holds from any state near the optimum, so the solver may stop a little early."""
+    made = window(turn(N), theta_of())
+    start = perturbed(made.truth, pose=3e-4, focal=3e-4)
+    solution = solver.Solution(start, 0.0, solver.whitened_lengths(start, made.m))
+    belief = solver.kit_evidence(solution, made.m, made.ties, 1e3, 1.0)
+    off, was_off = (np.abs(theta - made.truth.theta) for theta in (belief.mean, start.theta))
+    assert off[FOCALS].max() < 0.2 * was_off[FOCALS].max()
+    assert off[8:11].max() < 0.2 * was_off[8:11].max()
 
 
 def test_tempering_scales_the_information_and_not_the_mean(curved):
