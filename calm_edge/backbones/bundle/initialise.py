@@ -68,7 +68,7 @@ def two_views(m: Measurements, rays: Float, first: int, second: int, f: float) -
     count, R, t, _ = cv2.recoverPose(E, pa, pb, np.eye(3), mask=mask.copy())
     if count < MIN_COMMON // 2:
         return None
-    return se3.compose(R, t.ravel())
+    return se3.compose(np.asarray(R, np.float64), np.asarray(t, np.float64).ravel())
 
 
 def resection(points: Float, rays: Float, f: float, guess: Float | None) -> Float | None:
@@ -84,7 +84,8 @@ def resection(points: Float, rays: Float, f: float, guess: Float | None) -> Floa
         return guess
     i = inliers.ravel()
     rvec, tvec = cv2.solvePnPRefineLM(points[i], rays[i], K, None, rvec, tvec)
-    return se3.compose(se3.so3_exp(rvec.ravel()), tvec.ravel())
+    rotation, translation = (np.asarray(v, np.float64).ravel() for v in (rvec, tvec))
+    return se3.compose(se3.so3_exp(rotation), translation)
 
 
 def _usable(X: Float) -> np.ndarray:
@@ -111,7 +112,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool) -> State:
             raise BackboneError("bundle: a keyframe shares too few matches with its neighbours")
         poses[view] = pose
         X = _triangulate_known(m, rays, poses, n_points)
-    T_s_p = se3.inverse(np.stack([poses[v] for v in primary]))
+    T_s_p = se3.inverse(np.stack([poses[int(v)] for v in primary]))
     at = se3.interpolate_at(m.t[primary], T_s_p, m.t[assistant])  # the primary's, at their instants
     if rig_known:
         T_p_a = kit.rig(theta)

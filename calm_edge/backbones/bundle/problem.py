@@ -191,6 +191,6 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     rig = se3.compose(se3.so3_exp(rig_part[..., :3]), rig_part[..., 3:])[..., None, :, :]
     sides = tie_residuals(before, after, assistant, rig, ties)  # (4, 6, 2, A, 6)
     J = (sides[:, :, 0] - sides[:, :, 1]) / (2 * h)
-    base = (state.T_c_s[v] for v in views)
-    residual = tie_residuals(*base, kit.rig(state.theta), ties)
+    T_before, T_after, T_assistant = (state.T_c_s[v] for v in views)
+    residual = tie_residuals(T_before, T_after, T_assistant, kit.rig(state.theta), ties)
     return residual, np.ascontiguousarray(J.transpose(2, 3, 0, 1).reshape(len(ties.alpha), 6, 24))

@@ -13,6 +13,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import kit
 from calm_edge.backbones.bundle.problem import Measurements, State
 from calm_edge.backbones.bundle.tracks import Tracks, window_tracks
+from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
 
 SIGMA_PX = 0.5
@@ -112,4 +113,4 @@ def from_prediction(
     )  # fmt: skip
     X = np.c_[marks.points_s, np.ones(len(marks.points_s))]
     X /= np.linalg.norm(X, axis=1, keepdims=True)
-    return m, State(np.linalg.inv(prediction.T_s_c), X, theta)
+    return m, State(se3.inverse(prediction.T_s_c), X, theta)
