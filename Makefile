@@ -40,4 +40,4 @@ bench: setup
 	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
 
 eval: setup
-	.venv/bin/python -m tests.targets
+	.venv/bin/python -m calm_edge.evaluation.targets

@@ -56,10 +56,12 @@ def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) ->
                 gray[ys, xs], wanted, 0.01, distance, mask=mask[ys, xs], blockSize=5
             )
             if p is not None:
-                found.append(p.reshape(-1, 2) + np.float32([xs.start, ys.start]))
+                found.append(p.reshape(-1, 2) + np.array([xs.start, ys.start], np.float32))
     new = np.concatenate(found) if found else np.zeros((0, 2), np.float32)
     margin = LK_WINDOW_PX // 2
-    inside = (new > margin).all(1) & (new < np.float32([width, height]) - 1 - margin).all(1)
+    inside = (new > margin).all(1) & (new < np.array([width, height], np.float32) - 1 - margin).all(
+        1
+    )
     return np.asarray(new[inside], np.float32)
 
 
@@ -84,7 +86,7 @@ def follow(
     good = (ok.ravel() > 0) & (ok_back.ravel() > 0) & (error < FORWARD_BACKWARD_PX)
     height, width = target.shape
     b = b.reshape(-1, 2)
-    good &= (b > 2).all(1) & (b < np.float32([width - 3, height - 3])).all(1)
+    good &= (b > 2).all(1) & (b < np.array([width - 3, height - 3], np.float32)).all(1)
     return np.asarray(b, np.float32), good
 
 
@@ -117,7 +119,7 @@ def sift_homography(primary: Gray, assistant: Gray) -> Float | None:
 
     It stands for the rotation and the zoom between the eyes; parallax is LK's to find.
     """
-    sift = cv2.SIFT_create(nfeatures=1500)
+    sift = cv2.SIFT.create(nfeatures=1500)
     ka, da = sift.detectAndCompute(primary, None)
     kb, db = sift.detectAndCompute(assistant, None)
     if da is None or db is None or len(ka) < 8 or len(kb) < 8:
@@ -126,8 +128,8 @@ def sift_homography(primary: Gray, assistant: Gray) -> Float | None:
     good = [p[0] for p in pairs if len(p) == 2 and p[0].distance < 0.75 * p[1].distance]
     if len(good) < 12:
         return None
-    a = np.float32([ka[g.queryIdx].pt for g in good])
-    b = np.float32([kb[g.trainIdx].pt for g in good])
+    a = np.array([ka[g.queryIdx].pt for g in good], np.float32)
+    b = np.array([kb[g.trainIdx].pt for g in good], np.float32)
     keep = on_epipolar_lines(a, b, 2.0)
     if keep.sum() < 12:
         return None
@@ -184,7 +186,7 @@ def across_eyes(
         flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
     )  # fmt: skip
     seen = cv2.erode(seen, np.ones((LK_WINDOW_PX, LK_WINDOW_PX), np.uint8))
-    moved, ok = follow(primary, warped, uv, uv + guess)
+    moved, ok = follow(primary, np.asarray(warped, np.uint8), uv, uv + guess)
     xy = np.round(moved).astype(int)
     xy = np.clip(xy, 0, [width - 1, height - 1])
     ok &= seen[xy[:, 1], xy[:, 0]] > 0
@@ -224,7 +226,7 @@ def window_tracks(
             there, ok = across_eyes(
                 primary[partner[j]], gray, H_a_p, points, _smoothed_guess(points, flow, known)
             )
-            back = _apply(np.linalg.inv(H_a_p), there[ok])
+            back = _apply(np.asarray(np.linalg.inv(H_a_p), np.float64), there[ok])
             parallax.update(zip(ids[ok].tolist(), back - points[ok], strict=True))
             track.append(ids[ok])
             view.append(np.full(int(ok.sum()), len(primary) + j))
