@@ -122,6 +122,24 @@ def test_corners_are_found_across_zoom_and_roll(eyes):
     assert np.median(error_px(bare, H, uv)[ok]) > 5 * error
 
 
+def test_what_moves_on_its_own_is_no_match_across_eyes():
+    primary, still = texture(), np.eye(3)
+    assistant = primary.copy()
+    # depth may shift a part along one direction; a smaller part that goes another way is traffic
+    assistant[20:110, 20:150] = primary[26:116, 20:150]
+    assistant[20:110, 200:260] = primary[20:110, 206:266]
+    uv = tracks.detect_corners(primary, NONE)
+    found, ok = tracks.across_eyes(primary, assistant, still, uv, np.zeros_like(uv))
+
+    def inside(left, right):
+        return (uv > [left + 15, 40]).all(1) & (uv < [right - 15, 95]).all(1)
+
+    near, traffic = inside(20, 150), inside(200, 260)
+    assert near.sum() > 20 and ok[near].mean() > 0.8
+    assert np.median(found[near & ok] - uv[near & ok], axis=0) == pytest.approx([0, -6], abs=0.1)
+    assert traffic.sum() > 5 and ok[traffic].mean() < 0.2
+
+
 def test_a_homography_is_found_from_nothing(eyes):
     primary, assistant, H = eyes
     found = tracks.sift_homography(primary, assistant)
@@ -149,3 +167,16 @@ def test_tracks_of_a_window_are_the_same_points_in_every_view():
         assert long[4:].sum() > 100
         pairs = np.c_[found.track, found.view]
         assert len(np.unique(pairs, axis=0)) == len(pairs)
+
+
+def test_parallax_that_grows_from_view_to_view_is_kept_up_with():
+    big = texture((480, 200))
+    primary = [big[:128, :320].copy()] * 5
+    assistant = [big[:128, 16 * k : 320 + 16 * k].copy() for k in range(1, 6)]
+    found = tracks.window_tracks(primary, assistant, list(range(5)), np.eye(3))
+    views = [dict(zip(found.track[found.view == v], found.uv[found.view == v], strict=True))
+             for v in (0, 9)]  # fmt: skip
+    both = sorted(views[0].keys() & views[1].keys())
+    moved_by = np.array([views[1][i] - views[0][i] for i in both])
+    assert len(both) > 0.5 * len(views[0])
+    assert (np.abs(moved_by - [-80, 0]).max(1) < 0.1).mean() > 0.95

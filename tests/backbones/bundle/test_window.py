@@ -85,6 +85,15 @@ def test_thinning_keeps_the_longest_tracks_whole():
     assert len(window.thinned(m, 10_000).uv) == len(m.uv)
 
 
+def test_a_known_kit_tells_where_far_points_appear_to_the_other_eye():
+    theta = theta_of(rotation_deg=(3.0, -8.0, 5.0))
+    far = np.array([[0.2, 0.1, 1.0], [-0.4, -0.1, 1.0], [0.0, 0.0, 1.0]])
+    K_p, K_a = (kit.camera_matrix(theta, eye, *SIZE[eye]) for eye in (0, 1))
+    seen_p, seen_a = far @ K_p.T, far @ kit.rig(theta)[:3, :3] @ K_a.T
+    there = seen_p @ window._infinite_homography(theta, SIZE).T
+    assert np.allclose(there / there[:, 2:], seen_a / seen_a[:, 2:])
+
+
 T_NS = np.array([0, 200, 400, 17, 217]) * 1_000_000
 
 
