@@ -40,6 +40,8 @@ class EstimatorLink:
         self._in_hand: SubmapWindow | None = None
         self._ready = False
         self._deaths_in_a_row = 0
+        self._finishing = False
+        self._died_finishing = False
         self.refusal = ""
         self.lost: list[int] = []
         self.left_to_map: list[int] = []
@@ -55,7 +57,8 @@ class EstimatorLink:
     @property
     def given_up(self) -> bool:
         """It will not be started again."""
-        return bool(self.refusal) or self._deaths_in_a_row >= MAX_DEATHS_IN_A_ROW
+        hopeless = self._deaths_in_a_row >= MAX_DEATHS_IN_A_ROW
+        return bool(self.refusal) or hopeless or self._died_finishing
 
     @property
     def waiting(self) -> int:
@@ -102,7 +105,8 @@ class EstimatorLink:
         self.pump()
 
     def finish(self) -> None:
-        """Asks for the joint optimum; `finished` is set when it has come."""
+        """Asks for the joint optimum; then `finished` is set, or it has `given_up`."""
+        self._finishing = True
         self.child.send(Finish())
 
     def stop(self, timeout_s: float = 2.0) -> None:
@@ -118,6 +122,7 @@ class EstimatorLink:
     def _bury(self) -> None:
         self._deaths_in_a_row += 1
         self._ready = False
+        self._died_finishing = self._finishing
         what = f"estimator died (exit {self.child.exit_code})"
         if self._in_hand is not None:
             self.lost.append(self._in_hand.submap_id)

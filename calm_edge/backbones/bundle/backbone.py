@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,21 +53,20 @@ class BundleBackbone:
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, K and landmarks; depth comes with `densify`. Raises BackboneError."""
+        cv2.setRNGSeed(self._seed)
         belief = believed(hints)
         sigma = _sigma(belief)
         rig_known = bool(sigma[8:11].max() < RIG_KNOWN_RAD)
         m = window.measure(images, hints, belief.mean, rig_known)
         ties = rig_ties(m)
         known = rig_known and bool(sigma[list(kit.LOG_FOCAL)].max() < FOCAL_KNOWN)
-        start = _first_guess(m, ties, belief, known)
-        return _prediction(m, ties, belief, _solve(start, m, ties, belief))
+        return _solved(_first_guess(m, ties, belief, known), m, ties, belief)
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
         """The same views again under the kit of `hints`, from landmarks; raises BackboneError."""
         belief = believed(hints)
         m, start = window.from_prediction(prediction, hints, belief.mean)
-        ties = rig_ties(m)
-        return _prediction(m, ties, belief, _solve(start, m, ties, belief))
+        return _solved(start, m, rig_ties(m), belief)
 
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
@@ -100,6 +100,13 @@ def _sigma(belief: KitBelief) -> Float:
 def _sharpened(belief: KitBelief) -> KitBelief:
     """The belief as strong against a window's pixels as tempering makes those weak."""
     return KitBelief(belief.mean, belief.information / TEMPERING)
+
+
+def _solved(start: State, m: Measurements, ties: RigTies, belief: KitBelief) -> Prediction:
+    try:
+        return _prediction(m, ties, belief, _solve(start, m, ties, belief))
+    except np.linalg.LinAlgError:
+        raise BackboneError("bundle: the pictures do not determine their poses") from None
 
 
 def _solve(start: State, m: Measurements, ties: RigTies, belief: KitBelief) -> Solution:

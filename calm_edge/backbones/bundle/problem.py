@@ -19,6 +19,10 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
 
+# z of a unit homogeneous point, below which it is not in front of a view: its pixel would be wild
+NEAREST = 1e-4
+
+
 @dataclass(frozen=True, slots=True)
 class Measurements:
     """What is measured in one window; O observations of M points in C views.
@@ -85,7 +89,7 @@ def project(state: State, m: Measurements) -> tuple[Float, Float]:
     q = (T[:, :3] @ state.points[m.point][..., None])[..., 0]
     optics = state.theta[:8].reshape(2, 4)[m.eye[m.view]]
     size = m.size[m.eye[m.view]].astype(np.float64)
-    z = np.where(np.abs(q[:, 2]) < 1e-9, 1e-9, q[:, 2])
+    z = np.where(np.abs(q[:, 2]) < NEAREST, NEAREST, q[:, 2])
     xy = q[:, :2] / z[:, None]
     radial = 1 + optics[:, 3] * (xy * xy).sum(1)
     f = np.exp(optics[:, 0]) * size[:, 0]
@@ -100,7 +104,7 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
     optics = state.theta[:8].reshape(2, 4)[eye]
     width = m.size[eye, 0].astype(np.float64)
     f = np.exp(optics[:, 0]) * width
-    z = np.where(np.abs(q[:, 2]) < 1e-9, 1e-9, q[:, 2])
+    z = np.where(np.abs(q[:, 2]) < NEAREST, NEAREST, q[:, 2])
     x, y = q[:, 0] / z, q[:, 1] / z
     r2, k1 = x * x + y * y, optics[:, 3]
     radial = 1 + k1 * r2
@@ -122,7 +126,7 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
     d_optics[:, 0, 1] = d_optics[:, 1, 2] = width
     d_optics[:, 0, 3], d_optics[:, 1, 3] = f * r2 * x, f * r2 * y
     point = d_q @ (state.T_c_s[m.view][:, :3] @ basis[m.point])
-    return ReprojectionJacobians(predicted, pose, d_optics, point, q[:, 2] > 1e-9)
+    return ReprojectionJacobians(predicted, pose, d_optics, point, q[:, 2] > NEAREST)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import scipy.linalg
 
 from calm_edge.backbones.bundle import kit
 from calm_edge.backbones.bundle.problem import (
+    NEAREST,
     Measurements,
     RigTies,
     State,
@@ -25,7 +26,9 @@ from calm_edge.backbones.bundle.problem import (
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int, KitBelief
 
-POINT_FLOOR = 1e-3  # keeps the block of a point nobody constrains invertible
+# What keeps the block of a point nobody constrains, or a view all but touches, invertible.
+POINT_FLOOR = 1e-3
+POINT_FLOOR_SHARE = 1e-10
 BEHIND = 100.0  # sigmas charged for a point behind its view: an outlier, not a wall
 
 
@@ -104,7 +107,7 @@ def whitened_lengths(state: State, m: Measurements) -> Float:
     """(O,) reprojection error in sigmas; BEHIND for points behind their view."""
     predicted, q = project(state, m)
     length = np.linalg.norm(predicted - m.uv, axis=1) / m.sigma_px
-    return np.where(q[:, 2] > 1e-9, np.minimum(length, BEHIND), BEHIND)
+    return np.where(q[:, 2] > NEAREST, np.minimum(length, BEHIND), BEHIND)
 
 
 def total_cost(
@@ -155,7 +158,8 @@ def normal_equations(
     Hpp[seen] = structure.by_point.sum(point_t @ point)
     gp[seen] = structure.by_point.sum((point_t @ r)[..., 0])
     diagonal = np.einsum("mii->mi", Hpp)
-    diagonal += damping * diagonal + POINT_FLOOR
+    largest = diagonal.max(1, keepdims=True)
+    diagonal += damping * diagonal + POINT_FLOOR_SHARE * largest + POINT_FLOOR
     root = np.linalg.inv(np.linalg.cholesky(Hpp)).transpose(0, 2, 1)
     gradient = (gp[:, None] @ root)[:, 0]
 
