@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -186,6 +187,7 @@ def arrays(prediction):
 def test_the_same_call_gives_the_same_bits(solved, turn, solved_straight):
     other = bundle.BundleBackbone(BackboneConfig())
     before = [image.tobytes() for image in turn.images]
+    cv2.setRNGSeed(12345)
     again = other.infer(turn.images, turn.hints)
     for a, b in zip(arrays(solved), arrays(again), strict=True):
         assert a.dtype == b.dtype and a.tobytes() == b.tobytes()

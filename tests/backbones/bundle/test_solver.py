@@ -97,6 +97,22 @@ def test_eliminating_points_is_the_schur_complement_of_the_whole():
     assert np.allclose(normal.point_step(delta).ravel(), step, atol=1e-9)
 
 
+def test_a_point_started_in_a_view_is_no_end_of_the_window():
+    made = window(turn(N), theta_of())
+    start = perturbed(made.truth)
+    T_s_c = np.linalg.inv(start.T_c_s)
+    seen_by = [made.m.view[made.m.point == point] for point in (0, 1)]
+    # one exactly at a camera's centre, one a hair before its plane
+    start.points[0] = T_s_c[seen_by[0][0], :, 3]
+    start.points[1] = T_s_c[seen_by[1][0]] @ [0.5, 0.1, 1e-7, 1]
+    start.points[:2] /= np.linalg.norm(start.points[:2], axis=1, keepdims=True)
+    solution = solver.solve(start, made.m, made.ties, PRIOR, max_iterations=50)
+    assert np.isfinite(solution.cost) and np.isfinite(solution.state.points).all()
+    assert np.abs(solution.state.theta - made.truth.theta)[FOCALS].max() < 0.01
+    information = solver.kit_evidence(solution, made.m, made.ties, 2.0, 1.0).information
+    assert np.isfinite(information).all()
+
+
 def test_a_step_that_lengthens_the_rig_rescales_the_scene_instead():
     made = window(turn(3), theta_of(), n_points=25)
     n = made.m.n_views
