@@ -18,7 +18,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import kit, window
 from calm_edge.backbones.bundle.initialise import initial_state, triangulated
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
-from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve
+from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
 from calm_edge.backbones.kit_belief import product
 from calm_edge.config import BackboneConfig
 from calm_edge.geometry import se3
@@ -38,6 +38,7 @@ FOCAL_KNOWN = 0.05
 FOCAL_GUESSES = (1.0, 1.25, 0.75)
 GUESS_ITERATIONS = 15
 GUESS_POINTS = 200
+SEED_SHARES = (0.5, 0.3, 0.15)
 # Beyond these a solution is believed neither as a sub-map nor as evidence on the kit.
 MAX_MEDIAN_PX = 2.0
 MAX_EVIDENCE_PX = 0.8
@@ -119,32 +120,52 @@ def _solve(start: State, m: Measurements, ties: RigTies, belief: KitBelief) -> S
 
 
 def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool) -> State:
-    """The best of a few starts: a wrong focal can trap the solver, a few steps tell which.
+    """The best of a few starts, on the longest tracks; its poses then place every point.
 
-    The starts compete on the longest tracks only; the winner's poses then place every point.
+    A chain of resections can slip, and a wrong focal can trap the solver: of first pairs the
+    cost of the start itself tells which is good, of focals the cost after a few steps.
     """
-    few = m if known else window.thinned(m, GUESS_POINTS)
+    few = window.thinned(m, GUESS_POINTS)
     candidates: list[tuple[float, State]] = []
-    failure = BackboneError("bundle: no first guess")
+    failure: BackboneError | None = None
     for factor in FOCAL_GUESSES[:1] if known else FOCAL_GUESSES:
         theta = belief.mean.copy()
         theta[list(kit.LOG_FOCAL)] += np.log(factor)
         try:
-            state = initial_state(few, theta, known)
+            cost, state = _best_start(few, ties, belief, theta, known)
         except BackboneError as error:
             failure = error
             continue
-        if known:
-            return state
-        trial = solve(
-            state, few, ties, _sharpened(belief),
-            robust_scale=ROBUST_SCALES[0], max_iterations=GUESS_ITERATIONS,
-        )  # fmt: skip
-        candidates.append((trial.cost, trial.state))
-    if not candidates:
+        if not known:
+            trial = solve(
+                state, few, ties, _sharpened(belief),
+                robust_scale=ROBUST_SCALES[0], max_iterations=GUESS_ITERATIONS,
+            )  # fmt: skip
+            cost, state = trial.cost, trial.state
+        candidates.append((cost, state))
+    if failure and not candidates:
         raise failure
     best = min(candidates, key=lambda candidate: candidate[0])[1]
     return State(best.T_c_s, triangulated(m, best.T_c_s, best.theta), best.theta)
+
+
+def _best_start(
+    m: Measurements, ties: RigTies, belief: KitBelief, theta: Float, known: bool
+) -> tuple[float, State]:
+    """The cheapest of the starts from different first pairs, with its cost."""
+    starts: list[tuple[float, State]] = []
+    failure = BackboneError("bundle: no first guess")
+    for share in SEED_SHARES:
+        try:
+            state = initial_state(m, theta, known, share)
+        except BackboneError as error:
+            failure = error
+            continue
+        cost = total_cost(state, m, ties, _sharpened(belief), ROBUST_SCALES[0])
+        starts.append((cost, state))
+    if not starts:
+        raise failure
+    return min(starts, key=lambda start: start[0])
 
 
 def _prediction(
@@ -162,6 +183,6 @@ def _prediction(
         K=K[m.eye],
         T_s_c=se3.inverse(state.T_c_s),
         focal_log_sigma=sigma[m.eye],
-        landmarks=window.to_landmarks(state, m, solution.residual),
+        landmarks=window.to_landmarks(state, m),
         kit=evidence,
     )

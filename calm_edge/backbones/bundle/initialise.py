@@ -93,18 +93,18 @@ def _usable(X: Float) -> np.ndarray:
     return np.asarray(np.isfinite(X[:, 0]) & (X[:, 3] > 1e-4))
 
 
-def initial_state(m: Measurements, theta: Float, rig_known: bool) -> State:
+def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: float) -> State:
     """Poses of all views, points and kit from scratch; raises BackboneError when it cannot.
 
     theta: (14,) the best guess of the kit; its rig part is used only when `rig_known`, else
-    it is found here.
+    it is found here. seed_share: how far into the window the second view of the first pair lies.
     """
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
     primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
     f = [kit.camera_matrix(theta, e, *m.size[e])[0, 0] for e in (0, 1)]
 
-    poses = _seed(m, rays, primary, f[0])
+    poses = _seed(m, rays, primary, f[0], seed_share)
     X = _triangulate_known(m, rays, poses, n_points)
     for view in _outward(primary, list(poses)):
         pose = _resect(m, rays, X, view, f[0], _nearest(poses, view))
@@ -138,14 +138,13 @@ def triangulated(m: Measurements, T_c_s: Float, theta: Float) -> Float:
     return np.where(np.isfinite(X[:, :1]), X, [0.0, 0.0, 1.0, 0.0])
 
 
-def _seed(m: Measurements, rays: Float, primary: Int, f: float) -> dict[int, Float]:
-    """The first view and the farthest one that still shares enough matches."""
-    for share in (0.5, 0.35, 0.7, 0.2, 0.0):
-        second = int(primary[max(1, int(share * (len(primary) - 1)))])
-        T = two_views(m, rays, int(primary[0]), second, f)
-        if T is not None:
-            return {int(primary[0]): np.eye(4), second: T}
-    raise BackboneError("bundle: the first keyframes share too few matches (dark, or standing?)")
+def _seed(m: Measurements, rays: Float, primary: Int, f: float, share: float) -> dict[int, Float]:
+    """The first view and the one `share` of the window later."""
+    second = int(primary[max(1, int(share * (len(primary) - 1)))])
+    T = two_views(m, rays, int(primary[0]), second, f)
+    if T is None:
+        raise BackboneError("bundle: the first keyframes share too few matches (dark or still?)")
+    return {int(primary[0]): np.eye(4), second: T}
 
 
 def _triangulate_known(

@@ -27,6 +27,7 @@ RADIAL_SIGMA = 0.0003
 RIG_ROTATION_SIGMA_RAD = 0.5
 RIG_DIRECTION_SIGMA = 1.0
 SPACING_SIGMA = 1e-4
+EVIDENCE_SPACING_SIGMA = 0.05
 
 
 def prior(hfov_deg: tuple[float | None, float | None]) -> KitBelief:

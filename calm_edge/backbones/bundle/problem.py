@@ -147,8 +147,8 @@ class RigTies:
 # A car's body between two instants: what constant velocity misses grows with their distance.
 TIE_TRANSLATION_SIGMA = 2e-3  # spacings, when the instants coincide
 TIE_ROTATION_SIGMA_RAD = 1e-4
-JERK_TRANSLATION = 3.0  # spacings / s^2
-JERK_ROTATION_RAD = 0.3  # rad / s^2
+ACCELERATION = 3.0  # spacings / s^2
+ANGULAR_ACCELERATION = 0.3  # rad / s^2
 
 
 def rig_ties(m: Measurements) -> RigTies:
@@ -161,8 +161,8 @@ def rig_ties(m: Measurements) -> RigTies:
     # the classical interpolation remainder, alpha (1 - alpha) / 2 dt^2 times the acceleration
     bend = np.abs(alpha * (1 - alpha)) / 2 * gap**2
     root = np.empty((len(assistant), 6))
-    root[:, :3] = 1 / np.hypot(TIE_TRANSLATION_SIGMA, JERK_TRANSLATION * bend)[:, None]
-    root[:, 3:] = 1 / np.hypot(TIE_ROTATION_SIGMA_RAD, JERK_ROTATION_RAD * bend)[:, None]
+    root[:, :3] = 1 / np.hypot(TIE_TRANSLATION_SIGMA, ACCELERATION * bend)[:, None]
+    root[:, 3:] = 1 / np.hypot(TIE_ROTATION_SIGMA_RAD, ANGULAR_ACCELERATION * bend)[:, None]
     return RigTies(assistant, primary[i], primary[i + 1], alpha, root)
 
 

@@ -194,13 +194,13 @@ def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, 
     k = slice(len(g) - kit.SIZE, len(g))
     H[k, k] += prior.information
     g[k] += prior.information @ (state.theta - prior.mean)
-    _add_spacing(H, state.theta)
+    _add_spacing(H, state.theta, kit.SPACING_SIGMA)
     return H, g
 
 
-def _add_spacing(H: Float, theta: Float) -> None:
+def _add_spacing(H: Float, theta: Float, sigma: float) -> None:
     """The gauge, as a stiff spring on a direction `_step` rescales away: |t_p_a| stays 1."""
-    row = theta[11:14] / kit.SPACING_SIGMA
+    row = theta[11:14] / sigma
     H[-3:, -3:] += np.outer(row, row)
 
 
@@ -277,7 +277,8 @@ def kit_evidence(
     n = 6 * m.n_views
     pose = slice(6, n)
     H, g = normal.H, normal.g
-    _add_spacing(H, state.theta)
+    # only so that the length has a sigma: each window's t_p_a is one long in its own direction
+    _add_spacing(H, state.theta, kit.EVIDENCE_SPACING_SIGMA)
     solved = np.linalg.solve(H[pose, pose] + 1e-9 * np.eye(n - 6), np.c_[H[pose, n:], g[pose]])
     information = H[n:, n:] - H[n:, pose] @ solved[:, :-1]
     gradient = g[n:] - H[n:, pose] @ solved[:, -1]

@@ -75,19 +75,20 @@ def follow(
     window = (LK_WINDOW_PX, LK_WINDOW_PX)
     flags = cv2.OPTFLOW_USE_INITIAL_FLOW
     a = np.ascontiguousarray(uv.reshape(-1, 1, 2), np.float32)
-    b, ok, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, a, np.ascontiguousarray(guess.reshape(-1, 1, 2), np.float32),
+    found, ok, _ = cv2.calcOpticalFlowPyrLK(
+        source, target, a,
+        guess.reshape(-1, 1, 2).astype(np.float32),  # a copy: OpenCV writes into its guess
         winSize=window, maxLevel=LK_LEVELS, criteria=criteria, flags=flags, minEigThreshold=1e-4,
     )  # fmt: skip
     back, ok_back, _ = cv2.calcOpticalFlowPyrLK(
-        target, source, b, a.copy(), winSize=window, maxLevel=1, criteria=criteria, flags=flags
+        target, source, found, a.copy(), winSize=window, maxLevel=1, criteria=criteria, flags=flags
     )
     error = np.linalg.norm((back - a).reshape(-1, 2), axis=1)
     good = (ok.ravel() > 0) & (ok_back.ravel() > 0) & (error < FORWARD_BACKWARD_PX)
     height, width = target.shape
-    b = b.reshape(-1, 2)
+    b = np.asarray(found, np.float32).reshape(-1, 2)
     good &= (b > 2).all(1) & (b < np.array([width - 3, height - 3], np.float32)).all(1)
-    return np.asarray(b, np.float32), good
+    return b, good
 
 
 def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np.bool_]:

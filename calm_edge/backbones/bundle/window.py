@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import kit
-from calm_edge.backbones.bundle.problem import Measurements, State
+from calm_edge.backbones.bundle.problem import Measurements, State, project
 from calm_edge.backbones.bundle.tracks import Tracks, window_tracks
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
@@ -89,14 +89,15 @@ def thinned(m: Measurements, n_points: int) -> Measurements:
     return replace(m, view=m.view[rows], point=point, uv=m.uv[rows], sigma_px=m.sigma_px[rows])
 
 
-def to_landmarks(state: State, m: Measurements, residual: Float) -> Landmarks:
-    """The solved points and the observations that fit them. residual: (O,) in sigmas."""
-    X = state.points
-    points = X[:, :3] / np.maximum(
-        X[:, 3:], np.linalg.norm(X[:, :3], axis=1, keepdims=True) / FARTHEST
+def to_landmarks(state: State, m: Measurements) -> Landmarks:
+    """The solved points, none of them beyond infinity, and the observations that fit them."""
+    X = state.points.copy()
+    X[:, 3] = np.maximum(X[:, 3], np.linalg.norm(X[:, :3], axis=1) / FARTHEST)
+    predicted, _ = project(State(state.T_c_s, X, state.theta), m)
+    keep = np.linalg.norm(predicted - m.uv, axis=1) < KEPT_PX
+    return Landmarks(
+        X[:, :3] / X[:, 3:], m.point[keep], m.view[keep], m.uv[keep].astype(np.float32)
     )
-    keep = residual * m.sigma_px < KEPT_PX
-    return Landmarks(points, m.point[keep], m.view[keep], m.uv[keep].astype(np.float32))
 
 
 def from_prediction(

@@ -54,14 +54,18 @@ def test_a_point_without_two_views_is_not_triangulated(exact):
 
 
 def test_the_right_focals_give_the_truth_at_once(exact):
-    state = initialise.initial_state(exact.m, guess_of(exact.truth, 1.0), rig_known=False)
+    state = initialise.initial_state(
+        exact.m, guess_of(exact.truth, 1.0), rig_known=False, seed_share=0.5
+    )
     assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
     assert np.allclose(state.theta, exact.truth.theta, atol=2e-3)
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
-    state = initialise.initial_state(exact.m, guess_of(exact.truth, factor), rig_known=False)
+    state = initialise.initial_state(
+        exact.m, guess_of(exact.truth, factor), rig_known=False, seed_share=0.5
+    )
     truth = exact.truth
     # the turn of 33 degrees looks longer to a shorter focal
     assert rotation_deg(state.T_c_s, truth.T_c_s).max() < 10
@@ -80,12 +84,12 @@ def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
 def test_the_assistants_focal_is_found_from_the_primarys_points(exact, factor):
     theta = guess_of(exact.truth, 1.0)
     theta[kit.LOG_FOCAL[1]] += np.log(factor)
-    state = initialise.initial_state(exact.m, theta, rig_known=False)
+    state = initialise.initial_state(exact.m, theta, rig_known=False, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta, atol=5e-3)
 
 
 def test_a_known_rig_is_kept_and_gives_the_unit(exact):
-    state = initialise.initial_state(exact.m, exact.truth.theta, rig_known=True)
+    state = initialise.initial_state(exact.m, exact.truth.theta, rig_known=True, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta)
     assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
 
@@ -94,7 +98,7 @@ def test_an_assistant_on_the_other_side_than_believed_is_said(exact):
     theta = exact.truth.theta.copy()
     theta[11:14] *= -1
     with pytest.raises(BackboneError, match=r"^bundle: the assistant is not where the kit says$"):
-        initialise.initial_state(exact.m, theta, rig_known=True)
+        initialise.initial_state(exact.m, theta, rig_known=True, seed_share=0.5)
 
 
 def kept(m, rows):
@@ -104,16 +108,16 @@ def kept(m, rows):
 def test_no_matches_between_the_eyes_are_said(exact):
     m = kept(exact.m, exact.m.eye[exact.m.view] == 0)
     with pytest.raises(BackboneError, match=r"^bundle: no matches between the two eyes$"):
-        initialise.initial_state(m, exact.truth.theta, rig_known=False)
+        initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)
 
 
 def test_a_first_keyframe_that_shares_nothing_is_said(exact):
     m = kept(exact.m, exact.m.view != 0)
     with pytest.raises(BackboneError, match=r"^bundle: the first keyframes share too few"):
-        initialise.initial_state(m, exact.truth.theta, rig_known=False)
+        initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)
 
 
 def test_a_keyframe_that_shares_nothing_is_said(exact):
     m = kept(exact.m, exact.m.view != 5)
     with pytest.raises(BackboneError, match=r"^bundle: a keyframe shares too few"):
-        initialise.initial_state(m, exact.truth.theta, rig_known=False)
+        initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)

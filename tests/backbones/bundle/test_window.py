@@ -18,13 +18,13 @@ def hints_of(m):
     return Hints(eyes=m.eye, t_ns=1_000_000_000 + np.round(m.t * 1e9).astype(np.int64), sizes=SIZE)
 
 
-def prediction_of(made, residual):
+def prediction_of(made):
     state = made.truth
     K = np.stack([kit.camera_matrix(state.theta, e, *SIZE[e]) for e in (0, 1)])
     return Prediction(
         K=K[made.m.eye],
         T_s_c=se3.inverse(state.T_c_s),
-        landmarks=window.to_landmarks(state, made.m, residual),
+        landmarks=window.to_landmarks(state, made.m),
     )
 
 
@@ -37,7 +37,7 @@ def test_a_solution_becomes_the_same_problem_again():
     made = replace(made, m=replace(made.m, uv=uv))
     theta = theta_of(hfov_deg=(70.0, 60.0))
     hints = hints_of(made.m)
-    m, start = window.from_prediction(prediction_of(made, np.zeros(len(uv))), hints, theta)
+    m, start = window.from_prediction(prediction_of(made), hints, theta)
     for name in ("view", "point", "eye", "size"):
         assert np.array_equal(getattr(m, name), getattr(made.m, name)), name
     assert np.allclose(m.t, made.m.t, atol=1e-9)
@@ -52,10 +52,11 @@ def test_a_solution_becomes_the_same_problem_again():
 
 def test_only_observations_that_fit_are_landmarks():
     made = exact_window(turn(N), theta_of())
-    residual = np.zeros(len(made.m.uv))
-    residual[3], residual[7] = 9.9, 10.1  # sigmas of half a pixel
-    marks = window.to_landmarks(made.truth, made.m, residual)
-    assert np.array_equal(marks.uv, np.delete(made.m.uv, 7, 0).astype(np.float32))
+    uv = made.m.uv.copy()
+    uv[3, 0] += window.KEPT_PX - 0.05
+    uv[7, 0] += window.KEPT_PX + 0.05
+    marks = window.to_landmarks(made.truth, replace(made.m, uv=uv))
+    assert np.array_equal(marks.uv, np.delete(uv, 7, 0).astype(np.float32))
     assert np.array_equal(marks.index, np.delete(made.m.point, 7))
     assert np.array_equal(marks.view, np.delete(made.m.view, 7))
     X = made.truth.points
@@ -65,7 +66,7 @@ def test_only_observations_that_fit_are_landmarks():
 @pytest.mark.parametrize("missing", ["landmarks", "sizes"])
 def test_what_was_not_kept_cannot_be_solved_again(missing):
     made = exact_window(turn(N), theta_of())
-    prediction, hints = prediction_of(made, np.zeros(len(made.m.uv))), hints_of(made.m)
+    prediction, hints = prediction_of(made), hints_of(made.m)
     if missing == "landmarks":
         prediction = replace(prediction, landmarks=None)
     else:
