@@ -17,7 +17,8 @@ from device.clock import RateKeeper, SystemClock
 from device.frame import Frame
 from device.service import Notifier
 
-TICK_HZ = 50.0
+# a pose waits half a tick on its way in and half a tick on its way out
+TICK_HZ = 100.0
 STATUS_PERIOD_S = 1.0
 
 

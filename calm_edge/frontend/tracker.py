@@ -17,6 +17,7 @@ from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
 from calm_edge.frontend.flow import follow
 from calm_edge.frontend.pnp import PoseFit, locate, reprojection
+from calm_edge.frontend.velocity import velocity_now
 from calm_edge.geometry import se3
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
@@ -24,9 +25,10 @@ MIN_INLIERS, SAFE_INLIERS = 12, 80
 # Frames kept so that a sub-map that comes late can be followed from its keyframes to now.
 REMEMBERED = 60
 HOP = 4
-# remembered frames tracked again with each new one: bounds what a late sub-map adds to latency
-CATCH_UP_FRAMES = 3
-VELOCITY_WINDOW_NS = 300_000_000
+# Remembered frames tracked again with each new one: bounds what a late sub-map adds to latency.
+# Without a pose there is nothing to be late.
+CATCH_UP_FRAMES, CATCH_UP_FRAMES_LOST = 2, 3
+VELOCITY_WINDOW_NS = 400_000_000
 INLIER_PX = 3.0
 # of the logarithm of a length: beyond it the old track is not worth keeping
 MAX_DISAGREEMENT = 0.2
@@ -143,10 +145,11 @@ class Tracker:
         if follower is None:
             return
         ahead = [past for past in self._past if past.t_ns > self._followed_ns]
-        for past in ahead[:CATCH_UP_FRAMES]:
+        count = CATCH_UP_FRAMES_LOST if self._tracks is None else CATCH_UP_FRAMES
+        for past in ahead[:count]:
             follower.track(past.t_ns, past.gray)
             self._followed_ns = past.t_ns
-        if len(ahead) <= CATCH_UP_FRAMES:
+        if len(ahead) <= count:
             self._follower = None
             T_w_c = follower._past[-1].T_m_c if follower._past else None
             if T_w_c is not None:
@@ -224,15 +227,12 @@ class Tracker:
         return np.asarray(self.T_map_odom @ T_1)
 
     def _velocity(self, t_ns: int, T_o_c: Float) -> Float:
-        """(3,) world units/s, camera axes: finite difference over the velocity window."""
+        """(3,) world units/s, camera axes, over the velocity window."""
         self._path.append((t_ns, T_o_c))
         while len(self._path) > 2 and t_ns - self._path[1][0] >= VELOCITY_WINDOW_NS:
             self._path.popleft()
-        t_0, T_0 = self._path[0]
-        if t_0 == t_ns:
-            return np.full(3, np.nan)
-        moved = T_o_c[:3, 3] - T_0[:3, 3]
-        return np.asarray(T_o_c[:3, :3].T @ moved / ((t_ns - t_0) * 1e-9))
+        stamps = np.array([t for t, _ in self._path], np.int64)
+        return velocity_now(stamps, np.stack([T for _, T in self._path]))
 
     def _switch(self, T_w_c: Float) -> Float | None:
         """The newest frame has a pose in the new map: carry the odometry over to it.

@@ -156,7 +156,9 @@ class PosePublisher:
 
     def _odometry(self, newest: PoseSample, status: PoseStatus, now_ns: int) -> Odometry | None:
         if status is PoseStatus.LOST:
-            # the moment of the loss, and no pose: an old one must not look new
+            # the moment of the loss, and no pose: an old one must not look new. Nor may the line's
+            # time run backwards: a pose exposed before this moment is not sent after it
+            self._sent_t_ns = max(self._sent_t_ns, now_ns)
             nothing = (NAN, NAN, NAN)
             return Odometry(
                 time_usec=now_ns // 1000,

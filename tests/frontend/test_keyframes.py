@@ -16,7 +16,7 @@ THRESHOLD_PX = 25.0 * WIDTH / 1241
 
 
 def select(images: list[Bytes]) -> list[Keyframe]:
-    selector = KeyframeSelector(FrontendConfig())
+    selector = KeyframeSelector(FrontendConfig(max_keyframe_gap_s=1.0))
     chosen = []
     for i, gray in enumerate(images):
         frame = Frame(Eye.PRIMARY, i, i * PERIOD_NS, b"")

@@ -245,3 +245,18 @@ def test_over_a_real_line() -> None:
         os.close(slave)
     assert [m.get_type() for m in received] == ["HEARTBEAT", "STATUSTEXT"] + ["ODOMETRY"] * 5
     assert [m.get_seq() for m in received] == list(range(7))
+
+
+def test_time_on_the_line_never_runs_backwards_after_a_loss() -> None:
+    bench = Bench()
+    # the fourth pose was exposed before the loss was last told
+    ticks = [
+        (0, sample(0)),
+        (60, sample(10, status=PoseStatus.LOST)),
+        (130, None),
+        (180, sample(110)),
+        (280, sample(210)),
+    ]
+    told = [m for ms, given in ticks for m in bench.at(ms, given)]
+    assert [m.quality for m in told] == [100, -1, -1, 100]
+    assert [m.time_usec - START // 1000 for m in told] == [0, 60_000, 130_000, 210_000]

@@ -11,6 +11,7 @@ from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.source import replayed
 from calm_edge.daemon.switchboard import Switchboard
 from calm_edge.frontend.sequence import SequenceFolder
+from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.writer import RecordingWriter
 from device.frame import Eye
 from device.service import NullNotifier
@@ -34,6 +35,7 @@ def record(
     lockstep: bool,
     config: Config | None = None,
     during: Callable[[Switchboard, str], None] | None = None,
+    publisher: PosePublisher | None = None,
 ) -> tuple[RecordResult, list[str]]:
     """The result and what was said. `during` sees every line said and may do harm."""
     config = config or config_for(folder)
@@ -45,7 +47,7 @@ def record(
         config,
         source,
         lambda: RecordingWriter(out, config, lossless=lockstep, now_ns=source.clock.now_ns),
-        None,
+        publisher,
         lockstep=lockstep,
         say=said.append,
     )
