@@ -1,0 +1,74 @@
+"""Which depths of a window agree with one another (geometric consistency across views)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Float32
+
+# A point nearer to the other view than this share of its depth is not looked for there.
+NEAREST_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class DepthView:
+    """zeta: (h, w) inverse depth, 1/spacings. K: (3, 3) px of it. T_s_c: (4, 4)."""
+
+    zeta: Float32
+    K: Float
+    T_s_c: Float
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Each (h, w). zeta: mean of the views that agree, 1/spacings. votes: how many others do.
+
+    spread: root mean square of their differences, 1/spacings.
+    """
+
+    zeta: Float32
+    votes: Float32
+    spread: Float32
+
+
+def agree(
+    view: DepthView, others: Sequence[DepthView], relative: float, absolute: float
+) -> Agreement:
+    """Carries every pixel into the others and their depth back: who says the same.
+
+    The same is within `relative` of the inverse depth plus `absolute` 1/spacings.
+    """
+    h, w = view.zeta.shape
+    y, x = np.mgrid[:h, :w]
+    pixels = np.stack([x.ravel(), y.ravel(), np.ones(h * w)])
+    ray = (np.linalg.inv(view.K) @ pixels).astype(np.float32)
+    zeta = view.zeta.ravel()
+    total, votes, squares = zeta.copy(), np.zeros_like(zeta), np.zeros_like(zeta)
+    for other in others:
+        T_o_v = (se3.inverse(other.T_s_c) @ view.T_s_c).astype(np.float32)
+        R, t = T_o_v[:3, :3], T_o_v[:3, 3]
+        q = R @ ray + t[:, None] * zeta  # homogeneous: a point's coordinates times its zeta
+        in_front = q[2] > NEAREST_SHARE
+        z = np.where(in_front, q[2], 1)
+        uv = other.K[:2].astype(np.float32) @ (q / z)
+        found = cv2.remap(
+            other.zeta, uv[0].reshape(h, w), uv[1].reshape(h, w), cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=-1,
+        ).ravel()  # fmt: skip
+        # z in this view, times `found`, of the point the other sees there
+        back_z = R[:, 2] @ (q / z) - found * (R[:, 2] @ t)
+        back = np.where(back_z > 1e-3, found / np.maximum(back_z, 1e-3), -1)
+        close = in_front & (found >= 0) & (np.abs(back - zeta) < relative * zeta + absolute)
+        votes += close
+        total += np.where(close, back, 0)
+        squares += np.where(close, (back - zeta) ** 2, 0)
+    spread = np.sqrt(squares / np.maximum(votes, 1))
+    shape = (h, w)
+    return Agreement(
+        (total / (votes + 1)).reshape(shape), votes.reshape(shape), spread.reshape(shape)
+    )

@@ -1,0 +1,145 @@
+"""Dense depth of a solved window: plane sweep, semi-global choice, agreement across the views.
+
+The learned model of a later kit replaces this file (paper III: D, C of the backbone). Everything
+is deterministic; the caller decides on OpenCV's threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.backbones.bundle.agreement import Agreement, DepthView, agree
+from calm_edge.backbones.bundle.cost_volume import SweepView, match_scores, whitened
+from calm_edge.backbones.bundle.scanline import aggregate
+from calm_edge.geometry import pinhole, se3
+from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
+
+DEPTH_WIDTH_PX = 192
+OVERSAMPLE = 2
+PLANES = 64
+# The nearest plane, as a share of the depth only NEAR_PERCENT of the landmarks fall below:
+# landmarks sit on texture, and the road before the bumper is nearer than any of them.
+NEAR_PERCENT = 1.0
+NEAR_SHARE = 0.7
+NEAREST = 2.0  # spacings: no plane is nearer
+NEAR_DEFAULT = 5.0  # spacings, without landmarks
+# Temporal neighbours farther away than this see another street corner.
+REACH = 12.0  # spacings
+NEIGHBOURS_A_SIDE = 2
+# Views agree on an inverse depth within this share of it and this many steps of the sweep.
+AGREE_RELATIVE = 0.05
+AGREE_STEPS = 0.5
+SPREAD = 0.05
+FARTHEST = 80.0  # spacings: beyond, a depth is not told from infinity
+
+
+def sweep_window(
+    images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+) -> tuple[Float32, Float32]:
+    """Depth and confidence (N, h, w) of N images (H, W, 3) in batch order.
+
+    depth: z in the sub-map's unit, 0 unknown. confidence: [0, 1], about the chance that depth is
+    within five percent.
+    """
+    eyes = np.asarray(hints.eyes)
+    size = _shrunk(images[0], DEPTH_WIDTH_PX)
+    sweep_size = size[0] * OVERSAMPLE, size[1] * OVERSAMPLE
+    gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
+    sweep = [
+        SweepView(
+            whitened(_shrink(g, sweep_size)),
+            _resized(prediction.K[i], g, sweep_size),
+            prediction.T_s_c[i],
+        )
+        for i, g in enumerate(gray)
+    ]
+    zeta = np.linspace(0, 1 / nearest_depth(prediction), PLANES)
+    small = [_shrink(g, size) for g in gray]
+    sources = [
+        sweep_sources(i, eyes, np.asarray(hints.t_ns), prediction.T_s_c) for i in range(len(images))
+    ]
+    views = []
+    for i, view in enumerate(sweep):
+        scores = match_scores(view, [sweep[j] for j in sources[i]], zeta, size)
+        K = _resized(prediction.K[i], gray[i], size)
+        views.append(DepthView(choose(scores, small[i], zeta), K, prediction.T_s_c[i]))
+    step = float(zeta[1] - zeta[0])
+    judged = [
+        judge(agree(view, [views[j] for j in sources[i]], AGREE_RELATIVE, AGREE_STEPS * step))
+        for i, view in enumerate(views)
+    ]
+    return np.stack([depth for depth, _ in judged]), np.stack([c for _, c in judged])
+
+
+def judge(agreement: Agreement) -> tuple[Float32, Float32]:
+    """Depth (h, w) and confidence (h, w) of what the views agree on.
+
+    Depth is 0 where no other view agrees and beyond FARTHEST, where sky begins. One vote gives at
+    most 0.5, two 0.67, and a spread of SPREAD of the inverse depth halves it.
+    """
+    zeta, votes = agreement.zeta, agreement.votes
+    known = (votes > 0) & (zeta > 1 / FARTHEST)
+    safe = np.where(known, zeta, 1)
+    precision = 1 / (1 + (agreement.spread / (SPREAD * safe)) ** 2)
+    depth = np.where(known, 1 / safe, 0).astype(np.float32)
+    return depth, np.where(known, votes / (votes + 1) * precision, 0).astype(np.float32)
+
+
+def _shrunk(image: NDArray[np.uint8], width: int) -> tuple[int, int]:
+    """(w, h) of a picture brought down to `width`, aspect kept."""
+    height, full = image.shape[:2]
+    width = min(width, full)
+    return width, max(2, round(height * width / full))
+
+
+def _shrink(gray: Bytes, size: tuple[int, int]) -> Bytes:
+    return np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _resized(K: Float, gray: Bytes, size: tuple[int, int]) -> Float:
+    height, width = gray.shape[:2]
+    return pinhole.resized(K, size[0] / width, size[1] / height)
+
+
+def nearest_depth(prediction: Prediction) -> float:
+    """Depth of the nearest plane of the sweep, spacings, from the landmarks of all views."""
+    marks = prediction.landmarks
+    if marks is None or len(marks.index) == 0:
+        return NEAR_DEFAULT
+    T_c_s = se3.inverse(prediction.T_s_c)[marks.view]
+    p_s = marks.points_s[marks.index]
+    z = (T_c_s[:, 2, :3] * p_s).sum(1) + T_c_s[:, 2, 3]
+    if not np.any(z > 0):
+        return NEAR_DEFAULT
+    return max(NEAREST, NEAR_SHARE * float(np.percentile(z[z > 0], NEAR_PERCENT)))
+
+
+def sweep_sources(view: int, eyes: Int, t_ns: Int, T_s_c: Float) -> list[int]:
+    """Which views a view is swept against: the other eye at its time, its own before and after."""
+    other = np.flatnonzero(eyes != eyes[view])
+    own = np.flatnonzero(eyes == eyes[view])
+    out = [int(other[np.argmin(np.abs(t_ns[other] - t_ns[view]))])] if len(other) else []
+    for side in (own[own < view][::-1], own[own > view]):
+        near = [
+            int(j) for j in side if np.linalg.norm(T_s_c[j, :3, 3] - T_s_c[view, :3, 3]) < REACH
+        ]
+        out += near[:NEIGHBOURS_A_SIDE]
+    return out
+
+
+def choose(scores: Float32, gray: Bytes, zeta: Float) -> Float32:
+    """Inverse depth (h, w), between the planes zeta (D,), that scores (D, h, w) speak for.
+
+    gray: (h, w), of the same view: a jump of depth is cheaper across its edges.
+    """
+    cost = aggregate(1 - scores, gray)
+    best = np.clip(cost.argmin(0), 1, len(zeta) - 2)
+    before, there, after = (np.take_along_axis(cost, (best + k)[None], 0)[0] for k in (-1, 0, 1))
+    bend = before - 2 * there + after
+    shift = np.where(bend > 1e-6, (before - after) / (2 * np.maximum(bend, 1e-6)), 0)
+    place = best + np.clip(shift, -1, 1)
+    return np.asarray(place * (zeta[1] - zeta[0]), np.float32)
