@@ -1,0 +1,127 @@
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from calm_edge.backbones.bundle.agreement import Agreement
+from calm_edge.backbones.bundle.depth import FARTHEST, judge, nearest_depth, sweep_window
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Float32, Hints, Landmarks, Prediction
+from tests.synthetic.drive import Settings, exposed, make_rig
+from tests.synthetic.render import render_views
+from tests.synthetic.world import make_world
+
+N = 4
+SIZE = (320, 128)
+SETTINGS = Settings(frames=2 * N, width=SIZE[0], height=SIZE[1], density=14.0, start_s=7.0)
+
+
+@dataclass(frozen=True)
+class Window:
+    """N primary then N assistant pictures 0.2 s apart; truth (2N, h, w) z [spacings], 0 sky."""
+
+    images: list
+    hints: Hints
+    prediction: Prediction
+    truth: Float32
+
+
+@pytest.fixture(scope="module")
+def turn():
+    rig = make_rig(make_world(SETTINGS.seed, SETTINGS.density), SETTINGS)
+    scene = make_world(SETTINGS.seed, SETTINGS.density).scene
+    rng = np.random.default_rng(0)
+    images, truth, T, K = [], [], [], []
+    for eye in (0, 1):
+        T_w_c = rig.T_w_c[eye][::2]
+        views, depths = render_views(scene, T_w_c, rig.K[eye], SIZE)
+        images += [exposed(view, 0.0, rng, SETTINGS) for view in views]
+        truth += list(depths)
+        T.append(T_w_c)
+        K += [rig.K[eye]] * N
+    T_s_c = se3.inverse(T[0][0]) @ np.concatenate(T)
+    T_s_c[:, :3, 3] /= SETTINGS.spacing_m
+    truth_s = np.stack(truth) / SETTINGS.spacing_m
+    hints = Hints(eyes=np.repeat([0, 1], N), t_ns=np.tile(np.arange(N) * 200_000_000, 2))
+    marks = landmarks(truth_s[0], K[0])
+    return Window(images, hints, Prediction(np.stack(K), T_s_c, landmarks=marks), truth_s)
+
+
+def landmarks(depth: Float32, K: Float) -> Landmarks:
+    """Every tenth pixel of view 0 as a point."""
+    v, u = (a.ravel() for a in np.mgrid[0 : depth.shape[0] : 10, 0 : depth.shape[1] : 10])
+    z = depth[v, u]
+    keep = z > 0
+    ray = np.linalg.inv(K) @ np.stack([u, v, np.ones(len(u))])
+    count = int(keep.sum())
+    uv = np.stack([u, v], 1)[keep].astype(np.float32)
+    return Landmarks((ray * z).T[keep], np.arange(count), np.zeros(count, np.int64), uv)
+
+
+def errors(window: Window, depth: Float32, confidence: Float32):
+    """Relative error, confidence and whether there is a truth, of every pixel."""
+    h, w = depth.shape[1:]
+    truth = np.stack([cv2.resize(t, (w, h), interpolation=cv2.INTER_NEAREST) for t in window.truth])
+    real = (truth > 0) & (truth < FARTHEST)
+    return np.abs(depth / np.where(real, truth, 1) - 1), confidence, real
+
+
+def test_confident_depth_is_right_and_confidence_ranks_error(turn):
+    depth, confidence = sweep_window(turn.images, turn.hints, turn.prediction)
+    assert depth.dtype == confidence.dtype == np.float32
+    assert depth.shape == confidence.shape and len(depth) == 2 * N
+    assert confidence.min() >= 0 and confidence.max() <= 1
+    assert np.array_equal(confidence > 0, depth > 0)
+    error, confidence, real = errors(turn, depth, confidence)
+    sure = real & (confidence > 0.5)
+    assert sure.sum() > 0.4 * real.sum()
+    assert np.median(error[sure]) < 0.02
+    assert (error[sure] < 0.1).mean() > 0.9
+    known = real & (confidence > 0)
+    order = np.argsort(-confidence[known])
+    best, worst = np.array_split(error[known][order], 2)
+    assert np.mean(best) < 0.6 * np.mean(worst)
+
+
+def test_slightly_wrong_poses_and_focal_cost_little(turn):
+    rng = np.random.default_rng(1)
+    shake = np.zeros((2 * N, 6))
+    shake[:, 3:] = rng.normal(0, np.radians(0.02), (2 * N, 3))
+    K = turn.prediction.K.copy()
+    K[:, [0, 1], [0, 1]] *= 1.005
+    off = replace(turn.prediction, K=K, T_s_c=turn.prediction.T_s_c @ se3.exp(shake))
+    depth, confidence = sweep_window(turn.images, turn.hints, off)
+    error, confidence, real = errors(turn, depth, confidence)
+    assert np.median(error[real & (confidence > 0.5)]) < 0.04
+
+
+def test_black_pictures_have_no_depth(turn):
+    black = [np.zeros_like(image) for image in turn.images]
+    depth, confidence = sweep_window(black, turn.hints, turn.prediction)
+    assert not confidence.any() and not depth.any()
+
+
+def test_one_assistant_picture_and_no_landmarks_are_enough(turn):
+    keep = [0, 1, N]
+    hints = Hints(eyes=np.array([0, 0, 1]), t_ns=turn.hints.t_ns[keep])
+    prediction = Prediction(turn.prediction.K[keep], turn.prediction.T_s_c[keep])
+    depth, _ = sweep_window([turn.images[i] for i in keep], hints, prediction)
+    assert np.isfinite(depth).all() and (depth[0] > 0).mean() > 0.2
+
+
+def test_agreement_becomes_confidence():
+    zeta = np.array([[0.1, 0.1, 0.1, 0.1, 0.5 / FARTHEST]], np.float32)
+    votes = np.array([[0, 1, 2, 2, 3]], np.float32)
+    spread = np.array([[0, 0, 0, 0.005, 0]], np.float32)  # the fourth: five percent
+    depth, confidence = judge(Agreement(zeta, votes, spread))
+    assert depth == pytest.approx(np.array([[0, 10, 10, 10, 0]]))
+    assert confidence == pytest.approx(np.array([[0, 1 / 2, 2 / 3, 1 / 3, 0]]))
+
+
+def test_the_nearest_plane_follows_the_landmarks(turn):
+    depths = turn.prediction.landmarks.points_s[:, 2]
+    near = nearest_depth(turn.prediction)
+    assert 0.5 * np.percentile(depths, 1) < near < np.percentile(depths, 1)
