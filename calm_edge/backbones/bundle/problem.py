@@ -18,7 +18,6 @@ from calm_edge.backbones.bundle import kit
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
-
 # z of a unit homogeneous point, below which it is not in front of a view: its pixel would be wild
 NEAREST = 1e-4
 
