@@ -51,7 +51,7 @@ BACKBONES: dict[str, Callable[[Config], Backbone]] = {"bundle": _bundle, "script
 
 
 def open_backbone(config: Config) -> Backbone:
-    """The backbone that `backbone.name` asks for (`name` or `name:argument`); raises BackboneError."""
+    """The backbone `backbone.name` asks for (`name` or `name:argument`); raises BackboneError."""
     name = config.backbone.name.partition(":")[0]
     if name not in BACKBONES:
         raise BackboneError(f"backbone.name = {name!r}: unknown; known: {', '.join(BACKBONES)}")

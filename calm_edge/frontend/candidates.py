@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.frontend.flow import corners, follow
 from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry.flow import corners, follow
 from calm_edge.types import Bytes, Float, Float32
 
 # Rays meet at this angle or more: a corner's noise is then a few percent of its depth.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.config import FrontendConfig
-from calm_edge.frontend.flow import corners, follow
+from calm_edge.geometry.flow import corners, follow
 from calm_edge.types import Bytes, Float32, Keyframe
 from device.frame import Frame
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.frontend.flow import corners
 from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry.flow import corners
 from calm_edge.types import Bytes, Float, Float32, Int, LocalizerUpdate
 
 # Keyframes back from the newest whose own points are taken: older ones have left the view.

@@ -15,10 +15,10 @@ import numpy as np
 from calm_edge.config import FrontendConfig
 from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
-from calm_edge.frontend.flow import follow
 from calm_edge.frontend.pnp import PoseFit, locate, reprojection
 from calm_edge.frontend.velocity import velocity_now
 from calm_edge.geometry import se3
+from calm_edge.geometry.flow import follow
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
 MIN_INLIERS, SAFE_INLIERS = 12, 80

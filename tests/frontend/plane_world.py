@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from calm_edge.frontend.flow import corners
 from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry.flow import corners
 from calm_edge.types import (
     Bytes,
     Float,

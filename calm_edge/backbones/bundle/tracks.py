@@ -13,16 +13,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.geometry.flow import Gray, LucasKanade, away_from, follow
 from calm_edge.types import Float, Float32, Int
-
-Gray = NDArray[np.uint8]
 
 CORNERS_PER_VIEW = 320
 GRID = (8, 4)  # columns, rows: corners are spread over the picture
-FORWARD_BACKWARD_PX = 0.3
 EPIPOLAR_PX = 1.0
-LK_WINDOW_PX = 17
-LK_LEVELS = 4
+MATCHING = LucasKanade(
+    window_px=17,
+    levels=4,
+    iterations=30,
+    step_px=0.01,
+    backward_levels=1,
+    backward_px=0.3,
+    margin_px=2.0,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +43,7 @@ def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) ->
     """New Shi-Tomasi corners (N, 2), spread over a grid, away from `known` (M, 2)."""
     height, width = gray.shape
     distance = max(5.0, width / 110)
-    mask = np.full(gray.shape, 255, np.uint8)
-    for u, v in known:
-        cv2.circle(mask, (round(float(u)), round(float(v))), round(distance), 0, -1)
+    mask = away_from((height, width), known, distance)
     columns, rows = GRID
     per_cell = -(-count // (columns * rows))
     found = []
@@ -58,37 +61,11 @@ def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) ->
             if p is not None:
                 found.append(p.reshape(-1, 2) + np.array([xs.start, ys.start], np.float32))
     new = np.concatenate(found) if found else np.zeros((0, 2), np.float32)
-    margin = LK_WINDOW_PX // 2
+    margin = MATCHING.window_px // 2
     inside = (new > margin).all(1) & (new < np.array([width, height], np.float32) - 1 - margin).all(
         1
     )
     return np.asarray(new[inside], np.float32)
-
-
-def follow(
-    source: Gray, target: Gray, uv: Float32, guess: Float32
-) -> tuple[Float32, NDArray[np.bool_]]:
-    """Pyramidal LK of uv (N, 2) from guesses (N, 2), checked backwards -> (uv, ok)."""
-    if len(uv) == 0:
-        return uv, np.zeros(0, bool)
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
-    window = (LK_WINDOW_PX, LK_WINDOW_PX)
-    flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-    a = np.ascontiguousarray(uv.reshape(-1, 1, 2), np.float32)
-    found, ok, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, a,
-        guess.reshape(-1, 1, 2).astype(np.float32),  # a copy: OpenCV writes into its guess
-        winSize=window, maxLevel=LK_LEVELS, criteria=criteria, flags=flags, minEigThreshold=1e-4,
-    )  # fmt: skip
-    back, ok_back, _ = cv2.calcOpticalFlowPyrLK(
-        target, source, found, a.copy(), winSize=window, maxLevel=1, criteria=criteria, flags=flags
-    )
-    error = np.linalg.norm((back - a).reshape(-1, 2), axis=1)
-    good = (ok.ravel() > 0) & (ok_back.ravel() > 0) & (error < FORWARD_BACKWARD_PX)
-    height, width = target.shape
-    b = np.asarray(found, np.float32).reshape(-1, 2)
-    good &= (b > 2).all(1) & (b < np.array([width - 3, height - 3], np.float32)).all(1)
-    return b, good
 
 
 def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np.bool_]:
@@ -152,10 +129,12 @@ def temporal_tracks(pictures: list[Gray]) -> list[tuple[Int, Float32]]:
     n_tracks = len(uv)
     views = [(ids, uv)]
     for source, target in pairwise(pictures):
-        moved, ok = follow(source, target, uv, uv + _smoothed_guess(uv, flow, known))
+        moved, ok = follow(source, target, uv, uv + _smoothed_guess(uv, flow, known), MATCHING)
         if not known.any() and ok.sum() > 20:
             # the first pair had no guess: let its neighbours' flow give a second chance
-            again, ok_again = follow(source, target, uv, uv + _smoothed_guess(uv, moved - uv, ok))
+            again, ok_again = follow(
+                source, target, uv, uv + _smoothed_guess(uv, moved - uv, ok), MATCHING
+            )
             moved, ok = np.where(ok[:, None], moved, again), ok | ok_again
         inlier = np.flatnonzero(ok)
         inlier = inlier[on_epipolar_lines(uv[inlier], moved[inlier], EPIPOLAR_PX)]
@@ -186,8 +165,8 @@ def across_eyes(
         np.full(assistant.shape, 255, np.uint8), H_a_p, (width, height),
         flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
     )  # fmt: skip
-    seen = cv2.erode(seen, np.ones((LK_WINDOW_PX, LK_WINDOW_PX), np.uint8))
-    moved, ok = follow(primary, np.asarray(warped, np.uint8), uv, uv + guess)
+    seen = cv2.erode(seen, np.ones((MATCHING.window_px, MATCHING.window_px), np.uint8))
+    moved, ok = follow(primary, np.asarray(warped, np.uint8), uv, uv + guess, MATCHING)
     xy = np.round(moved).astype(int)
     xy = np.clip(xy, 0, [width - 1, height - 1])
     ok &= seen[xy[:, 1], xy[:, 0]] > 0

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle import tracks
+from calm_edge.geometry.flow import follow
 
 SIZE = (320, 128)
 MIDDLE = np.array([159.5, 63.5])
@@ -59,7 +60,7 @@ def test_following_a_known_warp():
     picture, H = texture(), similarity(1.03, 1.0, [6.4, -2.3])
     target = cv2.warpPerspective(picture, H, SIZE)
     uv = tracks.detect_corners(picture, NONE)
-    found, ok = tracks.follow(picture, target, uv, uv.copy())
+    found, ok = follow(picture, target, uv, uv.copy(), tracks.MATCHING)
     assert ok.mean() > 0.8
     assert np.quantile(error_px(found, H, uv)[ok], 0.95) < 0.2
     assert np.median(error_px(found, H, uv)[ok]) < 0.1
@@ -72,7 +73,7 @@ def test_a_guess_reaches_where_the_pyramid_does_not():
     inside = moved(H, uv)[:, 0] < SIZE[0] - 12
 
     def share_found(guess):
-        found, ok = tracks.follow(picture, target, uv, guess)
+        found, ok = follow(picture, target, uv, guess, tracks.MATCHING)
         return (ok & (error_px(found, H, uv) < 0.5))[inside].mean()
 
     assert share_found(uv.copy()) < 0.1
@@ -81,9 +82,9 @@ def test_a_guess_reaches_where_the_pyramid_does_not():
 
 def test_what_does_not_come_back_is_not_followed():
     uv = tracks.detect_corners(texture(), NONE)
-    _, ok = tracks.follow(texture(), texture(seed=1), uv, uv.copy())
+    _, ok = follow(texture(), texture(seed=1), uv, uv.copy(), tracks.MATCHING)
     assert ok.mean() < 0.1
-    assert tracks.follow(texture(), texture(), NONE, NONE)[1].shape == (0,)
+    assert follow(texture(), texture(), NONE, NONE, tracks.MATCHING)[1].shape == (0,)
 
 
 def test_planted_outliers_are_off_their_epipolar_lines():
@@ -118,7 +119,7 @@ def test_corners_are_found_across_zoom_and_roll(eyes):
     error = np.median(error_px(found, H, uv)[ok])
     assert error < 0.1
     # unwarped patches are found as well, but not where they should be
-    bare, ok = tracks.follow(primary, assistant, uv, moved(rough, uv).astype(np.float32))
+    bare, ok = follow(primary, assistant, uv, moved(rough, uv).astype(np.float32), tracks.MATCHING)
     assert np.median(error_px(bare, H, uv)[ok]) > 5 * error
 
 
