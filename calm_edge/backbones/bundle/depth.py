@@ -34,6 +34,7 @@ NEIGHBOURS_A_SIDE = 2
 AGREE_RELATIVE = 0.05
 AGREE_STEPS = 0.5
 SPREAD = 0.05
+FRINGE_PX = 5  # across: how wide around sky a depth is not believed
 FARTHEST = 80.0  # spacings: beyond, a depth is not told from infinity
 
 
@@ -78,11 +79,14 @@ def sweep_window(
 def judge(agreement: Agreement) -> tuple[Float32, Float32]:
     """Depth (h, w) and confidence (h, w) of what the views agree on.
 
-    Depth is 0 where no other view agrees and beyond FARTHEST, where sky begins. One vote gives at
-    most 0.5, two 0.67, and a spread of SPREAD of the inverse depth halves it.
+    Depth is 0 where no other view agrees, beyond FARTHEST, where sky begins, and at its edge. One
+    vote gives at most 0.5, two 0.67, and a spread of SPREAD of the inverse depth halves it.
     """
     zeta, votes = agreement.zeta, agreement.votes
-    known = (votes > 0) & (zeta > 1 / FARTHEST)
+    # windows at a silhouette give the sky beside it the silhouette's depth
+    sky = (zeta <= 1 / FARTHEST).astype(np.uint8)
+    fringe = cv2.dilate(sky, np.ones((FRINGE_PX, FRINGE_PX), np.uint8)) > 0
+    known = (votes > 0) & ~fringe
     safe = np.where(known, zeta, 1)
     precision = 1 / (1 + (agreement.spread / (SPREAD * safe)) ** 2)
     depth = np.where(known, 1 / safe, 0).astype(np.float32)

@@ -113,12 +113,13 @@ def test_one_assistant_picture_and_no_landmarks_are_enough(turn):
 
 
 def test_agreement_becomes_confidence():
-    zeta = np.array([[0.1, 0.1, 0.1, 0.1, 0.5 / FARTHEST]], np.float32)
-    votes = np.array([[0, 1, 2, 2, 3]], np.float32)
-    spread = np.array([[0, 0, 0, 0.005, 0]], np.float32)  # the fourth: five percent
+    # the last is sky, and its two neighbours are too close to it
+    zeta = np.array([[0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.5 / FARTHEST]], np.float32)
+    votes = np.array([[0, 1, 2, 2, 3, 3, 3]], np.float32)
+    spread = np.array([[0, 0, 0, 0.005, 0, 0, 0]], np.float32)  # the fourth: five percent
     depth, confidence = judge(Agreement(zeta, votes, spread))
-    assert depth == pytest.approx(np.array([[0, 10, 10, 10, 0]]))
-    assert confidence == pytest.approx(np.array([[0, 1 / 2, 2 / 3, 1 / 3, 0]]))
+    assert depth == pytest.approx(np.array([[0, 10, 10, 10, 0, 0, 0]]))
+    assert confidence == pytest.approx(np.array([[0, 1 / 2, 2 / 3, 1 / 3, 0, 0, 0]]))
 
 
 def test_the_nearest_plane_follows_the_landmarks(turn):
