@@ -7,7 +7,8 @@ network of a later model replaces tracks.py and depth.py, the solver stays.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import cv2
@@ -28,7 +29,7 @@ from calm_edge.types import Float, Hints, KitBelief, Prediction
 # information counted observation by observation is what the windows' scatter supports.
 TEMPERING = 0.02
 # What the pinhole model leaves out (distortion, rolling shutter, a stamp's error) as a share of f.
-FOCAL_FLOOR = 0.012
+FOCAL_FLOOR = 0.015
 # Wide first, so that a poor start loses no match; then narrow, for what a wrong match pulls at is
 # not noise around the truth: most err towards the camera and shrink the scene.
 ROBUST_SCALES = (2.0, 0.5)
@@ -61,13 +62,17 @@ class BundleBackbone:
         m = window.measure(images, hints, belief.mean, rig_known)
         ties = rig_ties(m)
         known = rig_known and bool(sigma[list(kit.LOG_FOCAL)].max() < FOCAL_KNOWN)
-        return _solved(_first_guess(m, ties, belief, known), m, ties, belief)
+        with _determined():
+            start = _first_guess(m, ties, belief, known)
+            return _prediction(m, ties, belief, _solve(start, m, ties, belief))
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
         """The same views again under the kit of `hints`, from landmarks; raises BackboneError."""
         belief = believed(hints)
         m, start = window.from_prediction(prediction, hints, belief.mean)
-        return _solved(start, m, rig_ties(m), belief)
+        ties = rig_ties(m)
+        with _determined():
+            return _prediction(m, ties, belief, _solve(start, m, ties, belief))
 
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
@@ -103,9 +108,11 @@ def _sharpened(belief: KitBelief) -> KitBelief:
     return KitBelief(belief.mean, belief.information / TEMPERING)
 
 
-def _solved(start: State, m: Measurements, ties: RigTies, belief: KitBelief) -> Prediction:
+@contextmanager
+def _determined() -> Iterator[None]:
+    """Says in words that a system of equations had no solution."""
     try:
-        return _prediction(m, ties, belief, _solve(start, m, ties, belief))
+        yield
     except np.linalg.LinAlgError:
         raise BackboneError("bundle: the pictures do not determine their poses") from None
 
