@@ -249,7 +249,7 @@ def test_a_poor_fit_is_no_evidence_on_the_kit(solved, turn):
     uv = solved.landmarks.uv + 1.1 * rng.standard_normal(solved.landmarks.uv.shape)
     poor = BACKBONE.resolve(with_pixels(solved, uv), turn.hints)
     assert poor.kit is None and solved.kit is not None
-    assert poor.focal_log_sigma == pytest.approx(np.full(2 * N, np.hypot(0.30, 0.012)))
+    assert poor.focal_log_sigma == pytest.approx(np.full(2 * N, np.hypot(0.30, bundle.FOCAL_FLOOR)))
 
 
 def test_depth_that_is_there_is_kept(solved, turn):
