@@ -64,7 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
     n_points = make_cloud(arguments.recording, recording, config, drive, out)
     estimate = write_trajectory(arguments.recording, config, drive, out)
     losses = [*recording.losses, *drive.losses]
-    write_report(arguments.recording.name, estimate, drive, truth, losses, out)
+    recorded = arguments.recording.resolve()
+    title = f"{recorded.parent.name}/{recorded.name}"
+    write_report(title, estimate, drive, truth, losses, out)
     print(f"map         {out / MAP} ({n_points:,} points)")
     print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
     print(f"report      {out / REPORT}")
