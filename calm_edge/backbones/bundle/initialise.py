@@ -19,6 +19,8 @@ from calm_edge.types import Float, Int
 MIN_COMMON = 30
 MIN_RESECTION = 10
 RESECTION_PX = 4.0
+DEPTHS_IN_SPACINGS = (2.0, 2000.0)  # what the middle depth of a scene can be
+N_SPACINGS = 120
 
 
 def normalised(m: Measurements, theta: Float) -> Float:
@@ -116,7 +118,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
     at = se3.interpolate_at(m.t[primary], T_s_p, m.t[assistant])  # the primary's, at their instants
     if rig_known:
         T_p_a = kit.rig(theta)
-        spacing = _spacing_of(_resected(m, rays, X, assistant, at, f[1]), T_p_a)
+        spacing = _spacing(m, theta, X, assistant, at)
     else:
         T_p_a, theta = _rig(m, theta, X, assistant, at, _resected(m, rays, X, assistant, at, f[1]))
         spacing = float(np.linalg.norm(T_p_a[:3, 3]))
@@ -202,18 +204,14 @@ def _rig(
     stack = np.stack(found)
     rotation = se3.log(se3.inverse(stack)[:, None] @ stack[None])[..., 3:]
     start = stack[int(np.argmin(np.median(np.linalg.norm(rotation, axis=2), axis=1)))]
-    rows = np.flatnonzero(np.isin(m.view, assistant))
-    rows = rows[_usable(X[m.point[rows]])]
-    points = X[m.point[rows], :3] / X[m.point[rows], 3:]
-    p_p = np.linalg.inv(at)[np.searchsorted(assistant, m.view[rows])]
-    p_p = (p_p[:, :3, :3] @ points[..., None])[..., 0] + p_p[:, :3, 3]
+    uv, p_p = _seen_across(m, X, assistant, at)
     K = kit.camera_matrix(theta, 1, *m.size[1])
 
     def error_px(x: Float) -> Float:
         q = se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p))
         z = np.where(q[:, 2:] > 1e-6, q[:, 2:], 1e-6)
-        uv = np.exp(x[6]) * K[0, 0] * q[:, :2] / z + K[:2, 2]
-        return np.asarray(np.clip(uv - m.uv[rows], -1e3, 1e3).ravel())
+        predicted = np.exp(x[6]) * K[0, 0] * q[:, :2] / z + K[:2, 2]
+        return np.asarray(np.clip(predicted - uv, -1e3, 1e3).ravel())
 
     fit = least_squares(error_px, np.zeros(7), loss="cauchy", f_scale=2.0, max_nfev=30)
     theta = theta.copy()
@@ -221,10 +219,38 @@ def _rig(
     return start @ se3.inverse(se3.exp(fit.x[:6])), theta
 
 
-def _spacing_of(found: list[Float], T_p_a: Float) -> float:
-    """The spacing in the initial unit when the rig's direction is known."""
-    along = [float(T[:3, 3] @ T_p_a[:3, 3]) for T in found]
-    spacing = float(np.median(along))
-    if spacing <= 0:
+def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float) -> float:
+    """The spacing in the initial unit when the rig is known: the best of a row of guesses.
+
+    A step that makes a scene several times larger bends every unknown at once: the solver cannot
+    take it, so the unit has to be right from the start.
+    """
+    uv, p_p = _seen_across(m, X, assistant, at)
+    K, T_p_a = kit.camera_matrix(theta, 1, *m.size[1]), kit.rig(theta)
+    rotated = p_p @ T_p_a[:3, :3]
+    step = T_p_a[:3, :3].T @ T_p_a[:3, 3]
+
+    def cost(spacing: float) -> float:
+        q = rotated - spacing * step
+        z = np.where(q[:, 2:] > 1e-6, q[:, 2:], 1e-6)
+        error = np.linalg.norm(K[0, 0] * q[:, :2] / z + K[:2, 2] - uv, axis=1)
+        return float(np.log1p((error / RESECTION_PX) ** 2).sum())
+
+    coarse = np.median(p_p[:, 2]) / np.geomspace(*DEPTHS_IN_SPACINGS, N_SPACINGS)
+    best = int(np.argmin([cost(spacing) for spacing in coarse]))
+    if best == N_SPACINGS - 1:
         raise BackboneError("bundle: the assistant is not where the kit says")
-    return spacing
+    fine = np.geomspace(coarse[max(best - 1, 0)], coarse[best + 1], N_SPACINGS // 4)
+    return float(fine[int(np.argmin([cost(spacing) for spacing in fine]))])
+
+
+def _seen_across(m: Measurements, X: Float, assistant: Int, at: Float) -> tuple[Float, Float]:
+    """What the assistant saw of known points: uv (n, 2) px and p_p (n, 3), the points in the
+    primary as it stood at that instant, initial unit. Raises BackboneError when too little."""
+    rows = np.flatnonzero(np.isin(m.view, assistant))
+    rows = rows[_usable(X[m.point[rows]])]
+    if len(rows) < MIN_RESECTION:
+        raise BackboneError("bundle: no matches between the two eyes")
+    points = X[m.point[rows], :3] / X[m.point[rows], 3:]
+    T_p_s = se3.inverse(at)[np.searchsorted(assistant, m.view[rows])]
+    return m.uv[rows], (T_p_s[:, :3, :3] @ points[..., None])[..., 0] + T_p_s[:, :3, 3]
