@@ -59,10 +59,10 @@ class BundleBackbone:
         belief = believed(hints)
         sigma = _sigma(belief)
         rig_known = bool(sigma[8:11].max() < RIG_KNOWN_RAD)
-        m = window.measure(images, hints, belief.mean, rig_known)
-        ties = rig_ties(m)
         known = rig_known and bool(sigma[list(kit.LOG_FOCAL)].max() < FOCAL_KNOWN)
         with _determined():
+            m = window.measure(images, hints, belief.mean, rig_known)
+            ties = rig_ties(m)
             start = _first_guess(m, ties, belief, known)
             return _prediction(m, ties, belief, _solve(start, m, ties, belief))
 
@@ -110,10 +110,10 @@ def _sharpened(belief: KitBelief) -> KitBelief:
 
 @contextmanager
 def _determined() -> Iterator[None]:
-    """Says in words that a system of equations had no solution."""
+    """Says in words that equations had no solution, or a sample no model."""
     try:
         yield
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, cv2.error):
         raise BackboneError("bundle: the pictures do not determine their poses") from None
 
 

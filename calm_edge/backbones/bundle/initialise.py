@@ -62,9 +62,12 @@ def two_views(m: Measurements, rays: Float, first: int, second: int, f: float) -
     if len(ia) < MIN_COMMON:
         return None
     pa, pb = rays[a[ia]], rays[b[ib]]
-    E, mask = cv2.findEssentialMat(
-        pa, pb, np.eye(3), method=cv2.USAC_MAGSAC, prob=0.999, threshold=1.0 / f
-    )
+    try:
+        E, mask = cv2.findEssentialMat(
+            pa, pb, np.eye(3), method=cv2.USAC_MAGSAC, prob=0.999, threshold=1.0 / f
+        )
+    except cv2.error:  # its own assertion, where no sample gives a model
+        return None
     if E is None or E.shape != (3, 3):
         return None
     count, R, t, _ = cv2.recoverPose(E, pa, pb, np.eye(3), mask=mask.copy())

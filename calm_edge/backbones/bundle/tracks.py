@@ -69,10 +69,13 @@ def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) ->
 
 
 def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np.bool_]:
-    """Which matches (N, 2), (N, 2) one fundamental matrix explains; all when there are too few."""
+    """Which matches (N, 2), (N, 2) one fundamental matrix explains; all when none is found."""
     if len(a) < 16:
         return np.ones(len(a), bool)
-    F, mask = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, threshold_px, 0.999, 500)
+    try:
+        F, mask = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, threshold_px, 0.999, 500)
+    except cv2.error:  # its own assertion, where no sample gives a model
+        return np.ones(len(a), bool)
     if F is None or mask is None:
         return np.ones(len(a), bool)
     return np.asarray(mask.ravel() > 0)

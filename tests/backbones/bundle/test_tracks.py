@@ -181,3 +181,14 @@ def test_parallax_that_grows_from_view_to_view_is_kept_up_with():
     moved_by = np.array([views[1][i] - views[0][i] for i in both])
     assert len(both) > 0.5 * len(views[0])
     assert (np.abs(moved_by - [-80, 0]).max(1) < 0.1).mean() > 0.95
+
+
+def test_matches_opencv_itself_fails_on_are_all_kept(monkeypatch):
+    """Seen on a drive: USAC's own assertion (`!model.empty()`), which no small case reproduces."""
+
+    def fails(*_):
+        raise cv2.error("Assertion failed")
+
+    monkeypatch.setattr(tracks.cv2, "findFundamentalMat", fails)
+    uv = np.random.default_rng(0).uniform(0, 300, (40, 2)).astype(np.float32)
+    assert tracks.on_epipolar_lines(uv, uv + 3, 1.0).all()
