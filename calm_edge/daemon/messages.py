@@ -56,11 +56,17 @@ class FrameIn:
 
 
 @dataclass(frozen=True, slots=True)
+class Posed:
+    """The pose of a primary frame, ahead of all else that the frame leads to."""
+
+    sample: PoseSample
+
+
+@dataclass(frozen=True, slots=True)
 class Tracked:
     """What a frame led to: its slot is free again. problem: why it could not be used, or empty."""
 
     slot: int
-    sample: PoseSample | None
     windows: tuple[SubmapWindow, ...]
     problem: str = ""
 

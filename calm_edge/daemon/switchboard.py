@@ -15,7 +15,7 @@ import numpy as np
 from calm_edge.config import Config
 from calm_edge.daemon.child import Child
 from calm_edge.daemon.estimator_link import EstimatorLink
-from calm_edge.daemon.messages import Attached, Tracked
+from calm_edge.daemon.messages import Attached, Posed, Tracked
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.source import Source
 from calm_edge.daemon.tracker_link import TrackerLink
@@ -137,13 +137,12 @@ class Switchboard:
                     "T_map_odom": np.asarray(message.T_map_odom).ravel().tolist(),
                 }
             )
-        if not isinstance(message, Tracked):
-            return 0
-        if message.problem:
+        if isinstance(message, Tracked) and message.problem:
             self._unreadable(message.problem)
-        if message.sample is not None:
-            self._pose(message.sample)
-        return message.sample is not None
+        if not isinstance(message, Posed):
+            return 0
+        self._pose(message.sample)
+        return 1
 
     def _pose(self, sample: PoseSample) -> None:
         self.recording.write_pose(sample)

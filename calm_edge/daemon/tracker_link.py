@@ -16,6 +16,7 @@ from calm_edge.daemon.messages import (
     Flushed,
     FrameIn,
     Lagging,
+    Posed,
     Ready,
     Refused,
     Stop,
@@ -99,11 +100,11 @@ class TrackerLink:
                 self.refusal = message.reason
             case Attached():
                 self.attaching -= 1
+            case Posed():
+                self._counters = self._counters.after_epoch(message.sample.epoch)
             case Tracked():
                 self._ring.release(message.slot)
                 self.in_flight -= 1
-                if message.sample is not None:
-                    self._counters = self._counters.after_epoch(message.sample.epoch)
                 return self._counted(message.windows)
             case Flushed():
                 self.flushed = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -18,6 +19,7 @@ from calm_edge.daemon.messages import (
     Flushed,
     FrameIn,
     Lagging,
+    Posed,
     Ready,
     Refused,
     Stop,
@@ -27,15 +29,22 @@ from calm_edge.daemon.ring import RingReader
 from calm_edge.frontend.association import WindowBuilder, WindowError
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.frontend.tracker import Tracker
-from calm_edge.types import PoseSample, SubmapWindow
+from calm_edge.types import SubmapWindow
 from device.frame import Eye, Frame, UnreadableImage
 
 
 class TrackerWork:
     """Selector, window builder and tracker, fed by messages in order."""
 
-    def __init__(self, config: FrontendConfig, ring: RingReader, start: Counters) -> None:
+    def __init__(
+        self,
+        config: FrontendConfig,
+        ring: RingReader,
+        start: Counters,
+        send: Callable[[Posed], None],
+    ) -> None:
         self._ring = ring
+        self._send = send
         self._selector = KeyframeSelector(config, start.keyframe_id)
         self._builder = WindowBuilder(config, start.submap_id, start.assistant_id)
         self._tracker = Tracker(config, start.epoch)
@@ -47,10 +56,9 @@ class TrackerWork:
                 data = self._ring.read(message.slot, message.size)
                 frame = Frame(message.eye, message.sequence, message.t_ns, data)
                 try:
-                    sample, windows = self._frame(frame)
+                    return Tracked(message.slot, self._frame(frame))
                 except UnreadableImage as error:
-                    return Tracked(message.slot, None, (), str(error))
-                return Tracked(message.slot, sample, windows)
+                    return Tracked(message.slot, (), str(error))
             case Attach():
                 taken = self._tracker.attach(message.update)
                 return Attached(message.update.submap.id, taken, self._tracker.T_map_odom)
@@ -60,16 +68,18 @@ class TrackerWork:
                 return Flushed(self._builder.flush())
         return None
 
-    def _frame(self, frame: Frame) -> tuple[PoseSample | None, tuple[SubmapWindow, ...]]:
+    def _frame(self, frame: Frame) -> tuple[SubmapWindow, ...]:
         gray = frame.gray()
         if frame.eye is Eye.ASSISTANT:
-            return None, self._builder.add_assistant(frame)
+            return self._builder.add_assistant(frame)
+        # the pose leaves first: whoever steers by it waits for nothing else
+        self._send(Posed(self._tracker.track(frame.t_ns, gray)))
         keyframe = self._selector.consider(frame, gray)
-        sample = self._tracker.track(frame.t_ns, gray, keyframe.id if keyframe else None)
+        self._tracker.prepare(keyframe.id if keyframe else None)
         windows = self._builder.advance(frame.t_ns)
         if keyframe is not None:
             windows += self._builder.add_keyframe(keyframe)
-        return sample, windows
+        return windows
 
 
 def run_tracker(
@@ -81,7 +91,7 @@ def run_tracker(
     cv2.setNumThreads(1)
     ring = RingReader(ring_name, slot_bytes)
     try:
-        work = TrackerWork(config, ring, start)
+        work = TrackerWork(config, ring, start, connection.send)
     except WindowError as error:
         connection.send(Refused(str(error)))
         return

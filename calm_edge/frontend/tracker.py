@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from calm_edge.config import FrontendConfig
 from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
 from calm_edge.frontend.pnp import PoseFit, locate, reprojection
+from calm_edge.frontend.remembered import Past, Tracks
 from calm_edge.frontend.velocity import velocity_now
 from calm_edge.geometry import se3
 from calm_edge.geometry.flow import follow
@@ -34,47 +35,29 @@ INLIER_PX = 3.0
 MAX_DISAGREEMENT = 0.2
 
 
-@dataclass(slots=True)
-class _Past:
-    t_ns: int
-    gray: Bytes
-    keyframe_id: int | None
-    T_m_c: Float | None
-
-
-@dataclass(slots=True)
-class _Tracks:
-    """Points followed: p_m (M, 3) map frame, uv (M, 2) px in the image `seen_in`."""
-
-    K: Float
-    p_m: Float
-    uv: Float32
-    seen_in: Bytes
-
-
 class Tracker:
-    """Owner of the live pose. Feed every primary frame to `track` and every update to `attach`."""
+    """Owner of the live pose: primary frames to `track`, then `prepare`; updates to `attach`."""
 
     def __init__(self, config: FrontendConfig, epoch: int = 0) -> None:
         self.config = config
         self.T_map_odom: Float = np.eye(4)
         self.epoch = epoch
         self.lagging = False
-        self._tracks: _Tracks | None = None
+        self._tracks: Tracks | None = None
         self._candidates = Candidates.none()
-        self._past: deque[_Past] = deque(maxlen=REMEMBERED)
+        self._unripe: tuple[Bytes, Float] | None = None
+        self._past: deque[Past] = deque(maxlen=REMEMBERED)
         self._path: deque[tuple[int, Float]] = deque()
         self._ever_tracked = False
         self._follower: Tracker | None = None
         self._followed_ns = 0
 
-    def track(self, t_ns: int, gray: Bytes, keyframe_id: int | None = None) -> PoseSample:
+    def track(self, t_ns: int, gray: Bytes) -> PoseSample:
         """The pose of the frame exposed at t_ns; without a fresh track LOST, all NaN."""
-        self._advance_follower()
         guess = self._predict(t_ns)
         fit = self._follow(gray, guess)
         T_m_c = None if fit is None else fit.T_w_c
-        self._past.append(_Past(t_ns, gray, keyframe_id, T_m_c))
+        self._past.append(Past(t_ns, gray, None, T_m_c))
         if fit is None:
             # a blurred frame or two may be bridged; after that the track is gone
             if self._path and t_ns - self._path[-1][0] > self.config.lost_after_ms * 1e6:
@@ -87,6 +70,17 @@ class Tracker:
         velocity = self._velocity(t_ns, T_o_c)
         status = PoseStatus.LAGGING if self.lagging else PoseStatus.LIVE
         return PoseSample(t_ns, T_o_c, velocity, fit.covariance, self.epoch, status)
+
+    def prepare(self, keyframe_id: int | None = None) -> None:
+        """What the next frame needs and this one's pose did not: call it when the pose has left.
+
+        keyframe_id: of the frame just tracked, when it became a keyframe.
+        """
+        self._past[-1].keyframe_id = keyframe_id
+        if self._unripe is not None and self._tracks is not None:
+            self._tracks = self._ripened(self._tracks, *self._unripe)
+        self._unripe = None
+        self._advance_follower()
 
     def attach(self, update: LocalizerUpdate) -> bool:
         """Takes over a new sub-map's points where its keyframes are remembered; False if it cannot.
@@ -110,7 +104,7 @@ class Tracker:
         fit = locate(K, p_m, uv, T_now, self._threshold(gray))
         if fit is None or fit.n_inliers < SAFE_INLIERS:
             newest_born = born == starts[-1]
-            start = _Tracks(K, cloud.p_w[newest_born], cloud.uv[newest_born], gray)
+            start = Tracks(K, cloud.p_w[newest_born], cloud.uv[newest_born], gray)
             return self._catch_up(starts[-1], start, known)
         ratio = self._scale_ratio(starts[-1], known[starts[-1]], fit.T_w_c)
         self._follower = None
@@ -124,10 +118,10 @@ class Tracker:
             followed = se3.transform(T_new_old, old.p_m[:room])
             p_m = np.concatenate([p_m, centre + ratio * (followed - centre)])
             uv = np.concatenate([uv, old.uv[:room]])
-        self._tracks = _Tracks(K, p_m, uv, gray)
+        self._tracks = Tracks(K, p_m, uv, gray)
         return True
 
-    def _catch_up(self, keyframe: int, start: _Tracks, known: dict[int, Float]) -> bool:
+    def _catch_up(self, keyframe: int, start: Tracks, known: dict[int, Float]) -> bool:
         """Begins to track the remembered frames since a keyframe as if they came now.
 
         Dearer than hops, but new points replace those that leave the view on the way.
@@ -148,6 +142,7 @@ class Tracker:
         count = CATCH_UP_FRAMES_LOST if self._tracks is None else CATCH_UP_FRAMES
         for past in ahead[:count]:
             follower.track(past.t_ns, past.gray)
+            follower.prepare()
             self._followed_ns = past.t_ns
         if len(ahead) <= count:
             self._follower = None
@@ -187,11 +182,11 @@ class Tracker:
             return None
         # while nothing moves the image tracked from stays, so that noise cannot become drift
         if np.median(step) >= self.config.standstill_px:
-            kept = _Tracks(tracks.K, p_m[fit.inlier], uv[fit.inlier], gray)
-            self._tracks = self._ripened(kept, tracks.seen_in, fit.T_w_c)
+            self._tracks = Tracks(tracks.K, p_m[fit.inlier], uv[fit.inlier], gray)
+            self._unripe = tracks.seen_in, fit.T_w_c
         return fit
 
-    def _ripened(self, tracks: _Tracks, previous: Bytes, T_m_c: Float) -> _Tracks:
+    def _ripened(self, tracks: Tracks, previous: Bytes, T_m_c: Float) -> Tracks:
         """The tracks and the candidates that became points; new candidates where there is room."""
         self._candidates, p_m, uv = candidates.step(
             self._candidates, previous, tracks.seen_in, tracks.K, T_m_c
@@ -202,7 +197,7 @@ class Tracker:
             self._candidates = candidates.replenish(
                 self._candidates, tracks.seen_in, uv, T_m_c, room
             )
-        return _Tracks(tracks.K, p_m, uv, tracks.seen_in)
+        return Tracks(tracks.K, p_m, uv, tracks.seen_in)
 
     def _guess(self, T_predicted: Float) -> Float32 | None:
         """Where the tracks should be: their shift under the predicted motion, (M, 2) px."""

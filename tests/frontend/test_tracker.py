@@ -19,10 +19,18 @@ def stamp(i: int) -> int:
     return 1_000_000_000 + i * PERIOD_NS
 
 
+def seen(tracker: Tracker, t_ns: int, gray, keyframe_id: int | None = None) -> PoseSample:
+    """One frame as the tracker's process gives it: its pose, then what the next one needs."""
+    sample = tracker.track(t_ns, gray)
+    tracker.prepare(keyframe_id)
+    return sample
+
+
 def feed(tracker: Tracker, T_w_c: Float, first: int = 0, step: int = 3) -> list[PoseSample]:
     """Every `step`-th frame is a keyframe, its id counted by frame / step."""
     return [
-        tracker.track(
+        seen(
+            tracker,
             stamp(first + i),
             WORLD.render(T),
             (first + i) // step if (first + i) % step == 0 else None,
@@ -84,7 +92,7 @@ def test_standing_still_is_a_live_pose_without_velocity() -> None:
     samples = []
     for i in range(30):
         noisy = np.clip(still + rng.normal(0, 3, still.shape), 0, 255).astype(np.uint8)
-        samples.append(tracker.track(stamp(12 + i), noisy))
+        samples.append(seen(tracker, stamp(12 + i), noisy))
     assert all(s.status is PoseStatus.LIVE for s in samples)
     assert np.abs(samples[-1].velocity_c).max() < 0.05
     assert np.linalg.norm(samples[-1].T_w_c[:3, 3] - samples[0].T_w_c[:3, 3]) < 0.01
@@ -95,12 +103,12 @@ def test_darkness_is_lost_at_once_and_a_short_one_is_bridged() -> None:
     tracker = attached(poses, 10)
     good = feed(tracker, poses[10:14], 10)
     dark = np.zeros_like(WORLD.render(poses[0]))
-    assert tracker.track(stamp(14), dark).status is PoseStatus.LOST
-    back = tracker.track(stamp(15), WORLD.render(poses[15]))
+    assert seen(tracker, stamp(14), dark).status is PoseStatus.LOST
+    back = seen(tracker, stamp(15), WORLD.render(poses[15]))
     assert back.status is PoseStatus.LIVE and back.epoch == good[-1].epoch
     for i in range(16, 21):
-        assert tracker.track(stamp(i), dark).status is PoseStatus.LOST
-    after = tracker.track(stamp(21), WORLD.render(poses[21]))
+        assert seen(tracker, stamp(i), dark).status is PoseStatus.LOST
+    after = seen(tracker, stamp(21), WORLD.render(poses[21]))
     assert after.status is PoseStatus.LOST and np.isnan(after.T_w_c).all()
 
 
@@ -119,7 +127,7 @@ def test_a_wall_without_texture_is_lost() -> None:
     tracker = attached(poses, 8)
     feed(tracker, poses[8:10], 8)
     blank = np.full_like(WORLD.render(poses[0]), 128)
-    assert all(tracker.track(stamp(i), blank).status is PoseStatus.LOST for i in range(10, 16))
+    assert all(seen(tracker, stamp(i), blank).status is PoseStatus.LOST for i in range(10, 16))
 
 
 def test_a_new_submap_elsewhere_moves_the_map_and_not_the_pose() -> None:
@@ -143,7 +151,7 @@ def test_recovering_from_loss_is_a_new_epoch() -> None:
     feed(tracker, poses[10:12], 10)
     dark = np.zeros_like(WORLD.render(poses[0]))
     for i in range(12, 18):
-        tracker.track(stamp(i), dark)
+        seen(tracker, stamp(i), dark)
     feed(tracker, poses[18:25], 18)
     update = WORLD.update(1, [6, 7], [stamp(18), stamp(21)], poses[[18, 21]])
     assert tracker.attach(update)
