@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -12,24 +12,21 @@ from calm_edge.types import Float, KitBelief
 _UNKNOWN = 1e-12
 
 
-def combine(a: KitBelief | None, b: KitBelief | None) -> KitBelief | None:
-    """The product of two beliefs; None knows nothing. Otherwise as `product`."""
-    return product([belief for belief in (a, b) if belief is not None])
-
-
-def product(beliefs: Sequence[KitBelief]) -> KitBelief | None:
+def product(beliefs: Iterable[KitBelief | None]) -> KitBelief | None:
     """The product of independent beliefs: informations add, the mean solves; None of none.
 
-    Any of them may be singular. Along directions that none knows the mean is the first one's.
+    None among them knows nothing, and any may be singular. Along directions that none knows the
+    mean is the first one's.
     Raises ValueError when they differ in layout.
     """
-    if not beliefs:
+    known = [belief for belief in beliefs if belief is not None]
+    if not known:
         return None
-    if len({belief.mean.shape for belief in beliefs}) > 1:
+    if len({belief.mean.shape for belief in known}) > 1:
         raise ValueError("beliefs of different kits: their layouts differ")
-    first = beliefs[0].mean
-    informations = np.stack([belief.information for belief in beliefs])
-    offsets = np.stack([belief.mean for belief in beliefs]) - first
+    first = known[0].mean
+    informations = np.stack([belief.information for belief in known])
+    offsets = np.stack([belief.mean for belief in known]) - first
     information = informations.sum(0)
     step = _solve(information, (informations @ offsets[..., None])[..., 0].sum(0))
     return KitBelief(mean=first + step, information=information)

@@ -131,14 +131,6 @@ class Recording:
         for _, data in self._messages(schema.SUBMAP):
             yield schema.read_update(data)
 
-    def last_update(self) -> LocalizerUpdate | None:
-        """The newest update that can be read; its trajectory holds every keyframe before it."""
-        for place in reversed(list(self._places(schema.SUBMAP))):
-            data = self._read(place)
-            if data is not None:
-                return schema.read_update(data)
-        return None
-
     def windows(self) -> Iterator[WindowRecord]:
         """Which frames each window held, in the order written."""
         for _, data in self._messages(schema.WINDOW):

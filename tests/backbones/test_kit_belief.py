@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calm_edge.backbones.kit_belief import combine, product
+from calm_edge.backbones.kit_belief import product
 from calm_edge.types import KitBelief
 
 
@@ -12,35 +12,35 @@ def belief(mean, *rows):
 
 def test_nothing_known_leaves_the_other():
     one = belief([1, 2], [1, 0])
-    assert combine(None, None) is None
-    assert combine(None, one) is one or np.array_equal(combine(None, one).mean, one.mean)
-    assert np.array_equal(combine(one, None).information, one.information)
+    assert product([None, None]) is None
+    assert product([None, one]) is one or np.array_equal(product([None, one]).mean, one.mean)
+    assert np.array_equal(product([one, None]).information, one.information)
 
 
 def test_informations_add_and_the_mean_solves():
     a, b = belief([0, 0], [2, 0], [0, 1]), belief([1, 4], [1, 1], [0, 3])
-    both = combine(a, b)
+    both = product([a, b])
     assert np.allclose(both.information, a.information + b.information)
     expected = np.linalg.solve(both.information, a.information @ a.mean + b.information @ b.mean)
     assert np.allclose(both.mean, expected)
 
 
 def test_singular_sides_complete_each_other():
-    both = combine(belief([3, 99], [1, 0]), belief([-99, 7], [0, 5]))
+    both = product([belief([3, 99], [1, 0]), belief([-99, 7], [0, 5])])
     assert np.allclose(both.mean, [3, 7])
 
 
 def test_a_direction_nobody_knows_keeps_the_first_mean():
-    both = combine(belief([3, 5, 8], [1, 0, 0]), belief([4, 0, 1], [1, 0, 0]))
+    both = product([belief([3, 5, 8], [1, 0, 0]), belief([4, 0, 1], [1, 0, 0])])
     assert np.allclose(both.mean, [3.5, 5, 8])
-    nothing = combine(belief([3, 5], [0, 0]), belief([1, 1], [0, 0]))
+    nothing = product([belief([3, 5], [0, 0]), belief([1, 1], [0, 0])])
     assert np.array_equal(nothing.mean, [3, 5])
 
 
 def test_units_ten_decades_apart_are_all_solved():
     a = belief([1, 0], [1e-5, 0], [0, 1e5])
     b = belief([3, 2], [1e-5, 0], [0, 1e5])
-    assert np.allclose(combine(a, b).mean, [2, 1])
+    assert np.allclose(product([a, b]).mean, [2, 1])
 
 
 def test_order_does_not_matter_where_the_sum_is_full():
@@ -49,11 +49,11 @@ def test_order_does_not_matter_where_the_sum_is_full():
     together = product(beliefs)
     one_by_one = None
     for each in reversed(beliefs):
-        one_by_one = combine(one_by_one, each)
+        one_by_one = product([one_by_one, each])
     assert np.allclose(together.mean, one_by_one.mean)
     assert np.allclose(together.information, one_by_one.information)
 
 
 def test_layouts_must_agree():
     with pytest.raises(ValueError, match="layouts"):
-        combine(belief([1, 2], [1, 0]), belief([1], [1]))
+        product([belief([1, 2], [1, 0]), belief([1], [1])])

@@ -89,8 +89,7 @@ class BundleBackbone:
 
 def believed(hints: Hints) -> KitBelief:
     """The prior under the hints times what other windows taught."""
-    prior = kit.prior(hints.hfov_deg)
-    joint = product([prior, hints.kit]) if hints.kit else prior
+    joint = product([kit.prior(hints.hfov_deg), hints.kit])
     assert joint is not None
     t = joint.mean[11:14]
     length = np.linalg.norm(t)
@@ -182,7 +181,7 @@ def _prediction(
     evidence = None
     if np.median(solution.residual * m.sigma_px) < MAX_EVIDENCE_PX:
         evidence = kit_evidence(solution, m, ties, ROBUST_SCALES[-1], TEMPERING)
-    joint = product([belief, evidence]) if evidence else belief
+    joint = product([belief, evidence])
     assert joint is not None
     sigma = np.hypot(_sigma(joint)[list(kit.LOG_FOCAL)], FOCAL_FLOOR)
     K = np.stack([kit.camera_matrix(state.theta, eye, *m.size[eye]) for eye in (0, 1)])
