@@ -64,6 +64,11 @@ class BackboneConfig:
     seed: int = 0
     resolve_windows: int = 400
 
+    @property
+    def hfov_of_eye(self) -> tuple[float | None, float | None]:
+        """hfov_deg of the primary and the assistant: one value serves both, none is unknown."""
+        return (self.hfov_deg[0], self.hfov_deg[-1]) if self.hfov_deg else (None, None)
+
 
 @dataclass(frozen=True, slots=True)
 class ScaleConfig:

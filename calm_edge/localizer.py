@@ -140,11 +140,10 @@ class Localizer:
 
     def _hints(self, window: SubmapWindow, images: list[Bytes]) -> Hints:
         frames = [keyframe.frame for keyframe in window.keyframes()]
-        given = self._config.backbone.hfov_deg
         return Hints(
             eyes=np.array([frame.eye for frame in frames], np.int64),
             t_ns=np.array([frame.t_ns for frame in frames], np.int64),
-            hfov_deg=(given[0], given[-1]) if given else (None, None),
+            hfov_deg=self._config.backbone.hfov_of_eye,
             kit=self._memory.belief(),
             sizes=_sizes(window, images),
         )

@@ -34,9 +34,7 @@ class DensifyError(CalmEdgeError):
 
 def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
     """What is known of a window's batch once it has been placed."""
-    given = config.backbone.hfov_deg
-    hfov_deg = (given[0], given[-1]) if given else (None, None)
-    return Hints(record.eyes, record.t_ns, hfov_deg, update.kit)
+    return Hints(record.eyes, record.t_ns, config.backbone.hfov_of_eye, update.kit)
 
 
 def densified(
