@@ -75,16 +75,56 @@ class ScaleConfig:
     """spacing_m: metres between the optical centres; 0 leaves the world in spacings.
 
     average_placement: place by all common frames instead of the paper's first one.
+    rectify: off, every sub-map after the first takes the first one's factor (ablation).
     """
 
     spacing_m: float = 0.0
     average_placement: bool = False
+    rectify: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectionConfig:
+    """Paper V. apply: `auto` (where the backbone does not learn the kit itself), always, never.
+
+    matches: `auto` (the backbone's own where it gives any, else SIFT) or `sift`.
+    weighted, refine: past the paper; each F weighs what it can tell, and the score is minimised
+    on the bank; off, the search chooses among the backbone's guesses by the plain mean.
+    rotation, translation: the two halves of the pose correction. general_translation: the skew
+    part of M; off, the simplified t = S t_est. adaptive_damping: off, damping is held at 1.
+    """
+
+    apply: str = "auto"
+    matches: str = "auto"
+    weighted: bool = True
+    refine: bool = True
+    rotation: bool = True
+    translation: bool = True
+    general_translation: bool = True
+    adaptive_damping: bool = True
+    group_every: int = 5
+    n_pair: int = 10
+    n_feature: int = 10
+    n_group: int = 5
+    max_features: int = 500
+
+
+@dataclass(frozen=True, slots=True)
+class LoopConfig:
+    """Paper IV-D. min_gap: keyframes between a place and its return. max_places: remembered."""
+
+    enabled: bool = True
+    min_gap: int = 60
+    top_k: int = 3
+    max_places: int = 1000
+    min_matches: int = 30
 
 
 @dataclass(frozen=True, slots=True)
 class PoseGraphConfig:
-    """Paper IV-C: variances, in map units and radians."""
+    """Paper IV-C: variances, in map units and radians. optimise: off, poses stay as placed."""
 
+    optimise: bool = True
     window: int = 3
     rotation_variance: float = 0.05
     translation_variance: float = 0.1
@@ -97,7 +137,12 @@ class MappingConfig:
 
     max_range: z-depth beyond which a pixel is neither anchor nor point.
     cloud_voxel: the cloud keeps one point a voxel (0.1 m for cameras half a metre apart).
+    suppress, distance_weight, deform: the parts of VI-C and VI-D, each off for an ablation.
     """
+
+    suppress: bool = True
+    distance_weight: bool = True
+    deform: bool = True
 
     grid: int = 24
     depth_tolerance: float = 0.02
@@ -126,7 +171,9 @@ class Config:
     recording: RecordingConfig = field(default_factory=RecordingConfig)
     frontend: FrontendConfig = field(default_factory=FrontendConfig)
     backbone: BackboneConfig = field(default_factory=BackboneConfig)
+    correction: CorrectionConfig = field(default_factory=CorrectionConfig)
     scale: ScaleConfig = field(default_factory=ScaleConfig)
+    loops: LoopConfig = field(default_factory=LoopConfig)
     posegraph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     pose_output: PoseOutputConfig = field(default_factory=PoseOutputConfig)

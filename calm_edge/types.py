@@ -173,6 +173,21 @@ class TestGroup:
 
 
 @dataclass(frozen=True, slots=True)
+class GlobalIntrinsics:
+    """What the online search holds true of each eye (V-A): K_global and how far to trust it.
+
+    K: (2, 3, 3) px. damping: (2,) multiples of 0.1 in [0, 1] (V-C). focal_log_sigma: (2,) one
+    sigma of log focal, inf where no matrix could tell. n_effective: (2,) matrices in the bank,
+    each counted by what it can tell.
+    """
+
+    K: Float
+    damping: Float
+    focal_log_sigma: Float
+    n_effective: Float
+
+
+@dataclass(frozen=True, slots=True)
 class Trajectory:
     """Primary keyframe poses in the world: keyframe_ids (N,), t_ns (N,), T_w_c (N, 4, 4).
 
