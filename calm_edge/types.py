@@ -106,6 +106,7 @@ class Prediction:
     confidence: (N, h, w) in [0, 1], larger is better; None with depth.
     focal_log_sigma: (N,) one sigma of log focal, None where the model has no idea of it.
     kit: this batch's own evidence on the kit (without the hints), or None.
+    loop_found: False where the trailing loop keyframe could not be placed: its pose says nothing.
     """
 
     K: Float
@@ -115,6 +116,7 @@ class Prediction:
     focal_log_sigma: Float | None = None
     landmarks: Landmarks | None = None
     kit: KitBelief | None = None
+    loop_found: bool = True
 
 
 @dataclass(frozen=True, slots=True)
