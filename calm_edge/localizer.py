@@ -1,9 +1,10 @@
-"""Windows in, a trajectory out: sections IV-A to IV-C of the paper in their order.
+"""Windows in, a trajectory out: sections IV and V of the paper in their order.
 
 Differences from the paper: the spacing itself is the unit (scale.py); windows solved under an
 older belief of the kit are solved again (kit_memory.py); a window that cannot be reconstructed
-is bridged (`_bridge`). As T_w_f of IV-B implies, a keyframe belongs to the first sub-map that
-placed it, and later sub-maps place themselves by it.
+is bridged (atlas.py). Scale comes after the correction of poses: with a wrong focal the lateral
+spacing is wrong while forward motion is kept, so the other order would put the focal's error
+into the scale.
 """
 
 from __future__ import annotations
@@ -11,17 +12,17 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from calm_edge import scale
+from calm_edge.atlas import Atlas, SkippedWindow
 from calm_edge.backbones.base import Backbone, BackboneError
 from calm_edge.backbones.kit_memory import KitMemory
 from calm_edge.config import Config
 from calm_edge.geometry import se3
-from calm_edge.posegraph.joint_graph import JointGraph
 from calm_edge.types import (
     Bytes,
     Float,
@@ -39,43 +40,32 @@ from device.frame import Eye, UnreadableImage
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class SkippedWindow:
-    """A window without a sub-map. t_ns: (N,) of its primary keyframes."""
-
-    submap_id: int
-    reason: str
-    t_ns: Int
-
-
 class Localizer:
-    """Owns sub-maps, pose graph and kit memory; a deterministic function of its windows."""
+    """Owns the atlas and what is learned of the kit; a deterministic function of its windows."""
 
     def __init__(self, config: Config, backbone: Backbone) -> None:
         self._config = config
         self._backbone = backbone
         self._memory = KitMemory(backbone, config.backbone.resolve_windows)
-        self._submaps: list[Submap] = []
-        self._skipped: list[SkippedWindow] = []
-        self._loops: list[LoopClosure] = []
-        self._stamps: dict[int, int] = {}
-        self._epoch = 0
+        self._atlas = Atlas(config)
+        self._first_scale: float | None = None
         self._optimised = False
-        self._graph = self._empty_graph()
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
         """Every sub-map where it now is."""
-        return tuple(self._submaps)
+        return self._atlas.submaps
 
     @property
     def skipped(self) -> tuple[SkippedWindow, ...]:
         """Windows that could not be reconstructed; the next sub-map's n_overlap is 0."""
-        return tuple(self._skipped)
+        return self._atlas.skipped
 
     def process(self, window: SubmapWindow) -> LocalizerUpdate | None:
         """One window more; None where it could not be reconstructed (see `skipped`)."""
-        before, stage_ms = self.trajectory(), dict[str, float]()
+        atlas, stage_ms = self._atlas, dict[str, float]()
+        newest, epoch = atlas.newest_keyframe, atlas.epoch
+        before = atlas.pose(newest) if newest is not None else np.eye(4)
         try:
             with _timed(stage_ms, "decode"):
                 images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
@@ -83,36 +73,35 @@ class Localizer:
             with _timed(stage_ms, "infer"):
                 prediction = self._backbone.infer(images, hints)
             with _timed(stage_ms, "scale"):
-                submap = scale.rectify(_raw(window, hints, prediction), self._spacing_m)
+                submap = self._scaled(_raw(window, hints, prediction))
         except (BackboneError, scale.ScaleError, UnreadableImage) as error:
             self._skip(window, str(error))
             return None
         with _timed(stage_ms, "place"):
-            self._stamps.update((k.id, k.frame.t_ns) for k in window.primary)
-            self._append(submap)
+            atlas.add(submap)
         with _timed(stage_ms, "resolve"):
             self._memory.add(submap.id, prediction, hints)
             self._resolve(self._memory.outdated())
-        after = self.trajectory()
+        placed, moved = atlas.submaps[-1], atlas.epoch != epoch
+        after = atlas.pose(newest) if newest is not None else before
         return LocalizerUpdate(
-            submap=self._submaps[-1],
+            submap=placed,
             prediction=prediction,
-            trajectory=after,
-            T_odom_correction=_correction(before, after),
+            trajectory=atlas.trajectory() if moved else atlas.trajectory_of(placed),
+            T_odom_correction=after @ se3.inverse(before) if moved else np.eye(4),
             stage_ms=stage_ms,
             kit=self._memory.belief(),
         )
 
     def close_loop(self, loop: LoopClosure) -> Trajectory:
         """Adds E_loop and optimises; KeyError where a keyframe has no pose."""
-        self._graph.add_loop(loop)
-        self._loops.append(loop)
+        self._atlas.add_loop(loop)
         self._optimise()
         return self.trajectory()
 
     def finish(self) -> Trajectory | None:
         """Every window under the final belief, then the joint optimum; None without a sub-map."""
-        if not self._submaps:
+        if not len(self._atlas):
             return None
         self._optimised = False
         self._resolve(self._memory.retained())
@@ -121,22 +110,7 @@ class Localizer:
 
     def trajectory(self) -> Trajectory:
         """Every primary keyframe that has a pose, once, in order of its id."""
-        ids = self._graph.keyframe_ids
-        order = np.argsort(ids)
-        return Trajectory(
-            keyframe_ids=ids[order],
-            t_ns=np.array([self._stamps[int(i)] for i in ids[order]], np.int64),
-            T_w_c=self._graph.poses()[order],
-            T_p_a=self._graph.T_p_a,
-            epoch=self._epoch,
-        )
-
-    @property
-    def _spacing_m(self) -> float:
-        return self._config.scale.spacing_m
-
-    def _empty_graph(self) -> JointGraph:
-        return JointGraph(self._config.posegraph, self._spacing_m or 1.0)
+        return self._atlas.trajectory()
 
     def _hints(self, window: SubmapWindow, images: list[Bytes]) -> Hints:
         frames = [keyframe.frame for keyframe in window.keyframes()]
@@ -148,63 +122,26 @@ class Localizer:
             sizes=_sizes(window, images),
         )
 
-    def _append(self, submap: Submap) -> None:
-        """Places a rectified sub-map and adds its measurements to the graph."""
-        graph, ids = self._graph, submap.primary_ids
-        primary, assistant = np.split(_rig_views(submap), [submap.n_primary])
-        t_p, t_a = submap.t_ns[primary], submap.t_ns[assistant]
-        T_s_p, T_s_a = submap.T_s_c[primary], submap.T_s_c[assistant]
-        common = [view for view in range(submap.n_overlap) if ids[view] in graph]
-        if common:
-            T_w_f = np.stack([graph.pose(ids[view]) for view in common])
-            T_w_s = scale.placement(T_w_f, T_s_p[common], self._config.scale.average_placement)
-        else:
-            T_w_s = scale.placement(self._bridge(submap)[None], T_s_p[:1])
-        if not len(graph):
-            graph.set_rig_prior(se3.mean(scale.rig_samples(t_p, T_s_p, t_a, T_s_a)))
-        graph.add_submap(ids, T_w_s, T_s_p, *scale.resampled(t_a, T_s_a, t_p))
-        if self._submaps and not common:
-            graph.add_bridge(self._submaps[-1].primary_ids[-1], ids[0])
-        self._submaps.append(replace(submap, n_overlap=len(common), T_w_s=T_w_s))
-
-    def _bridge(self, submap: Submap) -> Float:
-        """T_w_f (4, 4) of a sub-map's first frame when none of its frames has a pose.
-
-        The velocity between the last two keyframes goes on for as long as the skipped keyframes
-        show motion: where nothing moves there are none for longer than max_keyframe_gap_s.
-        """
-        if not self._submaps:
-            return np.eye(4)
-        ids = self._submaps[-1].primary_ids[-2:]
-        start, end = self._stamps[ids[-1]], int(submap.t_ns[0])
-        between = [t for skipped in self._skipped for t in skipped.t_ns if start < t < end]
-        gaps = np.diff(np.unique([start, *between, end])) * 1e-9
-        # a keyframe forced by the clock comes at the limit, or a frame or two later
-        moving_s = gaps[gaps < 2 * self._config.frontend.max_keyframe_gap_s].sum()
-        T_last = self._graph.pose(ids[-1])
-        step_s = (start - self._stamps[ids[0]]) * 1e-9
-        if step_s == 0:
-            return T_last
-        step = se3.inverse(self._graph.pose(ids[0])) @ T_last
-        return np.asarray(T_last @ se3.exp(se3.log(step) * moving_s / step_s))
+    def _scaled(self, submap: Submap) -> Submap:
+        """IV-B; with `scale.rectify` off the first sub-map's factor is everyone's."""
+        scaled = scale.rectify(submap, self._config.scale.spacing_m)
+        if self._config.scale.rectify or self._first_scale is None:
+            self._first_scale = scaled.scale
+            return scaled
+        T_s_c = scale.rectified(submap.T_s_c, self._first_scale)
+        return replace(submap, scale=self._first_scale, T_s_c=T_s_c)
 
     def _skip(self, window: SubmapWindow, reason: str) -> None:
         log.warning("sub-map %d skipped: %s", window.submap_id, reason)
         t_ns = np.array([keyframe.frame.t_ns for keyframe in window.primary], np.int64)
-        self._skipped.append(SkippedWindow(window.submap_id, reason, t_ns))
+        self._atlas.skip(SkippedWindow(window.submap_id, reason, t_ns))
 
     def _resolve(self, submap_ids: list[int]) -> None:
-        """Solves windows again as the kit is now known and, where that worked, rebuilds all."""
+        """Solves windows again as the kit is now known and, where that worked, places all anew."""
         solved = self._memory.resolve(submap_ids)
         if not solved:
             return
-        submaps, self._submaps = self._submaps, []
-        self._graph = self._empty_graph()
-        for submap in submaps:
-            self._append(self._resolved(submap, solved.get(submap.id)))
-        for loop in self._loops:
-            self._graph.add_loop(loop)
-        self._epoch += 1
+        self._atlas.replace_all([self._resolved(s, solved.get(s.id)) for s in self._atlas.submaps])
         if self._optimised:
             self._optimise()
 
@@ -216,24 +153,19 @@ class Localizer:
             submap,
             T_s_c_raw=prediction.T_s_c,
             K_raw=prediction.K,
+            T_s_c=prediction.T_s_c,
             K=prediction.K,
             focal_log_sigma=_focal_log_sigma(submap.n_primary, prediction),
         )
         try:
-            return scale.rectify(raw, self._spacing_m)
+            return self._scaled(raw)
         except scale.ScaleError as error:
             log.warning("sub-map %d keeps its earlier solution: %s", submap.id, error)
             return submap
 
     def _optimise(self) -> None:
-        """The joint optimum (IV-C); each sub-map follows the mean motion of its keyframes."""
-        self._graph.optimise()
+        self._atlas.optimise()
         self._optimised = True
-        self._epoch += 1
-        for k, submap in enumerate(self._submaps):
-            T_w_p = np.stack([self._graph.pose(i) for i in submap.primary_ids])
-            T_w_s = scale.placement(T_w_p, submap.T_s_c[: submap.n_primary], average=True)
-            self._submaps[k] = replace(submap, T_w_s=T_w_s)
 
 
 def _raw(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Submap:
@@ -262,27 +194,12 @@ def _sizes(window: SubmapWindow, images: list[Bytes]) -> Int | None:
     return np.array([[shape[1], shape[0]] for shape in shapes], np.int64)
 
 
-def _rig_views(submap: Submap) -> Int:
-    """Batch indices of the primary, then the assistant keyframes; no loop keyframe."""
-    return np.arange(submap.n_primary + len(submap.assistant_ids))
-
-
 def _focal_log_sigma(n_primary: int, prediction: Prediction) -> Float:
     """(2,) an eye; inf where the model does not know its focal's error."""
     sigma = prediction.focal_log_sigma
     if sigma is None or len(sigma) <= n_primary:
         return np.full(len(Eye), np.inf)
     return np.asarray(sigma[[0, n_primary]])
-
-
-def _correction(before: Trajectory, after: Trajectory) -> Float:
-    """New world<-old world (4, 4) of the newest keyframe both share."""
-    shared = np.intersect1d(before.keyframe_ids, after.keyframe_ids)
-    if not len(shared):
-        return np.eye(4)
-    old = before.T_w_c[np.searchsorted(before.keyframe_ids, shared[-1])]
-    new = after.T_w_c[np.searchsorted(after.keyframe_ids, shared[-1])]
-    return np.eye(4) if np.array_equal(old, new) else new @ se3.inverse(old)
 
 
 @contextmanager

@@ -75,12 +75,12 @@ def rectified(T: Float, scale: float) -> Float:
 
 
 def rectify(submap: Submap, spacing_m: float) -> Submap:
-    """The sub-map with scale and T_s_c (world units) anew from its raw poses; raises ScaleError.
+    """A sub-map in raw units (scale 1) brought to world units by its spacing; raises ScaleError.
 
     spacing_m: metres between the cameras, 0 when the map unit is kept.
     """
     n, m = submap.n_primary, len(submap.assistant_ids)
-    t_ns, T = submap.t_ns, submap.T_s_c_raw
+    t_ns, T = submap.t_ns, submap.T_s_c
     T_p_a_raw = rig_samples(t_ns[:n], T[:n], t_ns[n : n + m], T[n : n + m])
     world_units = factor(spacing(T_p_a_raw), spacing_m)
     return replace(submap, scale=world_units, T_s_c=rectified(T, world_units))

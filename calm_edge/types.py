@@ -262,10 +262,12 @@ class MapTile:
 
 @dataclass(frozen=True, slots=True)
 class LocalizerUpdate:
-    """What one processed window changed: the new sub-map and the trajectory so far.
+    """What one processed window changed: the new sub-map and every pose that is new.
 
-    T_odom_correction: (4, 4) new world<-old world of the newest keyframe both share.
-    stage_ms: stage name -> milliseconds. kit: belief after this window.
+    trajectory: the keyframes that are new or moved; all of them when its epoch grew.
+    T_odom_correction: (4, 4) new world<-old world of the newest keyframe placed before.
+    stage_ms: stage name -> milliseconds. kit: belief after this window. loop: what IV-D closed.
+    loop_keyframe: the picture it joined to the batch, for the window's record.
     """
 
     submap: Submap
@@ -274,3 +276,5 @@ class LocalizerUpdate:
     T_odom_correction: Float
     stage_ms: dict[str, float] = field(default_factory=dict)
     kit: KitBelief | None = None
+    loop: LoopClosure | None = None
+    loop_keyframe: Keyframe | None = None

@@ -83,7 +83,7 @@ def test_rectify_undoes_any_scale_and_leaves_the_loop_view_in_the_batch(spacing_
         t_ns=np.concatenate([T_P_NS, t_a, [17]]),
         T_s_c_raw=scale.rectified(T, 3.7),
         K_raw=np.tile(np.eye(3), (len(T), 1, 1)),
-        T_s_c=T,
+        T_s_c=scale.rectified(T, 3.7),
         K=np.tile(np.eye(3), (len(T), 1, 1)),
         scale=1.0,
         T_w_s=np.eye(4),

@@ -51,13 +51,18 @@ class EstimatorWork:
             return Processed(window.submap_id, None, f"{type(error).__name__}: {error}")
         if update is None:
             return Processed(window.submap_id, None, self._localizer.skipped[-1].reason)
+        joined = update.loop_keyframe
+        if joined is not None:
+            window = dataclasses.replace(window, loop_keyframe=joined)
+            update = dataclasses.replace(update, loop_keyframe=None)
         if self._config.recording.log_depth:
             update = self._densified(window, update)
         elif update.prediction.landmarks is not None:
             # depth that nobody will write need not cross the pipe
             light = dataclasses.replace(update.prediction, depth=None, confidence=None)
             update = dataclasses.replace(update, prediction=light)
-        return Processed(window.submap_id, update)
+        record = of_window(window) if joined is not None else None
+        return Processed(window.submap_id, update, window=record)
 
     def _densified(self, window: SubmapWindow, update: LocalizerUpdate) -> LocalizerUpdate:
         start = time.perf_counter()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import Float, LocalizerUpdate, PoseSample, Submap, SubmapWindow, Trajectory
 from device.frame import Eye
 
@@ -115,11 +116,15 @@ class Process:
 
 @dataclass(frozen=True, slots=True)
 class Processed:
-    """What a window changed; update is None when it could not be solved, and problem says why."""
+    """What a window changed; update is None when it could not be solved, and problem says why.
+
+    window: the record anew, where a loop keyframe joined it.
+    """
 
     submap_id: int
     update: LocalizerUpdate | None
     problem: str = ""
+    window: WindowRecord | None = None
 
 
 @dataclass(frozen=True, slots=True)

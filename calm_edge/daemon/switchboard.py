@@ -21,6 +21,7 @@ from calm_edge.daemon.source import Source
 from calm_edge.daemon.tracker_link import TrackerLink
 from calm_edge.frontend.association import is_thin
 from calm_edge.pose_output.publisher import PosePublisher
+from calm_edge.recording.window_record import of_window
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import CalmEdgeError, KitBelief, PoseSample, PoseStatus, SubmapWindow
 from device.frame import Frame
@@ -162,6 +163,8 @@ class Switchboard:
         update = getattr(message, "update", None)
         if update is not None:
             self.kit = update.kit
+            if message.window is not None:
+                self.recording.write_window(message.window)
             self.recording.write_update(update)
             self.result.submaps += 1
             self.tracker.attach(update)
@@ -169,7 +172,7 @@ class Switchboard:
     def _window(self, window: SubmapWindow) -> None:
         self.result.windows += 1
         self.result.keyframes += len(window.primary) - window.n_overlap
-        self.recording.write_window(window)
+        self.recording.write_window(of_window(window))
         if is_thin(window):
             self.say(f"window {window.submap_id}: only {len(window.assistant)} assistant frames")
         if not self.estimator.offer(window):

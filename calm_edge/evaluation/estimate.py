@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from calm_edge.evaluation.trajectory_file import EvaluationError, read_tum
+from calm_edge.trajectories import folded
 from calm_edge.types import Float, Float32, Int, LocalizerUpdate, PoseSample
 from device.frame import Eye
 
@@ -77,12 +78,9 @@ def from_updates(
     pose_age_ms: dict[str, float] | None = None,
     first_frame: tuple[int, int] | None = None,
 ) -> Estimate:
-    """The newest whole trajectory and the focals of a run. spacing_m: 0 or None when not given.
-
-    At its end a run writes each sub-map again and the trajectory with the last one only; in a
-    recording cut before that, the newest trajectory is a piece, so the longest counts.
-    """
-    if not updates:
+    """The trajectory and the focals of a run as last known. spacing_m: 0 or None if not given."""
+    trajectory = folded(update.trajectory for update in updates)
+    if trajectory is None:
         return Estimate(
             source,
             np.zeros(0, np.int64),
@@ -93,8 +91,7 @@ def from_updates(
             spacing_m or None,
             pose_age_ms=pose_age_ms,
         )
-    last = max(reversed(updates), key=lambda u: len(u.trajectory.t_ns))
-    submap, trajectory = last.submap, last.trajectory
+    submap = updates[-1].submap
     eyes = (0, submap.n_primary) if submap.assistant_ids else (0, 0)
     sigma = 100 * submap.focal_log_sigma
     return Estimate(

@@ -22,6 +22,7 @@ from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import STATUS
 from calm_edge.recording.window_record import WindowRecord, of_window
+from calm_edge.trajectories import folded
 from calm_edge.types import (
     Float,
     Landmarks,
@@ -65,11 +66,11 @@ def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | N
         status = message if "finished" in message else status
     first: dict[int, LocalizerUpdate] = {}
     last: dict[int, LocalizerUpdate] = {}
-    newest: Trajectory | None = None
+    pieces: list[Trajectory] = []
     for update in recording.updates():
         first.setdefault(update.submap.id, update)
         last[update.submap.id] = update
-        newest = update.trajectory
+        pieces.append(update.trajectory)
     told = status.get("unsolved_windows")
     unsolved = [int(i) for i in told] if isinstance(told, list) else []
     # a restarted estimator began a new world: its poses do not go with the earlier ones
@@ -79,7 +80,7 @@ def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | N
         return None
     ids = sorted(set(records) & set(last))
     updates = [_final(first[i], last[i]) for i in ids]
-    return Drive([records[i] for i in ids], updates, newest, unsolved=unsolved)
+    return Drive([records[i] for i in ids], updates, folded(pieces), unsolved=unsolved)
 
 
 def _final(first: LocalizerUpdate, last: LocalizerUpdate) -> LocalizerUpdate:

@@ -24,8 +24,8 @@ from calm_edge.recording.mailbox import Mailbox
 from calm_edge.recording.record import flatten
 from calm_edge.recording.schema import LogMessage
 from calm_edge.recording.segment import Segment, Write, free_bytes, segment_files
-from calm_edge.recording.window_record import of_window
-from calm_edge.types import LocalizerUpdate, PoseSample, SubmapWindow
+from calm_edge.recording.window_record import WindowRecord
+from calm_edge.types import LocalizerUpdate, PoseSample
 from device.frame import Frame
 
 # below this the segment is closed while its summary still fits, and the system keeps breathing
@@ -120,15 +120,14 @@ class RecordingWriter:
         self._mailbox.put(lambda: schema.pose_messages(sample), 1024, False)
 
     def write_update(self, update: LocalizerUpdate) -> None:
-        """A placed sub-map with the trajectory; depth only when recording.log_depth is set."""
+        """A placed sub-map with the poses it changed; depth only with recording.log_depth."""
         log_depth = self._config.recording.log_depth
         size = sum(a.nbytes for a in flatten(update)[1].values())
         self._mailbox.put(lambda: schema.update_messages(update, log_depth), size, False)
 
-    def write_window(self, window: SubmapWindow) -> None:
-        """Which frames a window held; its pixels are those of the image topics."""
-        window_record = of_window(window)
-        self._mailbox.put(lambda: [schema.window_message(window_record)], 1024, False)
+    def write_window(self, record: WindowRecord) -> None:
+        """Which frames a window held; of two records of one sub-map the later holds."""
+        self._mailbox.put(lambda: [schema.window_message(record)], 1024, False)
 
     def write_log(self, level: int, message: str, name: str = "calm-edge") -> None:
         """A line of the log; level as in Python's logging."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from calm_edge.config import Config, merge
 from calm_edge.geometry.se3 import exp
+from calm_edge.recording.window_record import of_window
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import (
     Keyframe,
@@ -105,7 +106,7 @@ def small_recording(folder: Path, n: int = 12, **recording: Any) -> Path:
                 writer.write_frame(frame(eye, k))
             writer.write_pose(pose(k))
             if k % 6 == 5:
-                writer.write_window(window(k // 6))
+                writer.write_window(of_window(window(k // 6)))
                 writer.write_update(update(k // 6))
     return folder
 
