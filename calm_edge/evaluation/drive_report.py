@@ -19,6 +19,7 @@ from calm_edge.evaluation.results import (
 )
 from calm_edge.evaluation.sequences import Truth
 from calm_edge.evaluation.table import pretty
+from calm_edge.geometry.similarity import align
 from calm_edge.types import Bytes, Float, Int, LocalizerUpdate
 
 EYES = ("primary", "assistant")
@@ -30,7 +31,7 @@ def _truth_in_world(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None
     if len(i) < MIN_POSES:
         return None
     p, p_truth = estimate.T_w_c[i, :3, 3], truth.T_w_c[j, :3, 3]
-    motion = trajectory.align(p, p_truth, with_scale=choose(estimate) == "sim3")
+    motion = align(p, p_truth, with_scale=choose(estimate) == "sim3")
     return motion.inverse().points(truth.T_w_c[j[0] : j[-1] + 1, :3, 3])
 
 

@@ -14,6 +14,7 @@ from calm_edge.evaluation.sequences import Truth, read_truth
 from calm_edge.evaluation.trajectory_file import EvaluationError
 from calm_edge.frontend.sequence import ORIGIN_NS
 from calm_edge.geometry import se3
+from calm_edge.geometry.similarity import Similarity, align
 from calm_edge.types import Float, Int
 
 Alignment = Literal["se3", "sim3"]
@@ -76,7 +77,7 @@ def choose(estimate: Estimate, align: Alignment | None = None) -> Alignment:
 
 def _trajectory_figures(
     estimate: Estimate, truth: Truth, chosen: Alignment
-) -> tuple[dict[str, float | None], trajectory.Similarity]:
+) -> tuple[dict[str, float | None], Similarity]:
     t_ns = common_origin(estimate.t_ns, truth.t_ns, estimate.first_frame)
     i, j = trajectory.associate(t_ns, truth.t_ns)
     if len(i) < MIN_POSES:
@@ -87,8 +88,8 @@ def _trajectory_figures(
         )
     T, T_truth = estimate.T_w_c[i], truth.T_w_c[j]
     p, p_truth = T[:, :3, 3], T_truth[:, :3, 3]
-    rigid = trajectory.align(p, p_truth, with_scale=False)
-    similar = trajectory.align(p, p_truth, with_scale=True)
+    rigid = align(p, p_truth, with_scale=False)
+    similar = align(p, p_truth, with_scale=True)
     used = rigid if chosen == "se3" else similar
     ate_rigid = trajectory.ate(rigid.points(p), p_truth)
     ate_similar = trajectory.ate(similar.points(p), p_truth)
@@ -137,7 +138,7 @@ def _focal_figures(estimate: Estimate, K: Float | None) -> dict[str, list[float 
 
 
 def _map_figures(
-    estimate: Estimate, truth: Truth, motion: trajectory.Similarity | None
+    estimate: Estimate, truth: Truth, motion: Similarity | None
 ) -> dict[str, float | None]:
     if estimate.points_w is None or truth.cloud is None or motion is None:
         return dict.fromkeys(_MAP_KEYS)
@@ -150,7 +151,7 @@ def _map_figures(
 
 
 def _live_figures(
-    estimate: Estimate, truth: Truth, motion: trajectory.Similarity | None
+    estimate: Estimate, truth: Truth, motion: Similarity | None
 ) -> dict[str, Any] | None:
     if motion is None:
         return None

@@ -1,11 +1,9 @@
-"""How far a trajectory is from the truth: alignment, ATE, RPE and scale consistency.
+"""How far a trajectory is from the truth: association, ATE, RPE and scale consistency.
 
 Poses are T_w_c (N, 4, 4), camera->world. A truth is in metres, an estimate in its own unit.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,44 +14,6 @@ SEGMENT_M = 10.0
 WINDOW_FRAMES = 100
 WINDOW_STRIDE = 5
 TOLERANCE_NS = 10_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class Similarity:
-    """target = scale * R @ source + t. R: (3, 3), t: (3,) target unit."""
-
-    scale: float
-    R: Float
-    t: Float
-
-    def points(self, p: Float) -> Float:
-        """(..., 3) source points -> target."""
-        return np.asarray(self.scale * (p @ self.R.T) + self.t)
-
-    def inverse(self) -> Similarity:
-        """The map from target back to source."""
-        R = self.R.T
-        return Similarity(1 / self.scale, R, -(R @ self.t) / self.scale)
-
-    def poses(self, T: Float) -> Float:
-        """(..., 4, 4) source poses -> target; positions scale, rotations do not."""
-        return se3.compose(self.R @ T[..., :3, :3], self.points(T[..., :3, 3]))
-
-
-def align(source: Float, target: Float, with_scale: bool) -> Similarity:
-    """Least-squares similarity or rigid motion (scale 1) taking source (N, 3) to target (N, 3).
-
-    Umeyama, "Least-squares estimation of transformation parameters between two point
-    patterns", 1991, Eqs. (34)-(43). N >= 2; a straight path leaves its roll at the smallest turn.
-    """
-    mean_s, mean_t = source.mean(0), target.mean(0)
-    ds, dt = source - mean_s, target - mean_t
-    U, D, Vt = np.linalg.svd(dt.T @ ds / len(source))
-    S = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt)) or 1.0])
-    R = (U * S) @ Vt
-    variance = float((ds**2).sum(1).mean())
-    scale = float((D * S).sum()) / variance if with_scale and variance > 0 else 1.0
-    return Similarity(scale, R, mean_t - scale * R @ mean_s)
 
 
 def associate(t: Int, t_truth: Int, tolerance_ns: int = TOLERANCE_NS) -> tuple[Int, Int]:

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from calm_edge.evaluation import trajectory
 from calm_edge.geometry import se3
+from calm_edge.geometry.similarity import align
 from tests.evaluation.worlds import curve, stamps
 
 
@@ -15,41 +14,20 @@ def _moved(T: np.ndarray, scale: float, w: np.ndarray, t: np.ndarray) -> np.ndar
     return se3.compose(R @ T[:, :3, :3], scale * T[:, :3, 3] @ R.T + t)
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    st.floats(0.05, 20),
-    st.lists(st.floats(-3, 3), min_size=3, max_size=3),
-    st.lists(st.floats(-100, 100), min_size=3, max_size=3),
-)
-def test_a_similarity_is_found_and_undone(scale: float, w: list[float], t: list[float]) -> None:
-    truth = curve(60)
-    T = _moved(truth, scale, np.array(w), np.array(t))
-    found = trajectory.align(T[:, :3, 3], truth[:, :3, 3], with_scale=True)
-    assert found.scale == pytest.approx(1 / scale, rel=1e-9)
-    assert np.allclose(found.poses(T), truth, atol=1e-6)
-    assert np.allclose(found.inverse().poses(truth), T, atol=1e-6)
-
-
 def test_rigid_alignment_leaves_the_scale_error_standing() -> None:
     truth = curve()
     T = _moved(truth, 1.1, np.array([0.3, 1.0, -2.0]), np.array([5.0, 6, 7]))
     p, p_truth = T[:, :3, 3], truth[:, :3, 3]
-    rigid = trajectory.align(p, p_truth, with_scale=False)
+    rigid = align(p, p_truth, with_scale=False)
     spread = np.sqrt(((p_truth - p_truth.mean(0)) ** 2).sum(1).mean())
     assert rigid.scale == 1
     assert trajectory.ate(rigid.points(p), p_truth) == pytest.approx(0.1 * spread, rel=1e-9)
 
 
-def test_alignment_never_mirrors() -> None:
-    p = np.random.default_rng(0).normal(size=(30, 3))
-    found = trajectory.align(p * [1, 1, -1], p, with_scale=True)
-    assert np.linalg.det(found.R) == pytest.approx(1)
-
-
 def test_ate_of_known_noise() -> None:
     truth = curve(3000)[:, :3, 3]
     noisy = truth + np.random.default_rng(1).normal(0, 0.2, truth.shape)
-    aligned = trajectory.align(noisy, truth, with_scale=False).points(noisy)
+    aligned = align(noisy, truth, with_scale=False).points(noisy)
     assert trajectory.ate(aligned, truth) == pytest.approx(0.2 * np.sqrt(3), rel=0.03)
 
 

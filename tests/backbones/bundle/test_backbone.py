@@ -11,9 +11,10 @@ from calm_edge.backbones.bundle import backbone as bundle
 from calm_edge.backbones.bundle import kit, tracks, window
 from calm_edge.backbones.kit_belief import product
 from calm_edge.config import BackboneConfig
-from calm_edge.evaluation.trajectory import align, path_length
+from calm_edge.evaluation.trajectory import path_length
 from calm_edge.frontend.sequence import ORIGIN_NS
 from calm_edge.geometry import se3
+from calm_edge.geometry.similarity import align
 from calm_edge.types import Float, Hints, KitBelief, Prediction
 from tests.synthetic.drive import Settings, T_primary_assistant, exposed, make_rig
 from tests.synthetic.render import render_views
