@@ -75,7 +75,7 @@ class Atlas:
         graph, ids = self._graph, submap.primary_ids
         self._stamps.update(zip(ids, submap.t_ns[: submap.n_primary].tolist(), strict=True))
         primary, assistant = np.split(_rig_views(submap), [submap.n_primary])
-        t_p, t_a = submap.t_ns[primary], submap.t_ns[assistant]
+        t_p, t_a = submap.exposed_ns[primary], submap.exposed_ns[assistant]
         T_s_p, T_s_a = submap.T_s_c[primary], submap.T_s_c[assistant]
         common = [view for view in range(submap.n_overlap) if ids[view] in graph]
         if common:

@@ -156,6 +156,7 @@ class Localizer:
             T_s_c=prediction.T_s_c,
             K=prediction.K,
             focal_log_sigma=_focal_log_sigma(submap.n_primary, prediction),
+            assistant_late_ns=round(prediction.assistant_late_s * 1e9),
         )
         try:
             return self._scaled(raw)
@@ -183,6 +184,7 @@ def _raw(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Submap:
         scale=1.0,
         T_w_s=np.eye(4),
         focal_log_sigma=_focal_log_sigma(len(window.primary), prediction),
+        assistant_late_ns=round(prediction.assistant_late_s * 1e9),
     )
 
 

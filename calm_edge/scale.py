@@ -80,7 +80,7 @@ def rectify(submap: Submap, spacing_m: float) -> Submap:
     spacing_m: metres between the cameras, 0 when the map unit is kept.
     """
     n, m = submap.n_primary, len(submap.assistant_ids)
-    t_ns, T = submap.t_ns, submap.T_s_c
+    t_ns, T = submap.exposed_ns, submap.T_s_c
     T_p_a_raw = rig_samples(t_ns[:n], T[:n], t_ns[n : n + m], T[n : n + m])
     world_units = factor(spacing(T_p_a_raw), spacing_m)
     return replace(submap, scale=world_units, T_s_c=rectified(T, world_units))

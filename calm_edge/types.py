@@ -106,6 +106,7 @@ class Prediction:
     confidence: (N, h, w) in [0, 1], larger is better; None with depth.
     focal_log_sigma: (N,) one sigma of log focal, None where the model has no idea of it.
     kit: this batch's own evidence on the kit (without the hints), or None.
+    assistant_late_s: how much later than stamped, on the primary's clock, assistants were exposed.
     loop_found: False where the trailing loop keyframe could not be placed: its pose says nothing.
     """
 
@@ -116,6 +117,7 @@ class Prediction:
     focal_log_sigma: Float | None = None
     landmarks: Landmarks | None = None
     kit: KitBelief | None = None
+    assistant_late_s: float = 0.0
     loop_found: bool = True
 
 
@@ -128,6 +130,7 @@ class Submap:
     K can re-rectify them. T_s_c: (N, 4, 4) rectified, in world units. K: (N, 3, 3) rectified px.
     scale: world units a raw unit; depth is multiplied by it. T_w_s: (4, 4).
     focal_log_sigma: (2,) an eye, as believed when the sub-map was placed.
+    assistant_late_ns: see Prediction.assistant_late_s.
     """
 
     id: int
@@ -142,10 +145,18 @@ class Submap:
     scale: float
     T_w_s: Float
     focal_log_sigma: Float
+    assistant_late_ns: int = 0
 
     @property
     def n_primary(self) -> int:
         return len(self.primary_ids)
+
+    @property
+    def exposed_ns(self) -> Int:
+        """(N,) t_ns, the assistant's brought to the primary's clock."""
+        late = np.zeros(len(self.t_ns), np.int64)
+        late[self.n_primary : self.n_primary + len(self.assistant_ids)] = self.assistant_late_ns
+        return self.t_ns + late
 
     def T_w_c(self) -> Float:
         """(N, 4, 4) camera->world of every view, batch order."""

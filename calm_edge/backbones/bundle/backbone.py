@@ -191,4 +191,5 @@ def _prediction(
         focal_log_sigma=sigma[m.eye],
         landmarks=window.to_landmarks(state, m),
         kit=evidence,
+        assistant_late_s=float(state.theta[kit.LATE]),
     )

@@ -1,8 +1,9 @@
 """The kit as a vector: the optics of both eyes and the rig between them, with a prior.
 
-theta (14,): for each eye log(f / width), principal point offset from the image centre as a
+theta (15,): for each eye log(f / width), principal point offset from the image centre as a
 share of the width (x, y), one radial term (p_distorted = p (1 + k1 r^2)); then the rig T_p_a as
-a rotation vector [rad] and the assistant's centre in the primary camera [spacings].
+a rotation vector [rad] and the assistant's centre in the primary camera [spacings]; then how much
+later than its stamp, against the primary's, an assistant's picture was exposed [s].
 """
 
 from __future__ import annotations
@@ -12,9 +13,11 @@ import numpy as np
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import Float, KitBelief
 
-SIZE = 14
+SIZE = 15
 OPTICS = (slice(0, 4), slice(4, 8))
 RIG = slice(8, 14)
+CENTRE = slice(11, 14)
+LATE = 14
 LOG_FOCAL = (0, 4)
 
 # The prior's one-sigmas. A phone, dash or web camera sees 45 to 110 degrees: log f/W has its
@@ -28,6 +31,9 @@ RIG_ROTATION_SIGMA_RAD = 0.5
 RIG_DIRECTION_SIGMA = 1.0
 SPACING_SIGMA = 1e-4
 EVIDENCE_SPACING_SIGMA = 0.05
+# Host clocks stamp what has arrived: two cameras of one kind differ by less than a frame. At
+# constant velocity lateness and the rig's forward offset are one, and this prior divides them.
+LATE_SIGMA_S = 0.01
 
 
 def prior(hfov_deg: tuple[float | None, float | None]) -> KitBelief:
@@ -39,7 +45,8 @@ def prior(hfov_deg: tuple[float | None, float | None]) -> KitBelief:
         mean[optics] = [-np.log(width_over_f), 0, 0, 0]
         focal_sigma = HINTED_LOG_FOCAL_SIGMA if hfov else LOG_FOCAL_SIGMA
         sigma[optics] = [focal_sigma, CENTRE_SIGMA, CENTRE_SIGMA, RADIAL_SIGMA]
-    sigma[8:11], sigma[11:14] = RIG_ROTATION_SIGMA_RAD, RIG_DIRECTION_SIGMA
+    sigma[8:11], sigma[CENTRE] = RIG_ROTATION_SIGMA_RAD, RIG_DIRECTION_SIGMA
+    sigma[LATE] = LATE_SIGMA_S
     return KitBelief(mean=mean, information=np.diag(sigma**-2.0))
 
 
@@ -52,7 +59,7 @@ def camera_matrix(theta: Float, eye: int, width: int, height: int) -> Float:
 
 def rig(theta: Float) -> Float:
     """T_p_a (4, 4), spacings."""
-    return se3.compose(se3.so3_exp(theta[8:11]), theta[11:14])
+    return se3.compose(se3.so3_exp(theta[8:11]), theta[CENTRE])
 
 
 def rig_vector(T_p_a: Float) -> Float:

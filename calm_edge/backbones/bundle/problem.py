@@ -45,7 +45,7 @@ class Measurements:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """T_c_s: (C, 4, 4) spacings. points: (M, 4) unit homogeneous, sub-map frame. theta: (14,)."""
+    """T_c_s: (C, 4, 4) spacings. points: (M, 4) unit homogeneous, sub-map frame. theta: (15,)."""
 
     T_c_s: Float
     points: Float
@@ -133,13 +133,14 @@ class RigTies:
     """Where each assistant view sits between two primary views, and how stiff its tie is.
 
     assistant, before, after: (A,) view indices. alpha: (A,) share of the way from before to
-    after. information_root: (A, 6) one over sigma of (translation [spacings], rotation [rad]).
+    after as the stamps say it. rate: (A,) that share a second. information_root: (A, 6) one over sigma of (translation [spacings], rotation [rad]).
     """
 
     assistant: Int
     before: Int
     after: Int
     alpha: Float
+    rate: Float
     information_root: Float
 
 
@@ -162,24 +163,28 @@ def rig_ties(m: Measurements) -> RigTies:
     root = np.empty((len(assistant), 6))
     root[:, :3] = 1 / np.hypot(TIE_TRANSLATION_SIGMA, ACCELERATION * bend)[:, None]
     root[:, 3:] = 1 / np.hypot(TIE_ROTATION_SIGMA_RAD, ANGULAR_ACCELERATION * bend)[:, None]
-    return RigTies(assistant, primary[i], primary[i + 1], alpha, root)
+    return RigTies(assistant, primary[i], primary[i + 1], alpha, 1 / gap, root)
 
 
 def tie_residuals(
-    T_before: Float, T_after: Float, T_assistant: Float, rig: Float, ties: RigTies
+    T_before: Float, T_after: Float, T_assistant: Float, rig: Float, late_s: float, ties: RigTies
 ) -> Float:
-    """(..., A, 6) whitened log of (T_p(t_a) T_p_a)^-1 T_a; poses are T_c_s (..., A, 4, 4)."""
+    """(..., A, 6) whitened log of (T_p(t_a) T_p_a)^-1 T_a; poses are T_c_s (..., A, 4, 4).
+
+    late_s: how much later than its stamp an assistant's picture was exposed.
+    """
     # between them the primary moves along the geodesic: T_p(t)_s = exp(alpha log(T_1 T_0^-1)) T_0
     step = se3.log(T_after @ se3.inverse(T_before))
-    T_p_s = se3.exp(ties.alpha[:, None] * step) @ T_before
+    share = ties.alpha + ties.rate * late_s
+    T_p_s = se3.exp(share[:, None] * step) @ T_before
     error = T_p_s @ se3.inverse(T_assistant)  # T_p_a as the poses have it
     return np.asarray(se3.log(se3.inverse(rig) @ error) * ties.information_root)
 
 
 def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
-    """Residuals (A, 6) and derivatives (A, 6, 24) by (before, after, assistant, rig), numerically.
+    """Residuals (A, 6) and derivatives (A, 6, 25) by (before, after, assistant, rig, lateness).
 
-    Fifteen ties a window: one call on the stack of all steps costs less than analysis would read.
+    Numerical: fifteen ties a window: one call on the stack of steps costs less than analysis would read.
     """
     h = 1e-6
     # (4 blocks, 6 axes, 2 signs): row [b, k, s] steps axis k of block b
@@ -192,8 +197,11 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     before, after, assistant = (move[..., i, :, :, :] @ state.T_c_s[v] for i, v in enumerate(views))
     rig_part = state.theta[kit.RIG] + step[..., 3, :]
     rig = se3.compose(se3.so3_exp(rig_part[..., :3]), rig_part[..., 3:])[..., None, :, :]
-    sides = tie_residuals(before, after, assistant, rig, ties)  # (4, 6, 2, A, 6)
+    late = float(state.theta[kit.LATE])
+    sides = tie_residuals(before, after, assistant, rig, late, ties)  # (4, 6, 2, A, 6)
     J = (sides[:, :, 0] - sides[:, :, 1]) / (2 * h)
-    T_before, T_after, T_assistant = (state.T_c_s[v] for v in views)
-    residual = tie_residuals(T_before, T_after, T_assistant, kit.rig(state.theta), ties)
-    return residual, np.ascontiguousarray(J.transpose(2, 3, 0, 1).reshape(len(ties.alpha), 6, 24))
+    J = J.transpose(2, 3, 0, 1).reshape(len(ties.alpha), 6, 24)
+    here = (*(state.T_c_s[v] for v in views), kit.rig(state.theta))
+    sooner, later = (tie_residuals(*here, late + step_s, ties) for step_s in (-h, h))
+    J_late = (later - sooner)[..., None] / (2 * h)
+    return tie_residuals(*here, late, ties), np.concatenate([J, J_late], 2)

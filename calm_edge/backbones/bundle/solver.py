@@ -1,6 +1,6 @@
 """Levenberg-Marquardt on one window: points eliminated in closed form, everything in numpy.
 
-The reduced system has 6 unknowns a view and 14 for the kit, some 200 in all: dense is fastest.
+The reduced system has 6 unknowns a view and 15 for the kit, some 200 in all: dense is fastest.
 """
 
 from __future__ import annotations
@@ -117,9 +117,8 @@ def total_cost(
     length = whitened_lengths(state, m)
     pixels = scale**2 * np.log1p((length / scale) ** 2).sum()
     T = state.T_c_s
-    tie = tie_residuals(
-        T[ties.before], T[ties.after], T[ties.assistant], kit.rig(state.theta), ties
-    )
+    views = T[ties.before], T[ties.after], T[ties.assistant]
+    tie = tie_residuals(*views, kit.rig(state.theta), float(state.theta[kit.LATE]), ties)
     off = state.theta - prior.mean
     return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off)
 
@@ -179,7 +178,7 @@ def normal_equations(
         tie_rows = np.concatenate(
             [
                 (6 * views[..., None] + np.arange(6)).reshape(-1, 18),
-                np.broadcast_to(6 * n_views + np.arange(8, 14), (len(ties.alpha), 6)),
+                np.broadcast_to(6 * n_views + np.arange(8, kit.SIZE), (len(ties.alpha), 7)),
             ],
             1,
         )
@@ -200,8 +199,9 @@ def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, 
 
 def _add_spacing(H: Float, theta: Float, sigma: float) -> None:
     """The gauge, as a stiff spring on a direction `_step` rescales away: |t_p_a| stays 1."""
-    row = theta[11:14] / sigma
-    H[-3:, -3:] += np.outer(row, row)
+    row = np.zeros(kit.SIZE)
+    row[kit.CENTRE] = theta[kit.CENTRE] / sigma
+    H[-kit.SIZE :, -kit.SIZE :] += np.outer(row, row)
 
 
 def _step(state: State, n_views: int, delta: Float, delta_points: Float) -> State:
@@ -209,9 +209,9 @@ def _step(state: State, n_views: int, delta: Float, delta_points: Float) -> Stat
     poses = se3.exp(delta[: 6 * n_views].reshape(n_views, 6)) @ state.T_c_s
     points = move_points(state.points, tangent_basis(state.points), delta_points)
     theta = state.theta + delta[-kit.SIZE :]
-    spacing = np.linalg.norm(theta[11:14])
+    spacing = np.linalg.norm(theta[kit.CENTRE])
     poses[:, :3, 3] /= spacing
-    theta[11:14] /= spacing
+    theta[kit.CENTRE] /= spacing
     points[:, 3] *= spacing
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return State(poses, points, theta)

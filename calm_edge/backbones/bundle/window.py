@@ -44,7 +44,7 @@ def measure(
 ) -> Measurements:
     """Matches of all pictures (H, W, 3) as measurements; raises BackboneError when too few.
 
-    theta: (14,) kit, which guides the search across the eyes when `rig_known`.
+    theta: (15,) kit, which guides the search across the eyes when `rig_known`.
     """
     primary, assistant = split_eyes(hints)
     gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]

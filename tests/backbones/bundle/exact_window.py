@@ -16,7 +16,7 @@ PERIOD_S = 0.3
 
 
 def theta_of(hfov_deg=(76.0, 66.0), rotation_deg=(1.0, -3.7, 1.2), radial=(0.0, 0.0)) -> Float:
-    """(14,) a kit with two focals and 4 degrees between its eyes."""
+    """(15,) a kit with two focals and 4 degrees between its eyes."""
     theta = kit.prior(hfov_deg).mean
     theta[[3, 7]] = radial
     theta[8:11] = np.radians(rotation_deg)
@@ -62,6 +62,7 @@ def window(
 ) -> Window:
     """Points about a path, seen by both eyes; the assistant sits exactly on the rig.
 
+    delay_s: of its exposures; its stamps are early by theta's lateness.
     outliers: share of the pixels moved by up to 60 px. Points lie 3 to 300 spacings ahead.
     """
     rng = np.random.default_rng(seed)
@@ -81,7 +82,7 @@ def window(
     view, point = (index.ravel() for index in np.indices((2 * n, n_points)))
     every = problem.Measurements(
         view, point, np.zeros((len(view), 2)), np.full(len(view), 0.5),
-        np.repeat([0, 1], n), np.concatenate([t, t + delay_s]), SIZE,
+        np.repeat([0, 1], n), np.concatenate([t, t + delay_s - theta[kit.LATE]]), SIZE,
     )  # fmt: skip
     truth = problem.State(T_c_s, X, theta)
     uv, q = problem.project(truth, every)
@@ -103,7 +104,7 @@ def perturbed(truth: problem.State, *, seed: int = 1, pose: float = 0.02, focal:
     twist[0] = 0
     twist[:, 3:] /= 4
     points = truth.points + pose * truth.points[:, 3:] * rng.standard_normal(truth.points.shape)
-    theta = truth.theta + np.r_[focal, 0, 0, 0, -focal, 0, 0, 0, pose * rng.standard_normal(6)]
-    theta[11:] /= np.linalg.norm(theta[11:])
+    theta = truth.theta + np.r_[focal, 0, 0, 0, -focal, 0, 0, 0, pose * rng.standard_normal(6), 0]
+    theta[kit.CENTRE] /= np.linalg.norm(theta[kit.CENTRE])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return problem.State(se3.exp(twist) @ truth.T_c_s, points, theta)

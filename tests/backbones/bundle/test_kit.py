@@ -12,8 +12,8 @@ def test_a_hint_sets_the_focal_of_its_eye_and_how_sure_it_is():
     assert np.exp(belief.mean[4]) == pytest.approx(0.5 / np.tan(np.radians(73 / 2)))
     assert sigma[0] == pytest.approx(0.01) and sigma[4] == pytest.approx(0.30)
     # a hint is of the focal only
-    assert np.array_equal(np.delete(belief.mean, [0, 4]), np.zeros(12))
-    assert sigma[1] == sigma[5] and (sigma[8:] >= 0.5).all()
+    assert np.array_equal(np.delete(belief.mean, [0, 4]), np.zeros(kit.SIZE - 2))
+    assert sigma[1] == sigma[5] and (sigma[kit.RIG] >= 0.5).all()
 
 
 def test_the_camera_matrix_of_a_hint_is_the_pinholes():

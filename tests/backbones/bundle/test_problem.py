@@ -47,7 +47,7 @@ def test_pixels_by_pose(seen):
 def test_pixels_by_optics_with_radial_term(seen):
     m, state = seen
     basis = problem.tangent_basis(state.points)
-    both = lambda d: np.r_[d, d, np.zeros(6)]  # noqa: E731
+    both = lambda d: np.r_[d, d, np.zeros(7)]  # noqa: E731
     numeric = central_difference(lambda d: replace(state, theta=state.theta + both(d)), m, 4)
     assert_jacobian(problem.reprojection(state, m, basis).optics, numeric)
 
@@ -129,9 +129,8 @@ def test_a_point_behind_its_view_is_told():
 
 def residuals(state: State, ties):
     T = state.T_c_s
-    return problem.tie_residuals(
-        T[ties.before], T[ties.after], T[ties.assistant], kit.rig(state.theta), ties
-    )
+    views = T[ties.before], T[ties.after], T[ties.assistant]
+    return problem.tie_residuals(*views, kit.rig(state.theta), state.theta[kit.LATE], ties)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.017, 0.12, -0.05])
@@ -171,10 +170,10 @@ def test_tie_derivatives_predict_the_residual_of_a_step():
     made = window(turn(4), theta_of(), n_points=10)
     ties, state = made.ties, perturbed(made.truth, pose=0.003)
     residual, J = problem.tie_jacobians(state, ties)
-    assert J.shape == (4, 6, 24)
+    assert J.shape == (4, 6, 25)
     assert np.allclose(residual, residuals(state, ties))
     rng = np.random.default_rng(2)
-    by_view, by_rig = 1e-5 * rng.normal(size=(8, 6)), 1e-5 * rng.normal(size=6)
+    by_view, by_rig = 1e-5 * rng.normal(size=(8, 6)), 1e-5 * rng.normal(size=7)
     stepped = State(
         se3.exp(by_view) @ state.T_c_s, state.points, state.theta + np.r_[np.zeros(8), by_rig]
     )

@@ -1,8 +1,12 @@
+from dataclasses import replace
+from itertools import accumulate
+
 import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle import kit, problem, solver
 from calm_edge.backbones.kit_belief import product
+from calm_edge.geometry import se3
 from calm_edge.types import KitBelief
 from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
 
@@ -83,7 +87,7 @@ def test_eliminating_points_is_the_schur_complement_of_the_whole():
     for a in range(len(ties.alpha)):
         for k, view in enumerate((ties.before[a], ties.after[a], ties.assistant[a])):
             whole[a, :, 6 * view : 6 * view + 6] = tie_J[a, :, 6 * k : 6 * k + 6]
-        whole[a, :, D - 6 : D] = tie_J[a, :, 18:]
+        whole[a, :, D - 7 : D] = tie_J[a, :, 18:]
     whole = whole.reshape(-1, D + 3 * points)
     A = J.T @ J + whole.T @ whole
     b = J.T @ r + whole.T @ residual.ravel()
@@ -117,7 +121,7 @@ def test_a_step_that_lengthens_the_rig_rescales_the_scene_instead():
     made = window(turn(3), theta_of(), n_points=25)
     n = made.m.n_views
     delta = np.zeros(6 * n + kit.SIZE)
-    delta[-3:] = 0.25 * made.truth.theta[11:14]
+    delta[6 * n :][kit.CENTRE] = 0.25 * made.truth.theta[kit.CENTRE]
     still = np.zeros((len(made.truth.points), 3))
     state = solver._step(made.truth, n, delta, still)
     assert np.allclose(state.theta, made.truth.theta)
@@ -158,7 +162,7 @@ def test_evidence_is_a_proper_gaussian_around_the_truth(curved):
     values = np.linalg.eigvalsh(curved.information)
     assert values[0] > -1e-9 * values[-1]
     off = curved.mean - truth
-    # 14 numbers: their squared distance in sigmas is a chi square
+    # 15 numbers: their squared distance in sigmas is a chi square
     assert 0.1 < off @ curved.information @ off < 40
     assert np.abs(off[FOCALS]).max() < 0.01
 
@@ -197,3 +201,28 @@ def test_a_second_window_halves_the_variance(curved):
     other = evidence(window(turn(N), theta_of(), noise_px=0.3, seed=5))
     ratio = (sigma(curved, other) / sigma(curved))[FOCALS] ** 2
     assert (ratio > 0.35).all() and (ratio < 0.65).all()
+
+
+def changing_speed(n):
+    """T_s_p (n, 4, 4): steps of 1 to 5 spacings, gently turning."""
+    steps = np.zeros((n - 1, 6))
+    steps[:, 2] = 3 + 2 * np.sin(np.arange(n - 1) / 2)
+    steps[:, 4] = 0.02
+    return np.concatenate([[np.eye(4)], np.array(list(accumulate(se3.exp(steps), np.matmul)))])
+
+
+def test_lateness_shows_where_the_speed_changes_and_not_at_constant_velocity():
+    theta = theta_of()
+    theta[kit.LATE] = 0.02
+    sigmas = []
+    for T_s_p in (
+        changing_speed(N),
+        np.array([se3.exp(np.array([0, 0, 3.0 * k, 0, 0, 0])) for k in range(N)]),
+    ):
+        made = window(T_s_p, theta, noise_px=0.3, delay_s=0.0)
+        start = replace(made.truth, theta=theta_of())
+        solution = solver.solve(start, made.m, made.ties, PRIOR)
+        belief = product([PRIOR, solver.kit_evidence(solution, made.m, made.ties, 2.0, 1.0)])
+        sigmas.append(np.sqrt(np.linalg.inv(belief.information)[kit.LATE, kit.LATE]))
+        assert abs(belief.mean[kit.LATE] - 0.02) < 4 * sigmas[-1]
+    assert sigmas[0] < 0.3 * kit.LATE_SIGMA_S and sigmas[1] > 0.8 * kit.LATE_SIGMA_S
