@@ -13,15 +13,8 @@ import numpy as np
 
 from calm_edge.config import PoseGraphConfig
 from calm_edge.geometry import se3
-from calm_edge.posegraph.levenberg_marquardt import (
-    Edges,
-    Problem,
-    State,
-    cauchy,
-    cost,
-    huber,
-    minimise,
-)
+from calm_edge.posegraph.levenberg_marquardt import minimise
+from calm_edge.posegraph.problem import Edges, Problem, State, cauchy, cost, huber, residuals
 from calm_edge.types import Float, Int, LoopClosure
 
 # A bridge is a guess at motion nobody measured: ten times an odometry edge's sigma.
@@ -51,6 +44,7 @@ class JointGraph:
         self._row: dict[int, int] = {}
         self._T_w_p: list[Float] = []
         self._edges: list[Edges] = []
+        self._n_submaps = 0
         self._T_p_a_prior: Float | None = None
         self._T_p_a: Float = np.eye(4)
 
@@ -111,8 +105,10 @@ class JointGraph:
                 weight=np.ones(len(i)),
                 weight_assistant=(has_assistant[i] & has_assistant[j]).astype(np.float64),
                 robust=np.zeros(len(i), bool),
+                submap=np.full(len(i), self._n_submaps),
             )
         )
+        self._n_submaps += 1
 
     def add_bridge(self, before_id: int, after_id: int) -> None:
         """Ties two keyframes with nothing measured between them, loosely, where they now are."""
@@ -135,6 +131,7 @@ class JointGraph:
                 weight=np.array([weight]),
                 weight_assistant=np.zeros(1),
                 robust=np.array([robust]),
+                submap=np.array([-1]),
             )
         )
 
@@ -167,14 +164,14 @@ class JointGraph:
         if not self._edges:
             return Optimised(0, 0.0, 0.0)
         problem, start = self.problem(), State(self.poses(), self._T_p_a)
-        before = cost(problem, start, cauchy)
+        before = cost(problem, residuals(problem, start), cauchy)
         state, iterations = minimise(problem, start, cauchy, tolerance)
-        after = cost(problem, state, cauchy)
+        after = cost(problem, residuals(problem, state), cauchy)
         if problem.edges.robust.any():
             pulled, coarse = minimise(problem, start, huber, _COARSE)
             pulled, fine = minimise(problem, pulled, cauchy, tolerance)
             iterations += coarse + fine
-            if (pulled_cost := cost(problem, pulled, cauchy)) < after:
+            if (pulled_cost := cost(problem, residuals(problem, pulled), cauchy)) < after:
                 state, after = pulled, pulled_cost
         self._T_w_p, self._T_p_a = list(state.T_w_p), state.T_p_a
         return Optimised(iterations, before, after)

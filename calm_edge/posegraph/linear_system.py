@@ -1,0 +1,185 @@
+"""The normal equations of the joint graph, and GTSAM's elimination of them (paper IV-C).
+
+Every residual is linearised exactly in one numpy pass, with numpy's own tangent, so that
+GTSAM's order of rotation and translation never enters. Each call from Python costs, so
+neighbouring keyframes share one GTSAM variable, a *group*, and all that joins a group to the
+next is one factor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from calm_edge.geometry import se3
+from calm_edge.posegraph import assistant_factor
+from calm_edge.posegraph.problem import Edges, Kernel, Problem, Residuals, State, softening
+from calm_edge.types import Float, Int
+
+# Keyframes a group: wide enough for a window of 3 to reach no further than the next group.
+_GROUP = 4
+# Pairs linearised at once: what they need stays in the processor's cache and out of its memory.
+_CHUNK = 256
+
+
+class Rows(NamedTuple):
+    """Whitened derivatives (P, 12, 6) by the poses i, j and by T_p_a, and -residuals b (P, 12).
+
+    The first six rows are the primary's, the others the assistant's.
+    """
+
+    by_i: Float
+    by_j: Float
+    by_rig: Float
+    b: Float
+
+
+def linearise(problem: Problem, state: State, r: Residuals, soft: Float, pairs: Int) -> Rows:
+    """Some pairs (Q,) of the edges at `state`, where residuals are `r`.
+
+    soft: (P,) factors on the primary's inverse variances, of `softening`.
+    """
+    edges, sigma = problem.edges, problem.sigma
+    i, j = state.T_w_p[edges.i[pairs]], state.T_w_p[edges.j[pairs]]
+    primary = assistant_factor.between(r.primary[pairs], i, j)
+    assistant = assistant_factor.coupled(r.assistant[pairs], i, j, state.T_p_a)
+    weight_p = np.sqrt(edges.weight[pairs] * soft[pairs])[:, None] / sigma
+    weight_a = np.sqrt(edges.weight_assistant[pairs])[:, None] / sigma
+    rows_p, rows_a = weight_p[..., None], weight_a[..., None]
+    return Rows(
+        by_i=np.concatenate([primary.by_i * rows_p, assistant.by_i * rows_a], 1),
+        by_j=np.concatenate([primary.by_j * rows_p, assistant.by_j * rows_a], 1),
+        by_rig=np.concatenate([np.zeros_like(primary.by_i), assistant.by_rig * rows_a], 1),
+        b=-np.concatenate([r.primary[pairs] * weight_p, r.assistant[pairs] * weight_a], 1),
+    )
+
+
+class Layout:
+    """Where each pair's block goes; depends on the pairs' ends alone.
+
+    Keyframes are padded to whole groups, two at least. A factor joins the groups low (F,) and
+    high (F,): each neighbouring pair first, then each that only a loop joins. Within a factor
+    a pose has six columns, low's poses first, then T_p_a, then b.
+    """
+
+    def __init__(self, edges: Edges, n: int) -> None:
+        self.n = n
+        self.n_groups = max(2, -(-n // _GROUP))
+        low = np.minimum(edges.i, edges.j) // _GROUP
+        high = np.maximum(edges.i, edges.j) // _GROUP
+        near = np.arange(self.n_groups - 1)
+        is_far = high - low > 1
+        far, factor = np.unique((low * self.n_groups + high)[is_far], return_inverse=True)
+        self.low = np.concatenate([near, far // self.n_groups])
+        self.high = np.concatenate([near + 1, far % self.n_groups])
+        factor_of = np.minimum(low, self.n_groups - 2)
+        factor_of[is_far] = len(near) + factor
+        self._order = np.argsort(factor_of, kind="stable")
+        self._factor = factor_of[self._order]
+        ends = np.stack([edges.i, edges.j], -1)[self._order]
+        is_low = ends // _GROUP == self.low[self._factor][:, None]
+        column = 6 * (ends % _GROUP + np.where(is_low, 0, _GROUP))
+        # each end's six columns, then those of T_p_a and of b
+        both = (column[..., None] + np.arange(6)).reshape(-1, 12)
+        rest = np.broadcast_to(12 * _GROUP + np.arange(7), (len(both), 7))
+        self._columns = np.concatenate([both, rest], 1)
+
+    def chunks(self) -> Iterator[tuple[slice, Int, Int, Int]]:
+        """(factors, pairs (Q,), factor of each counted in the slice (Q,), columns (Q, 19))."""
+        cuts = np.searchsorted(self._factor, self._factor[::_CHUNK])
+        cuts = np.unique(np.append(cuts, len(self._factor)))
+        for start, end in pairwise(cuts.tolist()):
+            first, last = int(self._factor[start]), int(self._factor[end - 1])
+            pairs, columns = self._order[start:end], self._columns[start:end]
+            yield slice(first, last + 1), pairs, self._factor[start:end] - first, columns
+
+
+def _blocks(rows: Rows, factor: Int, columns: Int, n_factors: int) -> Float:
+    """(F, D, D) sums of A^T A of the pairs, b the last column: D = 12 poses' and 7 more."""
+    A = np.concatenate([rows.by_i, rows.by_j, rows.by_rig, rows.b[..., None]], -1)
+    D = 12 * _GROUP + 7
+    index = (factor[:, None, None] * D + columns[:, :, None]) * D + columns[:, None, :]
+    # a copy: of one and the same buffer numpy computes half a product, three times slower
+    products = np.swapaxes(A, -1, -2) @ A.copy()
+    summed = np.bincount(index.ravel(), products.ravel(), n_factors * D * D)
+    return np.asarray(summed.reshape(n_factors, D, D))
+
+
+class LinearSystem:
+    """The problem linearised at a state, as a GTSAM graph: one key a group, T_p_a the last."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        state: State,
+        r: Residuals,
+        kernel: Kernel,
+        layout: Layout,
+        ordering: Any = None,
+    ) -> None:
+        import gtsam
+
+        self._gtsam: Any = gtsam
+        self._layout = layout
+        self._rig = layout.n_groups
+        self._graph = gtsam.GaussianFactorGraph()
+        soft = softening(problem, r, kernel)
+        for factors, pairs, factor, columns in layout.chunks():
+            rows = linearise(problem, state, r, soft, pairs)
+            n_factors = factors.stop - factors.start
+            self._add(_blocks(rows, factor, columns, n_factors), factors)
+        J = se3.right_jacobian_inverse(r.prior) / problem.sigma_prior[:, None]
+        self._add_rows(self._rig, J, -r.prior / problem.sigma_prior)
+        # the gauge: without it the whole world may move at no cost, so any weight holds exactly
+        held = np.zeros((6, 6 * _GROUP))
+        held[:, :6] = np.diag(1 / problem.sigma)
+        self._add_rows(0, held, np.zeros(6))
+        self._hold_padding()
+        # T_p_a touches every keyframe: eliminated last, the rest stays a narrow band
+        self.ordering = ordering or gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(
+            self._graph, [self._rig]
+        )
+
+    def _add(self, H: Float, factors: slice) -> None:
+        g, r = 6 * _GROUP, 12 * _GROUP
+        factor, add = self._gtsam.HessianFactor, self._graph.add
+        low, high = self._layout.low[factors].tolist(), self._layout.high[factors].tolist()
+        for a, b, G in zip(low, high, H, strict=True):
+            h = G[:, -1]
+            add(
+                factor(
+                    a, b, self._rig,
+                    G[:g, :g], G[:g, g:r], G[:g, r:-1], h[:g],
+                    G[g:r, g:r], G[g:r, r:-1], h[g:r],
+                    G[r:-1, r:-1], h[r:-1], h[-1],
+                )
+            )  # fmt: skip
+
+    def _add_rows(self, key: int, A: Float, b: Float) -> None:
+        unit = self._gtsam.noiseModel.Unit.Create(len(A))
+        self._graph.add(self._gtsam.JacobianFactor(key, A, b, unit))
+
+    def _hold_padding(self) -> None:
+        """Poses that no keyframe has stay where they are."""
+        rows = np.arange(self._layout.n, self._layout.n_groups * _GROUP)
+        for group in np.unique(rows // _GROUP).tolist():
+            empty = np.zeros(6 * _GROUP)
+            for row in rows[rows // _GROUP == group] % _GROUP:
+                empty[6 * row : 6 * row + 6] = 1.0
+            self._add_rows(group, np.diag(empty), np.zeros(6 * _GROUP))
+
+    def solve(self, damping: float) -> Float:
+        """Steps (N + 1, 6) of the damped normal equations, that of T_p_a last."""
+        damped = self._gtsam.GaussianFactorGraph()
+        damped.push_back(self._graph)
+        for keys, size in ((range(self._rig), 6 * _GROUP), ([self._rig], 6)):
+            root, zero = np.sqrt(damping) * np.eye(size), np.zeros(size)
+            unit = self._gtsam.noiseModel.Unit.Create(size)
+            for key in keys:
+                damped.add(self._gtsam.JacobianFactor(key, root, zero, unit))
+        solution = damped.optimize(self.ordering)
+        steps = np.asarray(solution.vector(list(range(self._rig + 1)))).reshape(-1, 6)
+        return np.concatenate([steps[: self._layout.n], steps[-1:]])
