@@ -1,0 +1,1 @@
+"""The linear alignments the paper compares with, on the same sub-maps; for evaluation only."""
