@@ -1,0 +1,59 @@
+"""SIFT features of a picture and which of two pictures' are the same point of the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Int = NDArray[np.int64]
+
+# Larger pictures are brought down to this: what the finest scale adds is mostly not found again.
+WIDTH_PX = 960
+RATIO = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """uv (N, 2) px of the full picture; vector (N, 128), square roots of shares: unit length."""
+
+    uv: Float32
+    vector: Float32
+
+
+def detect(gray: NDArray[np.uint8], count: int) -> Features:
+    """The strongest `count` features of a picture (H, W)."""
+    height, width = gray.shape
+    scale = min(1.0, WIDTH_PX / width)
+    if scale < 1:
+        size = WIDTH_PX, max(2, round(height * scale))
+        small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    else:
+        small = gray
+    points, vector = cv2.SIFT.create(nfeatures=count).detectAndCompute(small, None)
+    if vector is None or len(points) == 0:
+        return Features(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
+    # at a corner of two orientations SIFT gives one point twice
+    at, first = np.unique(cv2.KeyPoint.convert(points), axis=0, return_index=True)
+    shares = vector[first] / np.maximum(vector[first].sum(1, keepdims=True), 1e-9)
+    stretch = np.array([width / small.shape[1], height / small.shape[0]])
+    uv = (at + 0.5) * stretch - 0.5
+    return Features(uv.astype(np.float32), np.sqrt(shares).astype(np.float32))
+
+
+def match(a: Features, b: Features) -> Int:
+    """(M, 2) rows of a and b that choose each other, clearly better than the second best."""
+    if min(len(a.uv), len(b.uv)) < 2:
+        return np.zeros((0, 2), np.int64)
+    likeness = a.vector @ b.vector.T
+    to_b, to_a = likeness.argmax(1), likeness.argmax(0)
+    rows = np.arange(len(a.uv))
+    # unit vectors: the squared distance is 2 - 2 likeness
+    best, second = np.partition(likeness, -2, axis=1)[:, [-1, -2]].T
+    clear = (1 - best) < RATIO**2 * (1 - second)
+    keep = clear & (to_a[to_b] == rows)
+    return np.stack([rows[keep], to_b[keep]], 1)
