@@ -10,30 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.evaluation import curves, map_image
+from calm_edge.evaluation import curves, map_image, page
 from calm_edge.evaluation.table import pretty
 from calm_edge.types import Bytes, Float, Float32
 
 # More than this a picture cannot show.
 MAX_DRAWN_POINTS = 3_000_000
-
-_STYLE = """
-:root{color-scheme:light}*{box-sizing:border-box}
-body{margin:0;background:#f5f6f8;color:#1f2933;font:16px/1.55 system-ui,-apple-system,"Segoe UI",
-Roboto,sans-serif}
-main{max-width:1120px;margin:0 auto;padding:40px 24px 80px}
-h1{font-size:30px;margin:0 0 4px;letter-spacing:-.01em}h2{font-size:20px;margin:0 0 4px}
-p.lead,p.note{color:#52606d;margin:0 0 18px}
-section{background:#fff;border:1px solid #e3e7eb;border-radius:12px;padding:22px 24px;margin:22px 0}
-img,svg{display:block;width:100%;height:auto;border-radius:6px}img+img{margin-top:12px}
-table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
-td{padding:7px 10px;border-bottom:1px solid #eef1f4;vertical-align:top}
-td:first-child{color:#52606d;width:42%}tr:last-child td{border-bottom:0}
-ul{margin:8px 0 0;padding-left:22px}.warn{background:#fff8e6;border-color:#f2dca6}
-.cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(170px,1fr));gap:14px;margin:22px 0}
-.card{background:#fff;border:1px solid #e3e7eb;border-radius:12px;padding:14px 18px}
-.card b{display:block;font-size:24px;font-weight:650}.card span{color:#52606d;font-size:14px}
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +45,6 @@ class ReportData:
     headline: tuple[tuple[str, str], ...] = ()
     figures: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-
-def _section(title: str, note: str, body: str, kind: str = "") -> str:
-    lead = f'<p class="note">{html.escape(note)}</p>' if note else ""
-    return f'<section class="{kind}"><h2>{html.escape(title)}</h2>{lead}{body}</section>'
 
 
 def _embedded(svg: str, alt: str) -> str:
@@ -119,8 +96,8 @@ def _map_sections(data: ReportData, R: Float, path: Float) -> list[str]:
     views = map_image.best_chases(points, color, path)
     photos = "".join(f'<img alt="map along the street" src="{_photo(v)}">' for v in views)
     return [
-        _section("The map from above", f"{len(finite):,} points in their own colours.", above),
-        _section("The map along the street", "Seen from behind and above the car.", photos),
+        page.section("The map from above", f"{len(finite):,} points in their own colours.", above),
+        page.section("The map along the street", "Seen from behind and above the car.", photos),
     ]
 
 
@@ -129,7 +106,7 @@ def _rows(values: dict[str, Any]) -> str:
         f"<tr><td>{html.escape(name)}</td><td>{html.escape(pretty(value))}</td></tr>"
         for name, value in values.items()
     )
-    return f"<table>{''.join(cells)}</table>"
+    return f'<table class="pairs">{"".join(cells)}</table>'
 
 
 def render(data: ReportData) -> str:
@@ -143,7 +120,7 @@ def render(data: ReportData) -> str:
         parts.append(f'<div class="cards">{"".join(cards)}</div>')
     if data.notes:
         items = "".join(f"<li>{html.escape(note)}</li>" for note in data.notes)
-        parts.append(_section("Not observed, not done", "", f"<ul>{items}</ul>", "warn"))
+        parts.append(page.section("Not observed, not done", "", f"<ul>{items}</ul>", "warn"))
     if len(data.T_w_c):
         R = map_image.level_rotation(data.T_w_c)
         path = data.T_w_c[:, :3, 3] @ R.T
@@ -151,28 +128,23 @@ def render(data: ReportData) -> str:
         parts += _map_sections(data, R, path)
         drawn = _embedded(curves.trajectory(path, truth, data.unit), "trajectory from above")
         against = "Against the truth." if truth is not None else "No truth was given."
-        parts.append(_section("The trajectory from above", against, drawn))
+        parts.append(page.section("The trajectory from above", against, drawn))
     if len(data.scale):
         drawn = _embedded(curves.scale(data.t_s, data.scale, data.scale_windows), "scale")
         note = "What each sub-map's own unit was multiplied by, over the first one's."
-        parts.append(_section("Scale over time", note, drawn))
+        parts.append(page.section("Scale over time", note, drawn))
     if len(data.focal_px):
         drawn = curves.focal(data.t_s, data.focal_px, data.focal_log_sigma, data.truth_focal_px)
         note = "Bands are one and three sigma; dashed is the truth, where given."
-        parts.append(_section("Focal length over time", note, _embedded(drawn, "focal length")))
+        parts.append(page.section("Focal length over time", note, _embedded(drawn, "focal length")))
     if data.stage_ms:
         drawn = _embedded(curves.stages(data.stage_ms), "time by stage")
         total = {"all stages": f"{sum(data.stage_ms.values()):.4g} ms a sub-map"}
         rows = {k: f"{v:.4g} ms" for k, v in data.stage_ms.items()} | total
-        parts.append(_section("Where the time went", "", drawn + _rows(rows)))
+        parts.append(page.section("Where the time went", "", drawn + _rows(rows)))
     if data.figures:
-        parts.append(_section("Figures", "", _rows(data.figures)))
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{html.escape(data.title)}</title><style>{_STYLE}</style></head>"
-        f"<body><main>{''.join(parts)}</main></body></html>\n"
-    )
+        parts.append(page.section("Figures", "", _rows(data.figures)))
+    return page.whole(data.title, parts)
 
 
 def write_report(path: Path, data: ReportData) -> None:
