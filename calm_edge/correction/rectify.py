@@ -10,6 +10,7 @@ the travel; along the baseline, as the paper has it, the error doubles (tests/co
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,21 +37,19 @@ def rectified(
     correction; K is corrected all the same. rig_by_travel: off, the rotation between the eyes is
     corrected along their baseline, right where a backbone looks at pairs of views alone.
     """
+    if not np.any(intrinsics.damping):
+        return submap
     n, m = submap.n_primary, len(submap.assistant_ids)
     eyes = np.full(len(submap.t_ns), Eye.PRIMARY)
     eyes[n : n + m] = Eye.ASSISTANT
-    if not np.any(intrinsics.damping):
-        return submap
     S = pose_model.damped_scaling(submap.K, intrinsics.K[eyes], intrinsics.damping[eyes])
     K = pose_model.effective_intrinsics(submap.K, S)
-    t_ns, T, eye_S = submap.t_ns, submap.T_s_c, S[:n].mean(0)
+    T, S_p = submap.T_s_c, S[:n].mean(0)
     primary = _primary(T[:n], S[:n], config)
-    S_joint = (eye_S + S[n : n + m]) / 2
-    T_s_ref, T_s_ref_new = (_at(t_ns[:n], P, t_ns[n : n + m]) for P in (T[:n], primary))
-    T_ref_a = se3.inverse(T_s_ref) @ T[n : n + m]
-    along = _travel(t_ns[:n], T[:n], t_ns[n : n + m], T_s_ref) if rig_by_travel else None
-    assistant = T_s_ref_new @ _corrected(T_ref_a, S_joint, config, along)
-    loop = _loop(T[:n], primary, T[n + m :], eye_S, config)
+    between = _bracketed(submap.t_ns[:n], submap.t_ns[n : n + m])
+    joint = (S_p + S[n : n + m]) / 2
+    assistant = _assistant(T[:n], primary, T[n : n + m], between, joint, config, rig_by_travel)
+    loop = _loop(T[:n], primary, T[n + m :], S_p, config)
     return replace(submap, T_s_c=np.concatenate([primary, assistant, loop]), K=K)
 
 
@@ -83,30 +82,44 @@ def _primary(T_s_p: Float, S: Float, config: CorrectionConfig) -> Float:
     return np.stack(chain)
 
 
-def _at(t_ns: Int, T: Float, query_ns: Int) -> Float:
-    """The trajectory t_ns (N,), T (N, 4, 4) at stamps (M,), (M, 4, 4).
-
-    Its nearest end where a stamp lies more than the frame gap there outside, and the first of
-    views that share a stamp: whether such stamps mean anything is for the scale to say.
+class _Between(NamedTuple):
+    """Of each stamp (M,): the primary views before and after it, and how far it is from one to
+    the other, 0 to 1; beyond where the stamp lies up to one gap outside.
     """
-    t_ns, first = np.unique(t_ns, return_index=True)
-    T = T[first]
-    if len(t_ns) == 1:
-        return np.repeat(T, len(query_ns), axis=0)
-    t = (t_ns - t_ns[0]).astype(np.float64)
-    query = (query_ns - t_ns[0]).astype(np.float64)
-    query = np.where(query < t[0] - t[1], 0.0, query)
-    query = np.where(query > 2 * t[-1] - t[-2], t[-1], query)
-    return se3.interpolate_at(t, T, query)
+
+    before: Int
+    after: Int
+    share: Float
 
 
-def _travel(t_ns: Int, T_s_p: Float, query_ns: Int, T_s_ref: Float) -> Float:
-    """(M, 3) the step during which each stamp fell, in the axes of its reference; 0 of one view."""
+def _bracketed(t_p_ns: Int, t_a_ns: Int) -> _Between:
+    """Where the assistant's stamps (M,) lie among the primary's (N,).
+
+    At the nearest end where one lies more than the frame gap there outside; of views that share
+    a stamp the first counts. Whether such stamps mean anything is for the scale to say.
+    """
+    t_ns, first = np.unique(t_p_ns, return_index=True)
     if len(t_ns) == 1:
-        return np.zeros((len(query_ns), 3))
-    steps = np.diff(T_s_p[:, :3, 3], axis=0)
-    i = np.clip(np.searchsorted(t_ns, query_ns, side="right") - 1, 0, len(steps) - 1)
-    return np.asarray((np.swapaxes(T_s_ref[:, :3, :3], -1, -2) @ steps[i, :, None])[..., 0])
+        nowhere = np.zeros(len(t_a_ns), np.int64)
+        return _Between(nowhere, nowhere, nowhere.astype(np.float64))
+    i = np.clip(np.searchsorted(t_ns, t_a_ns, side="right") - 1, 0, len(t_ns) - 2)
+    share = (t_a_ns - t_ns[i]) / (t_ns[i + 1] - t_ns[i])
+    share = np.where(share < -1, 0.0, np.where(share > 2, 1.0, share))
+    return _Between(first[i], first[i + 1], share)
+
+
+def _assistant(
+    T_s_p: Float, T_s_p_new: Float, T_s_a: Float, between: _Between, S_joint: Float,
+    config: CorrectionConfig, rig_by_travel: bool,
+) -> Float:  # fmt: skip
+    """Each view (M, 4, 4) relative to the primary at its stamp: raw there, rectified back."""
+    before, after, share = between
+    both = np.stack([T_s_p, T_s_p_new])
+    T_s_ref, T_s_ref_new = se3.interpolate(both[:, before], both[:, after], share)
+    T_ref_s = se3.inverse(T_s_ref)
+    travel = T_s_p[after, :3, 3] - T_s_p[before, :3, 3]
+    along = (T_ref_s[:, :3, :3] @ travel[..., None])[..., 0] if rig_by_travel else None
+    return np.asarray(T_s_ref_new @ _corrected(T_ref_s @ T_s_a, S_joint, config, along))
 
 
 def _loop(
