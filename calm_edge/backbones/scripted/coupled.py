@@ -1,0 +1,129 @@
+"""Poses as a model with a wrong K sees them: those that fit the matches best under that K.
+
+Each primary view is solved against the one before it, each assistant view against the primary
+view nearest in time, a loop view against the view that shares most with it; lengths follow from
+depths of points that neighbouring pairs have in common.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.scripted import epipolar
+from calm_edge.backbones.scripted.landmarks import Bool, Sightings
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Int
+from device.frame import Eye
+
+MATCHES = 160
+_MIN_MATCHES = 12
+# A pair closer than this shows no direction of motion, world units.
+_MIN_STEP = 0.02
+
+
+class _Pairs(NamedTuple):
+    """View a of each pair, its view b, and the pair that its length is measured against."""
+
+    a: Int
+    b: Int
+    parent: Int
+
+
+def poses(
+    rays: Float, focals: Float, sightings: Sightings, T_w_c: Float, eyes: Int, t_ns: Int
+) -> Float:
+    """T_s_c (N, 4, 4) that minimise the epipolar error of the sightings under wrong rays.
+
+    rays: (N, M, 3) pixels divided by the wrong K. focals: (N, 2) px, wrong. T_w_c: the true
+    poses, where the search starts; the path's length is theirs. Raises BackboneError.
+    """
+    n = n_primary(eyes, t_ns)
+    if n < 2:
+        raise BackboneError("scripted: a batch needs two primary frames to have motion")
+    pairs = _pairs(sightings, T_w_c, eyes, t_ns, n)
+    T_b_a = se3.inverse(T_w_c[pairs.b]) @ T_w_c[pairs.a]
+    true_step = np.linalg.norm(T_b_a[:, :3, 3], axis=1)
+    if true_step.min() < _MIN_STEP:
+        raise BackboneError("scripted: two frames from one place show no direction of motion")
+    both = sightings.seen[pairs.a] & sightings.seen[pairs.b]
+    index, weight = _some(both)
+    solved = epipolar.solve(
+        T_b_a,
+        rays[pairs.a[:, None], index],
+        rays[pairs.b[:, None], index],
+        focals[pairs.a],
+        focals[pairs.b],
+        weight,
+    )
+    ratio = _ratios(solved, pairs, rays, sightings)
+    length = np.ones(len(ratio))
+    for k in range(1, len(length)):
+        length[k] = length[pairs.parent[k]] * ratio[k]
+    steps = slice(0, n - 1)
+    length *= true_step[steps].sum() / length[steps].sum()
+    solved[:, :3, 3] *= length[:, None]
+    T = np.tile(np.eye(4), (len(eyes), 1, 1))
+    for a, b, T_a_b in zip(pairs.a, pairs.b, se3.inverse(solved), strict=True):
+        T[b] = T[a] @ T_a_b
+    return T
+
+
+def n_primary(eyes: Int, t_ns: Int) -> int:
+    """How many leading views are primary keyframes; a loop keyframe comes last, or goes back."""
+    leading = eyes == Eye.PRIMARY
+    leading[1:] &= np.diff(t_ns) > 0
+    return int(np.argmin(leading)) if not leading.all() else len(eyes)
+
+
+def _pairs(sightings: Sightings, T_w_c: Float, eyes: Int, t_ns: Int, n: int) -> _Pairs:
+    a, b = list(range(n - 1)), list(range(1, n))
+    parent = [max(k - 1, 0) for k in range(n - 1)]
+    for view in range(n, len(eyes)):
+        if eyes[view] == Eye.ASSISTANT:
+            near = int(np.argmin(np.abs(t_ns[:n] - t_ns[view])))
+        else:
+            shared = (sightings.seen[:n] & sightings.seen[view]).sum(1)
+            apart = np.linalg.norm(T_w_c[:n, :3, 3] - T_w_c[view, :3, 3], axis=1)
+            near = int(np.argmax(np.where(apart > _MIN_STEP, shared, -1)))
+        a.append(near)
+        b.append(view)
+        parent.append(min(near, n - 2))
+    return _Pairs(np.array(a), np.array(b), np.array(parent))
+
+
+def _some(mask: Bool) -> tuple[Int, Float]:
+    """Up to MATCHES columns of each row of a mask (P, M), spread over it -> (P, C), weights (P, C).
+
+    Raises BackboneError where a row has too few.
+    """
+    if mask.sum(1).min() < _MIN_MATCHES:
+        raise BackboneError("scripted: two neighbouring frames share too little of the scene")
+    shuffle = np.random.default_rng(0).permutation(mask.shape[1])
+    order = np.argsort(~mask[:, shuffle], axis=1, kind="stable")[:, :MATCHES]
+    index = shuffle[order]
+    return index, np.take_along_axis(mask, index, 1).astype(np.float64)
+
+
+def _ratios(solved: Float, pairs: _Pairs, rays: Float, sightings: Sightings) -> Float:
+    """(P,) length of each pair against its parent's, from depths in the view they share."""
+    child = np.arange(1, len(pairs.a))
+    mother = pairs.parent[child]
+    shared = pairs.a[child]
+    # the parent pair holds the shared view as its b, or, at the ends of the path, as its a
+    as_b = pairs.b[mother] == shared
+    other = np.where(as_b, pairs.a[mother], pairs.b[mother])
+    seen = sightings.seen
+    index, weight = _some(seen[shared] & seen[other] & seen[pairs.b[child]])
+    x = rays[shared[:, None], index]
+    T_mother = np.where(as_b[:, None, None], se3.inverse(solved[mother]), solved[mother])
+    near, parallax = epipolar.inverse_depth(solved[child], x, rays[pairs.b[child][:, None], index])
+    far, parallax_m = epipolar.inverse_depth(T_mother, x, rays[other[:, None], index])
+    good = (near > 0) & (far > 0)
+    weight *= np.where(good, np.minimum(parallax * near**2, parallax_m * far**2), 0.0)
+    if weight.sum(1).min() <= 0:
+        raise BackboneError("scripted: under this K no point lies in front of its views")
+    log_ratio = np.log(np.where(good, near / np.where(good, far, 1.0), 1.0))
+    return np.concatenate([[1.0], np.exp(epipolar.weighted_median(log_ratio, weight))])

@@ -1,0 +1,129 @@
+"""The dials: how wrong scripted predictions are, and what one batch draws from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Hints, Int
+from device.frame import Eye
+
+# A turn of this many degrees over a batch gives the usual focal fluctuation; see focal_factor.
+_USUAL_TURN_DEG = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptedErrors:
+    """How wrong the predictions are. Lengths: world units.
+
+    of a drive: focal_bias_log_sigma, one draw an eye, half of it common to both eyes.
+    scale_walk: sigma of log raw scale after 100 of path.
+    of a batch: scale_log_sigma, of log raw units a world unit. focal_log_error: one an eye, as is.
+    focal_log_sigma: of its focals' common log error, half common to both eyes, and larger on a
+    straight road (`focal_factor`). depth_drift: sigma of log depth against poses, from the first
+    view in time to the last. bend_sigma_rad: of its heading, from the first view to the last.
+    of a view: rotation_sigma_rad, translation_sigma of its pose. depth_warp: amplitude of a smooth
+    relative depth error over the picture. focal_view_log_sigma: of its focal.
+    of an observation: match_sigma_px; outlier_share of them lie anywhere in the picture.
+    coupled: poses minimise the epipolar error of exact matches under the wrong K, and depth is
+    triangulated from them; off, a wrong K moves nothing else.
+    false_loop_matches: a loop keyframe of another place has matches that fit its false pose.
+    """
+
+    scale_log_sigma: float = 0.0
+    scale_walk: float = 0.0
+    focal_log_error: tuple[float, float] = (0.0, 0.0)
+    focal_bias_log_sigma: float = 0.0
+    focal_log_sigma: float = 0.0
+    focal_view_log_sigma: float = 0.0
+    rotation_sigma_rad: float = 0.0
+    translation_sigma: float = 0.0
+    bend_sigma_rad: float = 0.0
+    depth_warp: float = 0.0
+    depth_drift: float = 0.0
+    match_sigma_px: float = 0.0
+    outlier_share: float = 0.0
+    coupled: bool = False
+    false_loop_matches: bool = True
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """The errors of one batch of N views.
+
+    scale: raw units a world unit. focal: (N,) log errors. twists: (N, 6) of the poses, world
+    units. phases: (N, 3) of the depth warp. depth: (N,) log errors of depth against poses.
+    """
+
+    scale: float
+    focal: Float
+    twists: Float
+    phases: Float
+    depth: Float
+    rng: np.random.Generator
+
+
+class Errors:
+    """The dials over one drive: what is drawn once, and the draw of each batch."""
+
+    def __init__(self, dials: ScriptedErrors, t_ns: Int, T_w_p: Float) -> None:
+        self.dials = dials
+        rng = np.random.default_rng([dials.seed, len(t_ns)])
+        self._bias = dials.focal_bias_log_sigma * _alike(rng)
+        steps = np.linalg.norm(np.diff(T_w_p[:, :3, 3], axis=0), axis=1)
+        walk = np.cumsum(rng.standard_normal(len(steps)) * np.sqrt(steps / 100.0))
+        self._t_ns = t_ns
+        self._walk = dials.scale_walk * np.concatenate([[0.0], walk])
+
+    def draw(self, hints: Hints, T_w_c: Float) -> Draw:
+        """Of the views T_w_c (N, 4, 4): seeded by the stamps, so equal batches err alike."""
+        dials, n, eyes = self.dials, len(hints.t_ns), hints.eyes
+        stamps = [int(t) % (1 << 64) for t in hints.t_ns]
+        rng = np.random.default_rng([dials.seed, *stamps, *(int(e) for e in eyes)])
+        scale = dials.scale_log_sigma * rng.standard_normal()
+        scale += np.interp(
+            float(hints.t_ns[0] - self._t_ns[0]), self._t_ns - self._t_ns[0], self._walk
+        )
+        sigma = np.repeat([dials.translation_sigma, dials.rotation_sigma_rad], 3)
+        twists = rng.standard_normal((n, 6)) * sigma
+        phases = rng.uniform(0, 2 * np.pi, (n, 3))
+        focal = np.array(dials.focal_log_error) + self._bias
+        focal = focal + dials.focal_log_sigma * focal_factor(T_w_c[eyes == Eye.PRIMARY]) * _alike(
+            rng
+        )
+        progress = _progress(hints.t_ns)
+        twists[:, 4] += dials.bend_sigma_rad * rng.standard_normal() * progress
+        return Draw(
+            scale=float(np.exp(scale)),
+            focal=focal[eyes] + dials.focal_view_log_sigma * rng.standard_normal(n),
+            twists=twists,
+            phases=phases,
+            depth=dials.depth_drift * rng.standard_normal() * (progress - 0.5),
+            rng=rng,
+        )
+
+
+def focal_factor(T_w_p: Float) -> float:
+    """How far the focal fluctuates in a batch of poses (N, 4, 4) against the usual batch.
+
+    A model guesses the focal of a straight road, where motion does not show it: 1.3 there, 0.7
+    in a sharp turn, about 1 over a town's drive. An assumption, not a measurement.
+    """
+    turns = se3.so3_log(np.swapaxes(T_w_p[:-1, :3, :3], 1, 2) @ T_w_p[1:, :3, :3])
+    degrees = float(np.degrees(np.linalg.norm(turns.sum(0))))
+    return 0.7 + 0.6 / (1 + degrees / _USUAL_TURN_DEG)
+
+
+def _alike(rng: np.random.Generator) -> Float:
+    """(2,) unit normals, correlated 0.5: one model looks through both eyes."""
+    common, *own = rng.standard_normal(3)
+    return np.asarray((common + np.array(own)) / np.sqrt(2))
+
+
+def _progress(t_ns: Int) -> Float:
+    """(N,) 0 at the first view in time and 1 at the last, a loop keyframe's clipped."""
+    span = max(int(t_ns.max() - t_ns[0]), 1)
+    return np.asarray(np.clip((t_ns - t_ns[0]) / span, 0.0, 1.0))

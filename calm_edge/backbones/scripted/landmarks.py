@@ -1,0 +1,70 @@
+"""Which surface points the views of a batch see, and at which pixels: its matches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.geometry import pinhole, se3
+from calm_edge.types import Float, Int
+
+Bool = NDArray[np.bool_]
+
+# A picture is matched while the point's distance changes by no more than this factor.
+MAX_ZOOM = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class Sightings:
+    """M surface points and the exact pixels of N views that see them.
+
+    p_w: (M, 3) world units. seeded_by: (M,) view whose grid the point comes from. uv: (N, M, 2) px.
+    depth: (N, M) z-depth. seen: (N, M) bool.
+    """
+
+    p_w: Float
+    seeded_by: Int
+    uv: Float
+    depth: Float
+    seen: Bool
+
+
+def project_all(K: Float, T_w_c: Float, p_w: Float) -> tuple[Float, Float]:
+    """Pixels (N, M, 2), depths (N, M) of points (M, 3) in views K (N, 3, 3), T_w_c (N, 4, 4)."""
+    T_c_w = se3.inverse(T_w_c)
+    p_c = p_w @ np.swapaxes(T_c_w[:, :3, :3], 1, 2) + T_c_w[:, None, :3, 3]
+    return pinhole.project(K[:, None], p_c), p_c[..., 2]
+
+
+def inside(uv: Float, size: Int) -> Bool:
+    """(N, M) of pixels (N, M, 2) in pictures of width, height (N, 2)."""
+    return np.asarray((uv >= 0).all(-1) & (uv <= size[:, None] - 1).all(-1))
+
+
+def sightings(
+    p_w: Float, seeded_by: Int, K: Float, T_w_c: Float, size: Int, max_zoom: float
+) -> Sightings:
+    """Points (M, 3) in every view that has them in its picture at a distance like its seed's.
+
+    max_zoom: how many times nearer or farther than from its seed a point is still known.
+    """
+    uv, depth = project_all(K, T_w_c, p_w)
+    at_seed = depth[seeded_by, np.arange(len(p_w))]
+    zoom = depth / at_seed
+    seen = (depth > 0.1) & inside(uv, size) & (zoom < max_zoom) & (zoom > 1 / max_zoom)
+    return Sightings(p_w, seeded_by, uv, depth, seen)
+
+
+def grid_pixels(
+    width: int, height: int, grid: tuple[int, int], jitter: np.random.Generator | None
+) -> Float:
+    """(R * C, 2) px: the centres of the grid's cells, or any place in each."""
+    rows, columns = grid
+    v, u = np.mgrid[0:rows, 0:columns].astype(np.float64)
+    place = 0.5 if jitter is None else jitter.uniform(0, 1, (2, rows, columns))
+    uv = np.stack([u, v]) + place
+    return np.asarray(
+        (uv * np.array([width / columns, height / rows])[:, None, None]).reshape(2, -1).T
+    )
