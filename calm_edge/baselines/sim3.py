@@ -61,6 +61,7 @@ def _fit(matches: Correspondences, weight: Float) -> Similarity:
     spread_source = float(np.linalg.norm(extent))
     if not (spread_target > 0 and extent[1] > _LINE * extent[0]):
         raise BaselineError("the common points lie on a line; Sim(3) needs more")
-    scale = spread_target / spread_source
+    if not (spread_source > 0 and np.isfinite(scale := spread_target / spread_source)):
+        raise BaselineError("the common points have no extent")
     rigid = align(scale * matches.new, matches.previous, with_scale=False, weights=share)
     return Similarity(scale, rigid.R, rigid.t)
