@@ -71,9 +71,9 @@ def optimise(
 def _similarity(T: Float) -> Any:
     import gtsam
 
-    s = Similarity.from_matrix(T)
-    if not (np.isfinite(T).all() and s.scale > 0):
+    if not (np.isfinite(T).all() and np.linalg.det(T[:3, :3]) > 0):
         raise BaselineError("the pose graph got what is no similarity")
+    s = Similarity.from_matrix(T)
     # gtsam's acts as scale (R p + t)
     return gtsam.Similarity3(gtsam.Rot3(s.R), s.t / s.scale, s.scale)
 
