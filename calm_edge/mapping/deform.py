@@ -46,6 +46,12 @@ class Deformation:
         return np.asarray(points + shift * np.minimum(1.0, self.limit / np.maximum(length, 1e-12)))
 
 
+def unchanged() -> Deformation:
+    """Every point stays where its sub-map puts it."""
+    none = np.empty((0, 3))
+    return Deformation(thin_plate.fit(none, none, 0.0), 0.0, float("inf"))
+
+
 def cells(points: Float, most: int) -> Int:
     """(M,) labels from 0 of the finest cubic lattice, by bisection, with at most `most` cells."""
     if len(points) <= most:
@@ -56,10 +62,10 @@ def cells(points: Float, most: int) -> Int:
     label = np.zeros(len(points), np.int64)
     for _ in range(16):
         size = np.sqrt(max(fine * coarse, 1e-18))
-        keys = np.floor((points - low) / size).astype(np.int64)
-        found, finer = np.unique(keys, axis=0, return_inverse=True)
+        x, y, z = np.floor((points - low) / size).astype(np.int64).T
+        found, finer = np.unique((x << 42) | (y << 21) | z, return_inverse=True)
         if len(found) <= most:
-            label, coarse = finer.reshape(-1), size
+            label, coarse = finer, size
         else:
             fine = size
     return label
@@ -117,8 +123,8 @@ def fit_deformation(
     """The deformation taking anchors p_s (M, 3) to target_s (M, 3), sub-map frame, world units.
 
     n: (M,) observation counts. centre_s: (3,) central camera. probes: (P, 3) points of the cloud at
-    which folding is looked for, besides the controls. most: control points at most.
-    Where det dPhi/dx falls below 0.1 the stiffness is raised tenfold up to a million times (which
+    which folding is looked for, besides the controls. stiffness: inf asks for the best rigid motion.
+    most: control points at most. Where det dPhi/dx falls below 0.1 the stiffness is raised tenfold up to a million times (which
     is an affine fit), and if that folds too the best rigid motion is used.
     """
     shift = np.linalg.norm(target_s - p_s, axis=-1)
@@ -126,7 +132,7 @@ def fit_deformation(
     likely &= ~torn(p_s, target_s - p_s, n, centre_s)
     source, target = control_points(p_s[likely], target_s[likely], n[likely], most)
     limit = float(np.linalg.norm(target - source, axis=-1).max(initial=0.0))
-    for factor in STIFFER:
+    for factor in STIFFER if np.isfinite(stiffness) else ():
         plate = thin_plate.fit(source, target, stiffness * factor)
         worst = min(
             plate.determinants(probes).min(initial=1.0), plate.worst_at_controls().min(initial=1.0)

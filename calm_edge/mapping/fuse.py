@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.geometry import se3
-from calm_edge.types import AnchorTable, Float, GlobalAnchors, Int, Submap
+from calm_edge.mapping.views import MappingError
+from calm_edge.types import AnchorTable, Float, Int, Submap
 
 # an anchor at the optical centre itself would weigh infinitely, world units^2
 MIN_DISTANCE2 = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class Fusion:
-    """Running sums over sub-maps, by anchor id.
-
-    weighted: (A, 3) sum of w p_w. weight: (A,) sum of w, 1/world units^2. n: (A,) sub-maps.
-    """
-
-    weighted: Float
-    weight: Float
-    n: Int
-
-
-def nothing() -> Fusion:
-    """No anchor observed yet."""
-    return Fusion(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64))
+# anchors suppressed at a time
+SLAB = 100_000
+# rows the file grows by
+BLOCK = 1 << 16
+# columns of a row
+WEIGHTED, WEIGHT, COUNT = slice(0, 3), 3, 4
 
 
 def central_centre(submap: Submap) -> Float:
@@ -41,17 +33,92 @@ def weights(p_s: Float, centre_s: Float) -> Float:
     return np.asarray(1 / np.maximum(((p_s - centre_s) ** 2).sum(-1), MIN_DISTANCE2))
 
 
-def accumulate(fusion: Fusion, rows: AnchorTable, submap: Submap) -> Fusion:
-    """The sums after new rows of one sub-map; only their anchors change (paper VI-C.1)."""
-    size = max(len(fusion.n), int(rows.anchor.max(initial=-1)) + 1)
-    grow = size - len(fusion.n)
-    weighted = np.pad(fusion.weighted, ((0, grow), (0, 0)))
-    weight, n = np.pad(fusion.weight, (0, grow)), np.pad(fusion.n, (0, grow))
-    w = weights(rows.p_s, central_centre(submap))
-    np.add.at(weighted, rows.anchor, w[:, None] * se3.transform(submap.T_w_s, rows.p_s))
-    np.add.at(weight, rows.anchor, w)
-    np.add.at(n, rows.anchor, 1)
-    return Fusion(weighted, weight, n)
+class Fusion:
+    """Running sums over sub-maps, a row an anchor id, in a file.
+
+    A row holds the sum of w p_w, the sum of w and the number of sub-maps. New rows touch their own
+    anchors only, and the file is mapped for the length of a call, so neither the time nor the
+    memory of `add` grows with the drive. distance_weight: off, every observation weighs the same.
+    """
+
+    def __init__(self, path: Path, distance_weight: bool = True) -> None:
+        """path: a scratch file, made new; the caller removes it. Raises MappingError."""
+        self._path = path
+        self._distance_weight = distance_weight
+        self._size = 0
+        self._capacity = 0
+        self.clear()
+
+    def __len__(self) -> int:
+        """Anchors so far: one more than the largest id."""
+        return self._size
+
+    def clear(self) -> None:
+        """Forget every observation."""
+        try:
+            self._path.write_bytes(b"")
+        except OSError as error:
+            raise MappingError(f"{self._path}: cannot be written ({error.strerror})") from None
+        self._size = self._capacity = 0
+
+    def add(self, rows: AnchorTable, submap: Submap) -> None:
+        """Take in new rows of one sub-map, each anchor at most once (paper VI-C.1)."""
+        if not len(rows.anchor):
+            return
+        self._size = max(self._size, int(rows.anchor.max()) + 1)
+        w = np.ones(len(rows.anchor))
+        if self._distance_weight:
+            w = weights(rows.p_s, central_centre(submap))
+        new = np.empty((len(w), 5))
+        new[:, WEIGHTED] = w[:, None] * se3.transform(submap.T_w_s, rows.p_s)
+        new[:, WEIGHT], new[:, COUNT] = w, 1
+        with self._rows() as sums:
+            sums[rows.anchor] += new
+
+    def at(self, anchor: Int) -> tuple[Float, Int]:
+        """Fused positions (M, 3), world units, and observation counts (M,) of anchors (M,)."""
+        with self._rows() as sums:
+            rows = np.asarray(sums[anchor])
+        return rows[:, WEIGHTED] / rows[:, [WEIGHT]], rows[:, COUNT].astype(np.int64)
+
+    def active(self, radius: float) -> NDArray[np.bool_]:
+        """(A,) anchors that no neighbour suppresses (paper VI-C.2); radius in world units.
+
+        Slab by slab along the map's longest axis: beside the slab it takes 25 bytes an anchor.
+        """
+        active = np.ones(self._size, bool)
+        if not self._size:
+            return active
+        axis = int(np.argmax([np.ptp(self._along(axis)) for axis in range(3)]))
+        along = self._along(axis)
+        order = np.argsort(along)
+        along = along[order]
+        for start in range(0, len(order), SLAB):
+            stop = min(start + SLAB, len(order))
+            low, high = np.searchsorted(along, along[[start, stop - 1]] + [-2 * radius, 2 * radius])
+            kept = suppress(*self.at(order[low:high]), radius)
+            active[order[start:stop]] = kept[start - low : stop - low]
+        return active
+
+    def _along(self, axis: int) -> Float:
+        with self._rows() as sums:
+            return np.asarray(sums[: self._size, axis] / sums[: self._size, WEIGHT])
+
+    @contextmanager
+    def _rows(self) -> Iterator[NDArray[np.float64]]:
+        """The file as (capacity, 5); what it grows by is zero, and nothing is copied."""
+        try:
+            if self._size > self._capacity:
+                self._capacity = -(-self._size // BLOCK) * BLOCK
+                with self._path.open("r+b") as file:
+                    file.truncate(self._capacity * 5 * 8)
+            if not self._capacity:
+                yield np.empty((0, 5))
+                return
+            sums = np.memmap(self._path, np.float64, "r+", shape=(self._capacity, 5))
+        except OSError as error:
+            raise MappingError(f"{self._path}: cannot be written ({error.strerror})") from None
+        yield sums
 
 
 def suppress(p_w: Float, n: Int, radius: float) -> NDArray[np.bool_]:
@@ -71,9 +138,3 @@ def suppress(p_w: Float, n: Int, radius: float) -> NDArray[np.bool_]:
         distance, _ = tree.query(p_w[here], distance_upper_bound=bound)
         active[here] = distance > radius
     return active
-
-
-def global_anchors(fusion: Fusion, radius: float) -> GlobalAnchors:
-    """Fused positions and their state; radius in world units."""
-    p_w = fusion.weighted / fusion.weight[:, None]
-    return GlobalAnchors(p_w, fusion.n, suppress(p_w, fusion.n, radius))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -12,23 +11,21 @@ from numpy.typing import NDArray
 from calm_edge.config import MappingConfig
 from calm_edge.geometry import se3
 from calm_edge.mapping import anchor_rows, fuse, seams
-from calm_edge.mapping.cloud import VoxelFilter, submap_points
-from calm_edge.mapping.deform import Deformation, fit_deformation
-from calm_edge.mapping.extract import extract
-from calm_edge.mapping.propagate import copy_forward, picture_keys, same_pictures, spread_back
-from calm_edge.mapping.spool import Spool
-from calm_edge.mapping.views import DenseViews, MappingError, prepare
-from calm_edge.types import AnchorTable, Float32, GlobalAnchors, Int, MapTile, Submap
+from calm_edge.mapping.cloud import submap_points
+from calm_edge.mapping.deform import Deformation, fit_deformation, unchanged
+from calm_edge.mapping.skeleton import Skeleton
+from calm_edge.mapping.views import MappingError
+from calm_edge.mapping.voxel_filter import VoxelFilter
+from calm_edge.types import AnchorTable, Bytes, Float32, GlobalAnchors, MapTile, Submap
 
-# sub-maps whose depth stays in memory: the new one and those its anchors usually travel back to
-CACHED = 3
 PROBES = 2000
 
 
 class Mapper:
-    """Add sub-maps in order, then take the tiles. Depth and colour wait on disk in between.
+    """Add sub-maps in order, then take the tiles. All that grows with the drive waits on disk.
 
-    In memory stay the anchors (up to 6 MB a sub-map of 30 views) and the depth of three sub-maps.
+    In memory stay the sub-maps and deformations, some tens of kilobytes each, the depth of three
+    sub-maps and the anchors of eight; `finish` adds 25 bytes an anchor and the voxels around.
     """
 
     def __init__(
@@ -37,15 +34,24 @@ class Mapper:
         """spacing: world units a map unit. spool_folder: scratch, the caller removes it."""
         self._config = config
         self._spacing = spacing
-        self._spool = Spool(spool_folder)
-        self._seed = seed
-        self._submaps: dict[int, Submap] = {}
-        self._tables: dict[int, AnchorTable] = {}
-        self._shared: dict[int, list[tuple[int, Int]]] = {}
-        self._holders: dict[int, list[int]] = {}
-        self._views: OrderedDict[int, DenseViews] = OrderedDict()
-        self._fusion = fuse.nothing()
+        self._folder = spool_folder
+        self._skeleton = Skeleton(config, spacing, spool_folder, seed)
+        self._placed: dict[int, Submap] = {}
+        self._fusion = fuse.Fusion(spool_folder / "fusion", config.distance_weight)
         self._deformations: dict[int, Deformation] = {}
+
+    def variant(self, config: MappingConfig, folder: Path) -> Mapper:
+        """A Mapper of the sub-maps added so far, and of their anchors, that fuses and deforms by
+        another config; what extraction takes from a config stays as it was. folder: its scratch.
+        """
+        other = Mapper.__new__(Mapper)
+        folder.mkdir(parents=True, exist_ok=True)
+        other._config, other._spacing, other._folder = config, self._spacing, folder
+        other._skeleton, other._placed = self._skeleton, dict(self._placed)
+        other._fusion = fuse.Fusion(folder / "fusion", config.distance_weight)
+        other._deformations = {}
+        other._fuse_again()
+        return other
 
     def add(
         self,
@@ -58,38 +64,10 @@ class Mapper:
 
         Raises MappingError when they do not fit each other, or the id was added before.
         """
-        if submap.id in self._submaps:
-            raise MappingError(f"sub-map {submap.id}: added twice; give each sub-map its own id")
-        self._spool.write(submap.id, depth, confidence, images)
-        self._submaps[submap.id] = submap
-        try:
-            views = self._load(submap.id)
-        except MappingError:
-            del self._submaps[submap.id]
-            raise
-        self._link(submap)
-        config = self._config
-        sources = [
-            (self._tables[other], pairs[:, ::-1]) for other, pairs in self._shared[submap.id]
-        ]
-        seeds = copy_forward(sources, views, submap.id, config.depth_tolerance)
-        table = extract(
-            views,
-            submap.id,
-            seeds,
-            len(self._fusion.n),
-            config.grid,
-            config.depth_tolerance,
-            self._rng(submap.id),
-        )
-        self._tables[submap.id] = table
-        back = spread_back(
-            submap.id, self._tables, self._shared.__getitem__, self._load, config.depth_tolerance
-        )
-        for other, rows in ((submap.id, table), *back.items()):
-            self._fusion = fuse.accumulate(self._fusion, rows, self._submaps[other])
-        for other, rows in back.items():
-            self._tables[other] = anchor_rows.join([self._tables[other], rows])
+        fresh = self._skeleton.add(submap, depth, confidence, images)
+        self._placed[submap.id] = submap
+        for submap_id, rows in fresh.items():
+            self._fusion.add(rows, self._placed[submap_id])
 
     def finish(self, submaps: Iterable[Submap] = ()) -> Iterator[MapTile]:
         """Tiles in sub-map order, no two points of the map in one voxel.
@@ -98,86 +76,71 @@ class Mapper:
         a sub-map that is unknown or whose scale or rectified geometry changed.
         """
         self._move(submaps)
-        anchors = self.anchors()
-        thin = VoxelFilter(self._config.cloud_voxel * self._spacing)
-        for submap_id in sorted(self._submaps):
-            yield self._tile(submap_id, anchors, thin)
+        active = self._active()
+        thin = VoxelFilter(self._config.cloud_voxel * self._spacing, self._folder)
+        for submap_id in sorted(self._placed):
+            points, color = self.points(submap_id)
+            deformation = self._fit(submap_id, active, points)
+            self._deformations[submap_id] = deformation
+            points_w = se3.transform(self._placed[submap_id].T_w_s, deformation.apply(points))
+            keep = thin.admit(points_w)
+            yield MapTile(points_w[keep].astype(np.float32), color[keep], submap_id)
+
+    def points(self, submap_id: int) -> tuple[Float32, Bytes]:
+        """A sub-map's points (P, 3), its frame, world units, before the deformation; RGB (P, 3)."""
+        return submap_points(
+            self._skeleton.views(submap_id),
+            self._skeleton.color(submap_id),
+            self._config.cloud_voxel * self._spacing,
+            self._config.max_points_per_submap,
+            self._skeleton.rng(submap_id),
+        )
 
     def anchors(self) -> GlobalAnchors:
         """Fused anchors of everything added so far, indexed by anchor id."""
-        return fuse.global_anchors(self._fusion, self._config.suppression_radius * self._spacing)
+        p_w, n = self._fusion.at(np.arange(len(self._fusion)))
+        return GlobalAnchors(p_w, n, self._active())
 
     def table(self) -> AnchorTable:
         """The rows of all sub-maps."""
-        return anchor_rows.join(self._tables[i] for i in sorted(self._tables))
+        return anchor_rows.join(self._skeleton.tables[i] for i in sorted(self._placed))
 
     def seams(self) -> tuple[seams.Seam, ...]:
         """Seams of the sub-maps that share a picture, once `finish` has handed out both tiles."""
         done = self._deformations
-        pairs = [(a, b) for b in sorted(done) for a, _ in self._shared[b] if a < b and a in done]
-        T_w_s = {i: s.T_w_s for i, s in self._submaps.items()}
-        return seams.seams(pairs, self._tables, T_w_s, done)
+        pairs = [(a, b) for a, b in self._skeleton.linked() if a in done and b in done]
+        T_w_s = {i: s.T_w_s for i, s in self._placed.items()}
+        return seams.seams(pairs, self._skeleton.tables, T_w_s, done)
 
     def deformations(self) -> dict[int, Deformation]:
         """Sub-map id -> the deformation of its tile, of the tiles `finish` has handed out."""
         return dict(self._deformations)
 
-    def _tile(self, submap_id: int, anchors: GlobalAnchors, thin: VoxelFilter) -> MapTile:
-        config, submap, rows = self._config, self._submaps[submap_id], self._tables[submap_id]
-        points, color = submap_points(
-            self._load(submap_id),
-            self._spool.color(submap_id),
-            config.cloud_voxel * self._spacing,
-            config.max_points_per_submap,
-            self._rng(submap_id),
-        )
-        active = anchors.active[rows.anchor]
-        ids = rows.anchor[active]
-        deformation = fit_deformation(
-            rows.p_s[active],
-            se3.transform(se3.inverse(submap.T_w_s), anchors.p_w[ids]),
-            anchors.n_observations[ids],
+    def _active(self) -> NDArray[np.bool_]:
+        if not self._config.suppress:
+            return np.ones(len(self._fusion), bool)
+        return self._fusion.active(self._config.suppression_radius * self._spacing)
+
+    def _fit(self, submap_id: int, active: NDArray[np.bool_], points: Float32) -> Deformation:
+        if not self._config.deform:
+            return unchanged()
+        rows, submap = self._skeleton.tables[submap_id], self._placed[submap_id]
+        here = active[rows.anchor]
+        p_w, n = self._fusion.at(rows.anchor[here])
+        return fit_deformation(
+            rows.p_s[here],
+            se3.transform(se3.inverse(submap.T_w_s), p_w),
+            n,
             fuse.central_centre(submap),
             points[:: max(1, len(points) // PROBES)],
-            config.stiffness,
-            config.max_control_points,
+            self._config.stiffness,
+            self._config.max_control_points,
         )
-        self._deformations[submap_id] = deformation
-        points_w = se3.transform(submap.T_w_s, deformation.apply(points))
-        keep = thin.admit(points_w)
-        return MapTile(points_w[keep].astype(np.float32), color[keep], submap_id)
-
-    def _link(self, submap: Submap) -> None:
-        """Find the pictures the new sub-map shares with earlier ones, both ways."""
-        keys = picture_keys(submap).tolist()
-        others = sorted({other for key in keys for other in self._holders.get(key, [])})
-        self._shared[submap.id] = []
-        for other in others:
-            pairs = same_pictures(submap, self._submaps[other])
-            self._shared[submap.id].append((other, pairs))
-            self._shared[other].append((submap.id, pairs[:, ::-1]))
-        for key in keys:
-            self._holders.setdefault(key, []).append(submap.id)
-
-    def _load(self, submap_id: int) -> DenseViews:
-        if submap_id not in self._views:
-            spooled = self._spool.depth(submap_id)
-            self._views[submap_id] = prepare(
-                self._submaps[submap_id],
-                spooled.depth,
-                spooled.confidence,
-                spooled.image_size,
-                self._config.min_confidence,
-                self._config.max_range * self._spacing,
-            )
-        self._views.move_to_end(submap_id)
-        while len(self._views) > CACHED:
-            self._views.popitem(last=False)
-        return self._views[submap_id]
 
     def _move(self, submaps: Iterable[Submap]) -> None:
+        moved = False
         for submap in submaps:
-            known = self._submaps.get(submap.id)
+            known = self._placed.get(submap.id)
             if known is None:
                 raise MappingError(f"sub-map {submap.id}: placed but never added; map it again")
             same = submap.scale == known.scale and np.array_equal(submap.K, known.K)
@@ -185,10 +148,12 @@ class Mapper:
                 raise MappingError(
                     f"sub-map {submap.id}: rectified since it was added; map it again"
                 )
-            self._submaps[submap.id] = submap
-        self._fusion = fuse.nothing()
-        for submap_id, rows in self._tables.items():
-            self._fusion = fuse.accumulate(self._fusion, rows, self._submaps[submap_id])
+            moved |= not np.array_equal(submap.T_w_s, known.T_w_s)
+            self._placed[submap.id] = submap
+        if moved:
+            self._fuse_again()
 
-    def _rng(self, submap_id: int) -> np.random.Generator:
-        return np.random.default_rng([self._seed, submap_id])
+    def _fuse_again(self) -> None:
+        self._fusion.clear()
+        for submap_id, rows in self._skeleton.tables.items():
+            self._fusion.add(rows, self._placed[submap_id])

@@ -101,6 +101,27 @@ def lift(views: DenseViews, view: Int, uv: NDArray[np.floating], z: NDArray[np.f
     return np.asarray((T[:, :3, :3] @ p_c[..., None])[..., 0] + T[:, :3, 3])
 
 
+def lift_all(views: DenseViews) -> tuple[Int, Float, Float32]:
+    """Every usable pixel: flat index (M,), point (M, 3) in the sub-map frame, z-depth (M,).
+
+    View by view, each one product of matrices.
+    """
+    n, height, width = views.inverse_depth.shape
+    row, column = np.divmod(np.arange(height * width), width)
+    pixels = np.stack([column, row], -1)
+    found = [np.flatnonzero(usable) for usable in views.usable.reshape(n, -1)]
+    points, depths = [np.empty((0, 3))], [np.empty(0, np.float32)]
+    for view, pixel in enumerate(found):
+        depth = 1 / views.inverse_depth[view].reshape(-1)[pixel]
+        uv = views.to_image(np.array(view), pixels[pixel])
+        T = views.T_s_c[view]
+        p_c = pinhole.back_project(views.K[view], uv, depth)
+        points.append(p_c @ T[:3, :3].T + T[:3, 3])
+        depths.append(depth)
+    pixel = np.concatenate([k * height * width + found_k for k, found_k in enumerate(found)])
+    return pixel, np.concatenate(points), np.concatenate(depths)
+
+
 def sample(views: DenseViews, view: Int, uv: NDArray[np.floating]) -> Float:
     """z-depth (...) of views (...) at image pixels uv (..., 2), world units; 0 where not usable.
 

@@ -1,4 +1,5 @@
 import dataclasses
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from hypothesis import strategies as st
 
 from calm_edge.geometry import se3
 from calm_edge.mapping import anchor_rows, fuse
+from calm_edge.mapping.views import MappingError
 from calm_edge.types import AnchorTable
 from tests.mapping import scene
 
@@ -34,46 +36,96 @@ def test_the_weight_is_one_over_the_squared_distance_to_the_central_keyframe(sub
     assert np.isfinite(w[2])
 
 
-def test_fusion_is_the_weighted_mean_of_the_equation(submaps):
+def mean_of(tables, submaps, a, weigh):
+    """The equation, written out for one anchor."""
+    top, bottom = np.zeros(3), 0.0
+    for table, submap in zip(tables, submaps, strict=True):
+        for i in np.flatnonzero(table.anchor == a):
+            d = table.p_s[i] - submap.T_s_c[len(submap.primary_ids) // 2, :3, 3]
+            w = 1 / (d @ d) if weigh else 1.0
+            top += (submap.T_w_s @ [*table.p_s[i], 1])[:3] * w
+            bottom += w
+    return top / bottom
+
+
+@pytest.mark.parametrize("weigh", [True, False])
+def test_fusion_is_the_mean_of_the_equation_weighted_or_plain(submaps, tmp_path, weigh):
     rng = np.random.default_rng(0)
     anchors = [np.array([0, 1, 2]), np.array([1, 2]), np.array([2])]
     tables = [rows(k, a, rng.uniform(3, 9, (len(a), 3))) for k, a in enumerate(anchors)]
-    fusion = fuse.nothing()
+    fusion = fuse.Fusion(tmp_path / "sums", distance_weight=weigh)
     for table, submap in zip(tables, submaps, strict=True):
-        fusion = fuse.accumulate(fusion, table, submap)
-    got = fuse.global_anchors(fusion, 0.1)
-    assert got.n_observations.tolist() == [1, 2, 3]
+        fusion.add(table, submap)
+    p_w, n = fusion.at(np.arange(3))
+    assert n.tolist() == [1, 2, 3] and len(fusion) == 3
     for a in range(3):
-        top, bottom = np.zeros(3), 0.0
-        for table, submap in zip(tables, submaps, strict=True):
-            for i in np.flatnonzero(table.anchor == a):
-                d = table.p_s[i] - submap.T_s_c[len(submap.primary_ids) // 2, :3, 3]
-                top += (submap.T_w_s @ [*table.p_s[i], 1])[:3] / (d @ d)
-                bottom += 1 / (d @ d)
-        np.testing.assert_allclose(got.p_w[a], top / bottom)
+        np.testing.assert_allclose(p_w[a], mean_of(tables, submaps, a, weigh))
+        other = mean_of(tables, submaps, a, not weigh)
+        assert np.allclose(p_w[a], other) == (n[a] == 1)
 
 
-def test_new_rows_change_only_their_own_anchors(submaps):
+def test_new_rows_change_only_their_own_anchors(submaps, tmp_path):
     rng = np.random.default_rng(1)
-    first = fuse.accumulate(
-        fuse.nothing(), rows(0, np.arange(50), rng.uniform(2, 9, (50, 3))), submaps[0]
-    )
+    fusion = fuse.Fusion(tmp_path / "sums")
+    fusion.add(rows(0, np.arange(50), rng.uniform(2, 9, (50, 3))), submaps[0])
+    before, _ = fusion.at(np.arange(50))
     touched = np.array([3, 7, 60])
-    second = fuse.accumulate(first, rows(1, touched, rng.uniform(2, 9, (3, 3))), submaps[1])
+    fusion.add(rows(1, touched, rng.uniform(2, 9, (3, 3))), submaps[1])
+    after, n = fusion.at(np.arange(50))
     untouched = np.setdiff1d(np.arange(50), touched)
-    np.testing.assert_array_equal(second.weighted[untouched], first.weighted[untouched])
-    np.testing.assert_array_equal(second.n[untouched], 1)
-    assert second.n[[3, 7, 60]].tolist() == [2, 2, 1]
-    assert len(first.n) == 50
+    np.testing.assert_array_equal(after[untouched], before[untouched])
+    np.testing.assert_array_equal(n[untouched], 1)
+    assert not np.allclose(after[[3, 7]], before[[3, 7]])
+    assert fusion.at(touched)[1].tolist() == [2, 2, 1]
+    assert len(fusion) == 61
+    fusion.clear()
+    assert len(fusion) == 0
 
 
-def test_the_map_moves_with_the_placement(submaps):
+def test_the_memory_of_an_update_does_not_grow_with_the_drive(submaps, tmp_path):
+    rng = np.random.default_rng(2)
+    peaks = []
+    for n_before in (100, 400_000):
+        fusion = fuse.Fusion(tmp_path / f"sums{n_before}")
+        fusion.add(rows(0, [n_before], [[1.0, 2, 3]]), submaps[0])
+        new = rows(1, np.arange(n_before + 1, n_before + 500), rng.uniform(2, 9, (499, 3)))
+        tracemalloc.start()
+        fusion.add(new, submaps[1])
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
+
+
+def test_the_map_moves_with_the_placement(submaps, tmp_path):
     table = rows(0, [0, 1], [[1.0, 2, 3], [4, 5, 6]])
     moved = dataclasses.replace(
         submaps[0], T_w_s=se3.exp(np.array([1.0, 2, 3, 0.1, 0.2, 0.3])) @ submaps[0].T_w_s
     )
-    got = fuse.global_anchors(fuse.accumulate(fuse.nothing(), table, moved), 0.1).p_w
-    np.testing.assert_allclose(got, se3.transform(moved.T_w_s, table.p_s))
+    fusion = fuse.Fusion(tmp_path / "sums")
+    fusion.add(table, moved)
+    got, _ = fusion.at(np.array([1, 0]))
+    np.testing.assert_allclose(got, se3.transform(moved.T_w_s, table.p_s[::-1]))
+
+
+def test_slab_by_slab_gives_the_same_anchors_as_all_at_once(submaps, tmp_path, monkeypatch):
+    monkeypatch.setattr(fuse, "SLAB", 37)
+    rng = np.random.default_rng(3)
+    fusion = fuse.Fusion(tmp_path / "sums")
+    p_s = rng.uniform([0, 0, 0], [4, 2, 30], (1500, 3))
+    for k, submap in enumerate(submaps):
+        seen = np.flatnonzero(rng.random(1500) < (1.0 if k == 0 else 0.4))
+        fusion.add(rows(k, seen, p_s[seen]), submap)
+    p_w, n = fusion.at(np.arange(len(fusion)))
+    for radius in (0.3, 1.5):
+        active = fusion.active(radius)
+        np.testing.assert_array_equal(active, fuse.suppress(p_w, n, radius))
+        assert 0.05 < active.mean() < 0.95
+    assert len(fuse.Fusion(tmp_path / "none").active(1.0)) == 0
+
+
+def test_a_disk_that_refuses_is_named(tmp_path):
+    with pytest.raises(MappingError, match="sums: cannot be written"):
+        fuse.Fusion(tmp_path / "missing" / "sums")
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,5 +1,7 @@
 import dataclasses
+import pickle
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from calm_edge.config import MappingConfig
 from calm_edge.geometry import se3
 from calm_edge.mapping.fuse import suppress
-from calm_edge.mapping.mapper import CACHED, Mapper
+from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.views import MappingError
 from tests.mapping import scene
 
@@ -173,10 +175,75 @@ def test_lengths_scale_with_the_world_unit(exact, exact_map, tmp_path):
         assert np.quantile(off, 0.99) < 0.03
 
 
-def test_only_a_few_submaps_stay_in_memory(tmp_path):
-    mapper = mapped(scene.chain(STREET, 5, 4), tmp_path)
-    assert len(mapper._views) <= CACHED
-    assert len(list(tmp_path.iterdir())) == 5
+SWITCHES = ({}, {"suppress": False}, {"distance_weight": False}, {"deform": False})
+
+
+@pytest.mark.parametrize("switch", SWITCHES, ids=str)
+def test_a_variant_is_the_map_of_its_config_without_extracting_again(
+    warped, warped_map, tmp_path, switch
+):
+    config = dataclasses.replace(MappingConfig(), **switch)
+    alone = mapped(warped, tmp_path / "alone", config=config)
+    variant = warped_map[0].variant(config, tmp_path / "variant")
+    for a, b in zip(alone.finish(), variant.finish(), strict=True):
+        np.testing.assert_array_equal(a.points_w, b.points_w)
+        np.testing.assert_array_equal(a.color, b.color)
+
+
+def test_without_suppression_every_anchor_steers(warped_map, tmp_path):
+    mapper = warped_map[0].variant(MappingConfig(suppress=False), tmp_path)
+    full, free = warped_map[0].anchors(), mapper.anchors()
+    assert free.active.all() and not full.active.all()
+    np.testing.assert_allclose(free.p_w, full.p_w, rtol=1e-12)
+
+
+def test_without_the_distance_weight_anchors_are_plain_means(warped, warped_map, tmp_path):
+    anchors = warped_map[0].variant(MappingConfig(distance_weight=False), tmp_path).anchors()
+    table = warped_map[0].table()
+    most = int(np.argmax(anchors.n_observations))
+    ends = [
+        se3.transform(warped[table.submap[row]].submap.T_w_s, table.p_s[row])
+        for row in np.flatnonzero(table.anchor == most)
+    ]
+    np.testing.assert_allclose(anchors.p_w[most], np.mean(ends, axis=0))
+    assert not np.allclose(anchors.p_w[most], warped_map[0].anchors().p_w[most])
+
+
+def test_without_the_deformation_points_stay_where_the_submap_puts_them(
+    warped, warped_map, tmp_path
+):
+    mapper = warped_map[0].variant(MappingConfig(deform=False), tmp_path)
+    first = next(mapper.finish())
+    points, _ = mapper.points(0)
+    rigid = se3.transform(warped[0].submap.T_w_s, points).astype(np.float32)
+    assert set(map(tuple, first.points_w)) <= set(map(tuple, rigid))
+    list(mapper.finish())
+    for seam in mapper.seams():
+        assert seam.after == pytest.approx(seam.before) and seam.before > 0.1
+
+
+def test_an_endless_stiffness_leaves_rigid_motions(warped_map, tmp_path):
+    mapper = warped_map[0].variant(MappingConfig(stiffness=np.inf), tmp_path)
+    list(mapper.finish())
+    assert {d.plate.kind for d in mapper.deformations().values()} == {"rigid"}
+    for stiff, soft in zip(mapper.seams(), warped_map[0].seams(), strict=True):
+        assert soft.after < stiff.after / 2
+
+
+def test_what_stays_in_memory_of_a_submap_is_small(tmp_path):
+    # 5 m: what was seen six sub-maps ago is seen no more
+    mapper = Mapper(MappingConfig(max_range=10.0), scene.SPACING, tmp_path)
+    pieces = scene.chain(STREET, 16, 4)
+    held = []
+    tracemalloc.start()
+    for p in pieces:
+        # a copy, so that what a sub-map itself takes is counted as well
+        mapper.add(pickle.loads(pickle.dumps(p.submap)), p.depth, p.confidence, p.images)
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    growth = (held[-1] - held[11]) / (len(held) - 12)
+    print(f"{growth / 1000:.0f} kB a sub-map of 8 views")
+    assert growth < 25_000 < 0.02 * pieces[0].depth.nbytes * 4
 
 
 def test_the_map_has_one_point_a_voxel(exact, tmp_path):
