@@ -71,7 +71,8 @@ def compare(errors: Errors, reference: Errors, samples: int = SAMPLES) -> Paired
     """errors against reference over the (drive, seed) both ran; deterministic.
 
     Interval: percentiles 2.5 and 97.5 of the cluster bootstrap (drives, then seeds, both with
-    replacement); with six drives it held the truth in 88 % of 200 trials. Raises EvaluationError where an error is not above zero, or nothing is paired.
+    replacement); with six drives it held the truth in 88 % of 200 trials. Raises EvaluationError
+    where an error is not above zero, or nothing is paired.
     """
     keys = sorted(errors.keys() & reference.keys())
     if not keys:
