@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle import kit, window
+from calm_edge.backbones.bundle import kit, loop_view, window
 from calm_edge.backbones.bundle.initialise import initial_state, triangulated
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
 from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
@@ -55,6 +55,9 @@ class BundleBackbone:
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, K and landmarks; depth comes with `densify`. Raises BackboneError."""
+        if loop_view.has_loop(hints):
+            alone = self.infer(images[:-1], loop_view.without_loop(hints))
+            return loop_view.with_loop(images, hints, alone)
         cv2.setRNGSeed(self._seed)
         belief = believed(hints)
         sigma = _sigma(belief)
@@ -68,6 +71,10 @@ class BundleBackbone:
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
         """The same views again under the kit of `hints`, from landmarks; raises BackboneError."""
+        if loop_view.has_loop(hints):
+            alone = loop_view.window_part(prediction)
+            alone = self.resolve(alone, loop_view.without_loop(hints))
+            return loop_view.placed_again(alone, prediction)
         belief = believed(hints)
         m, start = window.from_prediction(prediction, hints, belief.mean)
         ties = rig_ties(m)

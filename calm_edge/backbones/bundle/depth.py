@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.backbones.bundle import loop_view
 from calm_edge.backbones.bundle.agreement import Agreement, DepthView, agree
 from calm_edge.backbones.bundle.cost_volume import SweepView, match_scores, whitened
 from calm_edge.backbones.bundle.scanline import aggregate
@@ -44,8 +45,11 @@ def sweep_window(
     """Depth and confidence (N, h, w) of N images (H, W, 3) in batch order.
 
     depth: z in the sub-map's unit, 0 unknown. confidence: [0, 1], about the chance that depth is
-    within five percent.
+    within five percent. A loop keyframe is swept against the window's views nearest to it; none of
+    them against it, for the street may have changed, and where it has no place it has no depth.
     """
+    if not prediction.loop_found:
+        return _without_last(images, hints, prediction)
     eyes = np.asarray(hints.eyes)
     size = _shrunk(images[0], DEPTH_WIDTH_PX)
     sweep_size = size[0] * OVERSAMPLE, size[1] * OVERSAMPLE
@@ -60,9 +64,13 @@ def sweep_window(
     ]
     zeta = np.linspace(0, 1 / nearest_depth(prediction), PLANES)
     small = [_shrink(g, size) for g in gray]
+    n_window = len(images) - loop_view.has_loop(hints)
+    t_ns, T_s_c = np.asarray(hints.t_ns), prediction.T_s_c
     sources = [
-        sweep_sources(i, eyes, np.asarray(hints.t_ns), prediction.T_s_c) for i in range(len(images))
+        sweep_sources(i, eyes[:n_window], t_ns[:n_window], T_s_c[:n_window])
+        for i in range(n_window)
     ]
+    sources += [loop_sources(T_s_c)] * (len(images) - n_window)
     views = []
     for i, view in enumerate(sweep):
         scores = match_scores(view, [sweep[j] for j in sources[i]], zeta, size)
@@ -133,6 +141,22 @@ def sweep_sources(view: int, eyes: Int, t_ns: Int, T_s_c: Float) -> list[int]:
         ]
         out += near[:NEIGHBOURS_A_SIDE]
     return out
+
+
+def loop_sources(T_s_c: Float) -> list[int]:
+    """Which views the last one (of N + 1) is swept against: the nearest within reach."""
+    away = np.linalg.norm(T_s_c[:-1, :3, 3] - T_s_c[-1, :3, 3], axis=1)
+    near = np.argsort(away, kind="stable")[: 2 * NEIGHBOURS_A_SIDE + 1]
+    return [int(i) for i in near if away[i] < REACH]
+
+
+def _without_last(
+    images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+) -> tuple[Float32, Float32]:
+    alone = loop_view.window_part(prediction)
+    depth, confidence = sweep_window(images[:-1], loop_view.without_loop(hints), alone)
+    nothing = np.zeros_like(depth[:1])
+    return np.concatenate([depth, nothing]), np.concatenate([confidence, nothing])
 
 
 def choose(scores: Float32, gray: Bytes, zeta: Float) -> Float32:

@@ -1,0 +1,253 @@
+"""The loop keyframe of a batch: a picture of the past, placed by resection (paper IV-D).
+
+The window is solved without it, so that a wrong one cannot bend it. Its features are then matched
+to a few views of the window, triangulated by the solved poses, and the picture's pose found from
+those points. They stay landmarks, so that a later solution places it again without a picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.backbones.bundle.initialise import resection, triangulate
+from calm_edge.backbones.place import GradientLayout
+from calm_edge.frontend import pnp
+from calm_edge.geometry import pinhole, se3, sift
+from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
+from device.frame import Eye
+
+MAX_FEATURES = 800
+VIEWS_A_SIDE = 2  # primary views before and after the most alike one that it is matched to
+REFERENCE_WIDTH_PX = 640  # thresholds below are for such a picture; they grow with its width
+EPIPOLAR_PX = 1.0
+POINT_PX = 2.0
+POSE_PX = 3.0
+MIN_INLIERS = 20
+MIN_INLIER_SHARE = 0.5
+MAX_SIGMA = 0.3  # spacings, of the centre of the picture
+
+
+@dataclass(frozen=True, slots=True)
+class LoopTracks:
+    """What the loop picture and views of the window both saw; L points.
+
+    point, view: (O,) and uv: (O, 2) px, in the window. loop_uv: (L, 2) px, in the loop picture.
+    """
+
+    point: Int
+    view: Int
+    uv: Float
+    loop_uv: Float
+
+
+@dataclass(frozen=True, slots=True)
+class LoopPose:
+    """T_s_c: (4, 4) of the loop view. points_s: (L, 3), nan where unknown. inlier: (L,) bool.
+
+    kept: (O,) bool, observations that fit their point.
+    """
+
+    T_s_c: Float
+    points_s: Float
+    inlier: NDArray[np.bool_]
+    kept: NDArray[np.bool_]
+
+
+def has_loop(hints: Hints) -> bool:
+    """Whether the batch ends with a loop keyframe: a primary view behind the assistant's."""
+    eyes = np.asarray(hints.eyes)
+    return bool(len(eyes) and eyes[-1] == Eye.PRIMARY and np.any(eyes == Eye.ASSISTANT))
+
+
+def without_loop(hints: Hints) -> Hints:
+    """The hints of the window alone."""
+    return replace(hints, eyes=hints.eyes[:-1], t_ns=hints.t_ns[:-1])
+
+
+def with_loop(
+    images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+) -> Prediction:
+    """The window's prediction (N views) with the loop view as the last of N + 1.
+
+    images: (H, W, 3) uint8 BGR, N + 1. `loop_found` is False where it could not be placed.
+    """
+    tracks = match_loop(images, hints)
+    pose = locate(prediction.K, prediction.T_s_c, tracks)
+    if pose is None:
+        return _appended(prediction, np.eye(4), prediction.landmarks, found=False)
+    assert prediction.landmarks is not None
+    marks = _with_tracks(prediction.landmarks, tracks, pose, len(images) - 1)
+    return _appended(prediction, pose.T_s_c, marks, found=True)
+
+
+def window_part(prediction: Prediction) -> Prediction:
+    """The N views of the window and the landmarks that only they saw."""
+    marks = prediction.landmarks
+    if marks is not None:
+        loop = np.isin(marks.index, _loop_landmarks(marks, len(prediction.K) - 1))
+        kept, index = np.unique(marks.index[~loop], return_inverse=True)
+        marks = Landmarks(marks.points_s[kept], index, marks.view[~loop], marks.uv[~loop])
+    sigma = prediction.focal_log_sigma
+    return replace(
+        prediction,
+        K=prediction.K[:-1],
+        T_s_c=prediction.T_s_c[:-1],
+        focal_log_sigma=None if sigma is None else sigma[:-1],
+        landmarks=marks,
+        loop_found=True,
+    )
+
+
+def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
+    """A window solved anew with the loop view of the `earlier` prediction of the same batch.
+
+    From the landmarks it saw; where they no longer give a pose it keeps its place beside the
+    nearest view.
+    """
+    marks, n = earlier.landmarks, len(window.K)
+    if not earlier.loop_found or marks is None or window.landmarks is None:
+        return _appended(window, np.eye(4), window.landmarks, found=False)
+    of_loop = _loop_landmarks(marks, n)
+    rows = np.isin(marks.index, of_loop)
+    point = np.searchsorted(of_loop, marks.index[rows])
+    view, uv = marks.view[rows], marks.uv[rows].astype(np.float64)
+    loop_uv = np.zeros((len(of_loop), 2))
+    loop_uv[point[view == n]] = uv[view == n]
+    own = view < n
+    tracks = LoopTracks(point[own], view[own], uv[own], loop_uv)
+    pose = locate(window.K, window.T_s_c, tracks)
+    if pose is not None:
+        together = _with_tracks(window.landmarks, tracks, pose, n)
+        return _appended(window, pose.T_s_c, together, found=True)
+    away = np.linalg.norm(earlier.T_s_c[:-1, :3, 3] - earlier.T_s_c[-1, :3, 3], axis=1)
+    nearest = int(np.argmin(away))
+    T_view_loop = se3.inverse(earlier.T_s_c[nearest]) @ earlier.T_s_c[-1]
+    return _appended(window, window.T_s_c[nearest] @ T_view_loop, window.landmarks, found=True)
+
+
+def match_loop(images: Sequence[NDArray[np.uint8]], hints: Hints) -> LoopTracks:
+    """Features of the last picture found in the views that most look like it."""
+    loop = sift.detect(_gray(images[-1]), MAX_FEATURES)
+    stretch = images[-1].shape[1] / REFERENCE_WIDTH_PX
+    row, view, uv = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros((0, 2), np.float32)]
+    for v in _alike(images, hints):
+        there = sift.detect(_gray(images[v]), MAX_FEATURES)
+        pairs = sift.consistent(loop, there, EPIPOLAR_PX * stretch)
+        row.append(pairs[:, 0])
+        view.append(np.full(len(pairs), v))
+        uv.append(there.uv[pairs[:, 1]])
+    rows = np.concatenate(row)
+    seen, point = np.unique(rows, return_inverse=True)
+    twice = (np.bincount(point, minlength=len(seen)) >= 2)[point]
+    kept, point = np.unique(point[twice], return_inverse=True)
+    return LoopTracks(
+        point,
+        np.concatenate(view)[twice],
+        np.concatenate(uv)[twice].astype(np.float64),
+        loop.uv[seen[kept]].astype(np.float64),
+    )
+
+
+def locate(K: Float, T_s_c: Float, tracks: LoopTracks) -> LoopPose | None:
+    """The loop view's pose from its tracks; None where too few agree or they leave it open.
+
+    K: (N, 3, 3) px, T_s_c: (N, 4, 4) of the window; the loop view has the first view's K.
+    """
+    n_points = len(tracks.loop_uv)
+    if n_points < MIN_INLIERS:
+        return None
+    size = 2 * K[0, :2, 2] + 1
+    stretch = float(size[0]) / REFERENCE_WIDTH_PX
+    points, kept = _points(K, T_s_c, tracks, POINT_PX * stretch)
+    (known,) = np.nonzero(np.isfinite(points[:, 0]))
+    f = float(K[0, 0, 0])
+    rays = (tracks.loop_uv - K[0, :2, 2]) / f
+    try:
+        guess = resection(points[known], rays[known], f, None)
+    except cv2.error:  # its own assertion, where no sample gives a model
+        return None
+    if guess is None:
+        return None
+    seen = tracks.loop_uv[known].astype(np.float32)
+    fit = pnp.refine(K[0], points[known], seen, se3.inverse(guess), POSE_PX * stretch)
+    if fit is None or fit.n_inliers < max(MIN_INLIERS, MIN_INLIER_SHARE * len(known)):
+        return None
+    sigma = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3])[-1]))
+    if sigma > MAX_SIGMA or not sift.well_spread(seen[fit.inlier], np.asarray(size)):
+        return None
+    inlier = np.zeros(n_points, bool)
+    inlier[known[fit.inlier]] = True
+    return LoopPose(fit.T_w_c, points, inlier, kept)
+
+
+def _points(
+    K: Float, T_s_c: Float, tracks: LoopTracks, threshold_px: float
+) -> tuple[Float, NDArray[np.bool_]]:
+    """Points (L, 3), nan where two views do not agree on one, and which observations (O,) do."""
+    T_c_s, n_points = se3.inverse(T_s_c), len(tracks.loop_uv)
+    rays = pinhole.back_project(K[tracks.view], tracks.uv, np.ones(len(tracks.uv)))[:, :2]
+    kept = np.ones(len(tracks.view), bool)
+    for _ in range(2):  # the second time without what missed its point
+        X = triangulate(T_c_s, tracks.view[kept], tracks.point[kept], rays[kept], n_points)
+        finite = X[:, 3] > 1e-6 * np.linalg.norm(X[:, :3], axis=1)
+        points = np.where(finite[:, None], X[:, :3] / np.where(finite, X[:, 3], 1)[:, None], np.nan)
+        T = T_c_s[tracks.view]
+        p_c = (T[:, :3, :3] @ points[tracks.point][..., None])[..., 0] + T[:, :3, 3]
+        miss = np.linalg.norm(pinhole.project(K[tracks.view], p_c) - tracks.uv, axis=1)
+        kept = (p_c[:, 2] > 0) & (miss < threshold_px)
+    points[np.bincount(tracks.point[kept], minlength=n_points) < 2] = np.nan
+    return points, kept
+
+
+def _alike(images: Sequence[NDArray[np.uint8]], hints: Hints) -> list[int]:
+    """Batch indices: the primary view most like the last picture, those around it, its partner."""
+    layout, eyes, t_ns = GradientLayout(), np.asarray(hints.eyes)[:-1], hints.t_ns[:-1]
+    primary, assistant = np.flatnonzero(eyes == 0), np.flatnonzero(eyes == 1)
+    described = np.stack([layout.describe(images[int(v)]) for v in primary])
+    likeness = layout.similarity(layout.describe(images[-1])[None], described)[0]
+    best = int(likeness.argmax())
+    own = primary[max(0, best - VIEWS_A_SIDE) : best + VIEWS_A_SIDE + 1]
+    partner = int(assistant[np.argmin(np.abs(t_ns[assistant] - t_ns[primary[best]]))])
+    return [*own.tolist(), partner]
+
+
+def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def _loop_landmarks(marks: Landmarks, loop_view: int) -> Int:
+    return np.unique(marks.index[marks.view == loop_view])
+
+
+def _with_tracks(marks: Landmarks, tracks: LoopTracks, pose: LoopPose, loop_view: int) -> Landmarks:
+    """Landmarks, then the inlier points with what the window's views and the loop view saw."""
+    (chosen,) = np.nonzero(pose.inlier)
+    number = np.full(len(pose.inlier), -1)
+    number[chosen] = len(marks.points_s) + np.arange(len(chosen))
+    rows = pose.kept & pose.inlier[tracks.point]
+    uv: list[Float | Float32] = [marks.uv, tracks.uv[rows], tracks.loop_uv[chosen]]
+    return Landmarks(
+        np.concatenate([marks.points_s, pose.points_s[chosen]]),
+        np.concatenate([marks.index, number[tracks.point[rows]], number[chosen]]),
+        np.concatenate([marks.view, tracks.view[rows], np.full(len(chosen), loop_view)]),
+        np.concatenate(uv).astype(np.float32),
+    )
+
+
+def _appended(
+    window: Prediction, T_s_loop: Float, marks: Landmarks | None, *, found: bool
+) -> Prediction:
+    sigma = window.focal_log_sigma
+    return replace(
+        window,
+        K=np.concatenate([window.K, window.K[:1]]),
+        T_s_c=np.concatenate([window.T_s_c, T_s_loop[None]]),
+        focal_log_sigma=None if sigma is None else np.append(sigma, sigma[0]),
+        landmarks=marks,
+        loop_found=found,
+    )
