@@ -11,7 +11,7 @@ import numpy as np
 
 from calm_edge.baselines import pose_graph, sim3, sl4, spacing
 from calm_edge.baselines.overlap import BaselineError, Correspondences
-from calm_edge.types import Float, Int, Submap
+from calm_edge.types import CalmEdgeError, Float, Int, Submap
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +81,8 @@ def chain(
     """Places every sub-map by its predecessor, then closes loops if there are any.
 
     overlaps: between sub-maps k - 1 and k for k = 1, 2 ...; may be lazy, one is held at a time.
-    Never raises what the data cause: the result then says how it failed. A loop that cannot be
+    Never raises what the data cause, a lazy overlap's CalmEdgeError included: the result then says
+    how it failed. A loop that cannot be
     aligned is left out and logged.
     """
     rows = [(k, view) for k, views in enumerate(_first_views(submaps)) for view in views]
@@ -98,7 +99,7 @@ def chain(
                 T = pose_graph.optimise(alignment.group, np.stack(transforms), ties, closures)
                 transforms, closed = list(T), len(closures)
             T_w_c = _poses(alignment, submaps, transforms, rows)
-    except BaselineError as error:
+    except CalmEdgeError as error:
         failed = str(error)
     placed = np.array(transforms).reshape(-1, 4, 4)
     return BaselineResult(alignment.name, keyframe_ids, t_ns, T_w_c, failed, placed, closed)

@@ -1,10 +1,12 @@
 """Whole chains: exact ones come out exact, broken ones as a row that says why."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from calm_edge.backbones.base import BackboneError
 from calm_edge.baselines.chain import ALIGNMENTS, BaselineResult, LoopOverlap, chain
 from calm_edge.baselines.overlap import Correspondences
 from calm_edge.evaluation.trajectory import ate
@@ -125,6 +127,17 @@ def test_no_common_picture_is_a_row_of_the_spacing_too() -> None:
     apart = [DRIVE.submaps[0], replace(DRIVE.submaps[1], primary_ids=tuple(range(100, 115)))]
     result = chain(ALIGNMENTS["spacing"], apart, DRIVE.overlaps())
     assert result.failed == "sub-map 1 by 0: no common picture"
+
+
+@LINEAR
+def test_an_overlap_that_cannot_be_computed_is_a_row(name: str) -> None:
+    def lazy() -> Iterator[Correspondences]:
+        yield DRIVE.overlaps()[0]
+        raise BackboneError("window 2: no depth")
+
+    result = chain(ALIGNMENTS[name], DRIVE.submaps, lazy())
+    assert result.failed == "window 2: no depth"
+    assert len(result.transforms) == 2
 
 
 @EVERY
