@@ -82,8 +82,7 @@ def chain(
 
     overlaps: between sub-maps k - 1 and k for k = 1, 2 ...; may be lazy, one is held at a time.
     Never raises what the data cause, a lazy overlap's CalmEdgeError included: the result then says
-    how it failed. A loop that cannot be
-    aligned is left out and logged.
+    how it failed. A loop that cannot be aligned is left out and logged.
     """
     rows = [(k, view) for k, views in enumerate(_first_views(submaps)) for view in views]
     keyframe_ids = np.array([submaps[k].primary_ids[view] for k, view in rows], np.int64)
