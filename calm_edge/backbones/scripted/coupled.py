@@ -1,8 +1,8 @@
 """Poses as a model with a wrong K sees them: those that fit the matches best under that K.
 
-Each primary view is solved against the one before it, each assistant view against the primary
-view nearest in time, a loop view against the view that shares most with it; lengths follow from
-depths of points that neighbouring pairs have in common.
+Each primary view is solved against the one before it and a loop view against the view that shares
+most with it; lengths follow from depths of points that neighbouring pairs have in common. Assistant
+views start so, then each is solved against three primary views at once.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from device.frame import Eye
 
 MATCHES = 160
 _MIN_MATCHES = 12
+# An assistant view is held against its nearest primary view and those so many before and after.
+_REACH = 2
 # A pair closer than this shows no direction of motion, world units.
 _MIN_STEP = 0.02
 
@@ -48,16 +50,7 @@ def poses(
     true_step = np.linalg.norm(T_b_a[:, :3, 3], axis=1)
     if true_step.min() < _MIN_STEP:
         raise BackboneError("scripted: two frames from one place show no direction of motion")
-    both = sightings.seen[pairs.a] & sightings.seen[pairs.b]
-    index, weight = _some(both)
-    solved = epipolar.solve(
-        T_b_a,
-        rays[pairs.a[:, None], index],
-        rays[pairs.b[:, None], index],
-        focals[pairs.a],
-        focals[pairs.b],
-        weight,
-    )
+    solved = epipolar.solve(T_b_a, _matches(pairs.a, pairs.b, rays, focals, sightings))
     ratio = _ratios(solved, pairs, rays, sightings)
     length = np.ones(len(ratio))
     for k in range(1, len(length)):
@@ -68,7 +61,7 @@ def poses(
     T = np.tile(np.eye(4), (len(eyes), 1, 1))
     for a, b, T_a_b in zip(pairs.a, pairs.b, se3.inverse(solved), strict=True):
         T[b] = T[a] @ T_a_b
-    return T
+    return _with_assistants(T, n, rays, focals, sightings, eyes, t_ns)
 
 
 def n_primary(eyes: Int, t_ns: Int) -> int:
@@ -82,16 +75,41 @@ def _pairs(sightings: Sightings, T_w_c: Float, eyes: Int, t_ns: Int, n: int) -> 
     a, b = list(range(n - 1)), list(range(1, n))
     parent = [max(k - 1, 0) for k in range(n - 1)]
     for view in range(n, len(eyes)):
+        shared = (sightings.seen[:n] & sightings.seen[view]).sum(1)
+        apart = np.linalg.norm(T_w_c[:n, :3, 3] - T_w_c[view, :3, 3], axis=1)
         if eyes[view] == Eye.ASSISTANT:
             near = int(np.argmin(np.abs(t_ns[:n] - t_ns[view])))
         else:
-            shared = (sightings.seen[:n] & sightings.seen[view]).sum(1)
-            apart = np.linalg.norm(T_w_c[:n, :3, 3] - T_w_c[view, :3, 3], axis=1)
             near = int(np.argmax(np.where(apart > _MIN_STEP, shared, -1)))
         a.append(near)
         b.append(view)
         parent.append(min(near, n - 2))
     return _Pairs(np.array(a), np.array(b), np.array(parent))
+
+
+def _with_assistants(
+    T: Float, n: int, rays: Float, focals: Float, sightings: Sightings, eyes: Int, t_ns: Int
+) -> Float:
+    """Assistant views where they fit several primary views at once, as many-view models do.
+
+    Two views of different focals alone would explain a wrong ratio by a motion no third one sees.
+    """
+    (views,) = np.nonzero(eyes == Eye.ASSISTANT)
+    if not len(views):
+        return T
+    near = np.argmin(np.abs(t_ns[:n] - t_ns[views, None]), axis=1)
+    first = np.clip(near - _REACH, 0, max(n - 1 - 2 * _REACH, 0))
+    held = np.minimum(first[:, None] + _REACH * np.arange(3), n - 1)
+    matches = _matches(held.ravel(), np.repeat(views, 3), rays, focals, sightings)
+    T[views] = se3.inverse(epipolar.resect(se3.inverse(T[views]), T[held], matches))
+    return T
+
+
+def _matches(a: Int, b: Int, rays: Float, focals: Float, sightings: Sightings) -> epipolar.Matches:
+    """What views a (P,) and b (P,) see both; raises BackboneError where that is too little."""
+    index, weight = _some(sightings.seen[a] & sightings.seen[b])
+    x_a, x_b = rays[a[:, None], index], rays[b[:, None], index]
+    return epipolar.Matches(x_a, x_b, focals[a], focals[b], weight)
 
 
 def _some(mask: Bool) -> tuple[Int, Float]:

@@ -5,13 +5,21 @@ Rays are pixels divided by K, (x, y, 1); p_b = R p_a + t, and x_b^T E x_a = 0 wi
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from calm_edge.geometry import se3
-from calm_edge.types import Float
+from calm_edge.types import Float, Int
+
+Bool = NDArray[np.bool_]
 
 _ITERATIONS = 40
-_CONVERGED = 1e-12
+# A pair has its answer when a step lowers its cost by less than this share, or no step lowers it,
+# or its cost is that of rounding, px^2.
+_CONVERGED, _STUCK, _EXACT = 1e-9, 1e6, 1e-18
 _AXES = se3.hat(np.eye(3))
 
 
@@ -28,35 +36,88 @@ def sampson(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> Float:
     return _residuals(E[:, None], x_a, x_b, f_a, f_b)[0]
 
 
-def solve(T_b_a: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float, weight: Float) -> Float:
+class Matches(NamedTuple):
+    """P pairs of views with up to C matches each.
+
+    x_a, x_b: (P, C, 3) rays. f_a, f_b: (P, 2) px. weight: (P, C), 0 leaves a match out.
+    """
+
+    x_a: Float
+    x_b: Float
+    f_a: Float
+    f_b: Float
+    weight: Float
+
+    def of(self, rows: Int) -> Matches:
+        """Some of the pairs."""
+        return Matches(*(field[rows] for field in self))
+
+
+def solve(T_b_a: Float, matches: Matches) -> Float:
     """The relative poses (P, 4, 4) that minimise sum weight * sampson^2; translations of length 1.
 
-    T_b_a: (P, 4, 4) starts. weight: (P, C), 0 leaves a match out. Levenberg-Marquardt over three
-    rotations and two directions of the translation, each pair on its own.
+    T_b_a: (P, 4, 4) starts. Each pair on its own: three rotations, two directions.
     """
-    T = np.array(T_b_a)
-    T[:, :3, 3] /= np.linalg.norm(T[:, :3, 3], axis=1, keepdims=True)
-    damping = np.full(len(T), 1e-4)
-    r, J, tangent = _linearised(T, x_a, x_b, f_a, f_b)
-    cost = (weight * r**2).sum(1)
-    going = np.ones(len(T), bool)
+
+    def linearised(T: Float, rows: Int) -> _Linear:
+        R, t = T[:, :3, :3], T[:, :3, 3]
+        turn = se3.hat(t)[:, None] @ _AXES @ R[:, None]
+        swing = se3.hat(_tangent(t)) @ R[:, None]
+        return _linear(np.concatenate([turn, swing], 1), T, matches.of(rows))
+
+    def moved(T: Float, step: Float) -> Float:
+        t = T[:, :3, 3] + (step[:, 3:, None] * _tangent(T[:, :3, 3])).sum(1)
+        t /= np.linalg.norm(t, axis=1, keepdims=True)
+        return se3.compose(se3.so3_exp(step[:, :3]) @ T[:, :3, :3], t)
+
+    start = np.array(T_b_a)
+    start[:, :3, 3] /= np.linalg.norm(start[:, :3, 3], axis=1, keepdims=True)
+    return _descend(start, linearised, moved)
+
+
+def resect(T_b_s: Float, T_s_a: Float, matches: Matches) -> Float:
+    """The poses T_b_s (Q, 4, 4) that minimise the epipolar error against several views at once.
+
+    T_s_a: (Q, J, 4, 4) of those views, held. matches: (Q * J) pairs, of each b in turn. Lengths
+    follow from those between the views unless all lie on one line, where the start's is kept.
+    """
+    J = T_s_a.shape[1]
+
+    def linearised(T: Float, rows: Int) -> _Linear:
+        T_b_a = (T[:, None] @ T_s_a[rows]).reshape(-1, 4, 4)
+        R, t = T_b_a[:, None, :3, :3], T_b_a[:, :3, 3]
+        slopes = np.concatenate([_AXES @ R, _AXES @ se3.hat(t)[:, None] @ R], 1)
+        of_pairs = (rows[:, None] * J + np.arange(J)).ravel()
+        single = _linear(slopes, T_b_a, matches.of(of_pairs))
+        return _Linear(*(x.reshape(-1, J, *x.shape[1:]).sum(1) for x in single))
+
+    def moved(T: Float, step: Float) -> Float:
+        R = se3.so3_exp(step[:, 3:])
+        return se3.compose(R @ T[:, :3, :3], (R @ T[:, :3, 3:])[..., 0] + step[:, :3])
+
+    return _descend(T_b_s, linearised, moved)
+
+
+def _descend(
+    start: Float,
+    linearised: Callable[[Float, Int], _Linear],
+    moved: Callable[[Float, Float], Float],
+) -> Float:
+    """Levenberg-Marquardt from poses (P, 4, 4), each on its own. linearised: of some rows."""
+    T, damping = np.array(start), np.full(len(start), 1e-4)
+    going = np.arange(len(T))
+    state = linearised(T, going)
     for _ in range(_ITERATIONS):
-        A = np.einsum("pic,pjc,pc->pij", J, J, weight, optimize=True)
-        y = np.einsum("pic,pc->pi", J, weight * r)
-        diagonal = np.einsum("pii->pi", A)
-        A = A + np.einsum("p,pi,ij->pij", damping, diagonal + 1e-12, np.eye(5))
-        step = -np.linalg.solve(A, y[..., None])[..., 0]
-        trial = _moved(T, step, tangent)
-        r_new, J_new, tangent_new = _linearised(trial, x_a, x_b, f_a, f_b)
-        cost_new = (weight * r_new**2).sum(1)
-        better = going & (cost_new < cost)
-        T[better], r[better], J[better] = trial[better], r_new[better], J_new[better]
-        tangent[better] = tangent_new[better]
-        small = cost - cost_new <= _CONVERGED * cost
-        damping = np.where(better, damping / 5, damping * 8)
-        cost = np.where(better, cost_new, cost)
-        going &= ~((better & small) | (damping > 1e6))
-        if not going.any():
+        trial = moved(T[going], state.step(damping[going]))
+        there = linearised(trial, going)
+        better = there.cost < state.cost
+        small = state.cost - there.cost <= _CONVERGED * state.cost
+        T[going[better]] = trial[better]
+        damping[going] *= np.where(better, 0.2, 8.0)
+        state = _Linear(*(_chosen(better, x, y) for x, y in zip(there, state, strict=True)))
+        left = ~((better & small) | (damping[going] > _STUCK) | (state.cost < _EXACT))
+        going, state = going[left], _Linear(*(x[left] for x in state))
+        if not len(going):
             break
     return T
 
@@ -68,9 +129,9 @@ def inverse_depth(T_b_a: Float, x_a: Float, x_b: Float) -> tuple[Float, Float]:
     least-squares answer: sum(information * value) / sum(information). T_b_a: (..., 4, 4).
     """
     turned = x_a @ np.swapaxes(T_b_a[..., :3, :3], -1, -2)
-    across = np.cross(x_b, T_b_a[..., None, :3, 3])
+    across = _cross(x_b, T_b_a[..., None, :3, 3])
     information = (across**2).sum(-1)
-    value = -(np.cross(x_b, turned) * across).sum(-1)
+    value = -(_cross(x_b, turned) * across).sum(-1)
     return value / np.maximum(information, 1e-18), information
 
 
@@ -87,7 +148,7 @@ def _residuals(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> tupl
     """Sampson distances (P, C) of E[:, 0], and their slopes (P, k, C) along E[:, 1:]."""
     in_b = E @ np.swapaxes(x_a, 1, 2)[:, None]
     in_a = np.swapaxes(E, -1, -2) @ np.swapaxes(x_b, 1, 2)[:, None]
-    value = np.einsum("pkic,pci->pkc", in_b, x_b)
+    value = (in_b * np.swapaxes(x_b, 1, 2)[:, None]).sum(2)
     g_b, g_a = in_b[:, :, :2] / f_b[:, None, :, None], in_a[:, :, :2] / f_a[:, None, :, None]
     norm2 = (g_b[:, 0] ** 2).sum(1) + (g_a[:, 0] ** 2).sum(1) + 1e-30
     norm = np.sqrt(norm2)
@@ -97,28 +158,51 @@ def _residuals(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> tupl
     return r, slope
 
 
-def _linearised(
-    T: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float
-) -> tuple[Float, Float, Float]:
-    """Residuals (P, C), their Jacobian (P, 5, C) and the tangent basis (P, 2, 3) it refers to."""
-    R, t = T[:, :3, :3], T[:, :3, 3]
-    tangent = _tangent(t)
-    E = se3.hat(t) @ R
-    turn = se3.hat(t)[:, None] @ _AXES @ R[:, None]
-    swing = se3.hat(tangent) @ R[:, None]
-    r, J = _residuals(np.concatenate([E[:, None], turn, swing], 1), x_a, x_b, f_a, f_b)
-    return r, J, tangent
+class _Linear(NamedTuple):
+    """Costs (P,) about poses, their gradients (P, k) and Gauss-Newton Hessians (P, k, k)."""
+
+    cost: Float
+    gradient: Float
+    hessian: Float
+
+    def step(self, damping: Float) -> Float:
+        """(P, k) Levenberg-Marquardt steps under damping (P,)."""
+        diagonal = np.einsum("pii->pi", self.hessian) + 1e-12
+        eye = np.eye(diagonal.shape[1])
+        A = self.hessian + (damping[:, None] * diagonal)[:, None] * eye
+        return np.asarray(-np.linalg.solve(A, self.gradient[..., None])[..., 0])
+
+
+def _linear(slopes: Float, T_b_a: Float, matches: Matches) -> _Linear:
+    """About T_b_a (P, 4, 4), whose essential matrices change along slopes (P, k, 3, 3)."""
+    x_a, x_b, f_a, f_b, weight = matches
+    E = np.concatenate([essential(T_b_a)[:, None], slopes], 1)
+    r, J = _residuals(E, x_a, x_b, f_a, f_b)
+    weighted = J * weight[:, None]
+    gradient = (weighted @ r[..., None])[..., 0]
+    return _Linear((weight * r**2).sum(1), gradient, weighted @ np.swapaxes(J, 1, 2))
+
+
+def _chosen(mask: Bool, yes: Float, no: Float) -> Float:
+    """Rows of (P, ...) by a mask (P,)."""
+    return np.where(mask.reshape(-1, *[1] * (yes.ndim - 1)), yes, no)
+
+
+def _cross(a: Float, b: Float) -> Float:
+    """np.cross of (..., 3), several times as fast on many short rows."""
+    return np.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        -1,
+    )
 
 
 def _tangent(t: Float) -> Float:
     """(P, 2, 3) unit vectors across unit vectors t (P, 3)."""
     helper = np.eye(3)[np.argmin(np.abs(t), axis=1)]
-    first = np.cross(t, helper)
+    first = _cross(t, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(t, first)], 1)
-
-
-def _moved(T: Float, step: Float, tangent: Float) -> Float:
-    t = T[:, :3, 3] + np.einsum("pk,pki->pi", step[:, 3:], tangent)
-    t /= np.linalg.norm(t, axis=1, keepdims=True)
-    return se3.compose(se3.so3_exp(step[:, :3]) @ T[:, :3, :3], t)
+    return np.stack([first, _cross(t, first)], 1)

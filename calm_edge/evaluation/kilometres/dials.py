@@ -18,7 +18,6 @@ def sized(seed: int) -> ScriptedErrors:
         scale_walk=0.1,
         focal_bias_log_sigma=0.0445,
         focal_log_sigma=0.041,
-        focal_view_log_sigma=0.002,
         rotation_sigma_rad=0.0005,
         translation_sigma=0.005,
         bend_sigma_rad=0.002,

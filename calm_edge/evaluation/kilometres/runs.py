@@ -34,8 +34,8 @@ class Variant:
 class Outcome:
     """What a run gave. keyframe_ids: (N,). T_w_p: (N, 4, 4). Errors: m, of all its keyframes.
 
-    ate_sim3_m: after the best similarity, ate_se3_m: after the best rigid motion. ms: wall time a
-    sub-map, finish included. missing: keyframes without a pose.
+    ate_sim3_m: after the best similarity, ate_se3_m: after the best rigid motion, the spacing being
+    known. ms: wall time a sub-map, finish included. missing: keyframes without a pose.
     """
 
     keyframe_ids: Int
@@ -61,8 +61,9 @@ def run(
     loops: ScriptedLoops | None = None,
 ) -> Outcome:
     """The drive's windows through the variant, in order, to the end."""
-    changes = {section: dict(keys) for section, keys in variant.changes.items()}
-    config = merge(config or Config(), changes)
+    spacing_m = float(np.linalg.norm(drive.scene.T_p_a[:3, 3]))
+    config = merge(config or Config(), {"scale": {"spacing_m": spacing_m}})
+    config = merge(config, {section: dict(keys) for section, keys in variant.changes.items()})
     start = perf_counter()
     place = variant.aligner or localized
     ids, T_w_p = place(drive, backbone, config, loops)
