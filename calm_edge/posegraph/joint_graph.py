@@ -7,29 +7,39 @@ them in its first sub-map's own unit, and without loops only their ratios matter
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from itertools import count
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calm_edge.config import PoseGraphConfig
 from calm_edge.geometry import se3
-from calm_edge.posegraph.levenberg_marquardt import minimise
-from calm_edge.posegraph.problem import Edges, Problem, State, cauchy, cost, huber, residuals
+from calm_edge.posegraph.marginals import Marginals
+from calm_edge.posegraph.noise import Noise, assumed_noise, measured_noise
+from calm_edge.posegraph.optimiser import Snapshot, Solved
+from calm_edge.posegraph.optimum import TOLERANCE, optimum
+from calm_edge.posegraph.problem import Edges, Problem, State, joined
 from calm_edge.types import Float, Int, LoopClosure
 
 # A bridge is a guess at motion nobody measured: ten times an odometry edge's sigma.
 _BRIDGE_WEIGHT = 0.01
-# How far the convex pass goes: until it moves the cost by less than this share.
-_COARSE = 1e-3
+# Sub-maps that `relative_covariance` looks at, at the least.
+_RECENT = 6
+_KEYS = count()
 
 
 @dataclass(frozen=True, slots=True)
 class Optimised:
-    """What a run of the optimiser did. Costs: half squared Mahalanobis distances."""
+    """What a run of the optimiser did. Costs: half squared Mahalanobis distances.
+
+    loops: (R,) in the order they were added, whether each was believed.
+    """
 
     iterations: int
     cost_before: float
     cost_after: float
+    loops: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
 
 class JointGraph:
@@ -39,12 +49,14 @@ class JointGraph:
     """
 
     def __init__(self, config: PoseGraphConfig, spacing: float = 1.0) -> None:
+        self._key = next(_KEYS)
         self._config = config
         self._spacing = spacing
         self._row: dict[int, int] = {}
         self._T_w_p: list[Float] = []
         self._edges: list[Edges] = []
         self._n_submaps = 0
+        self._scale_variance = 0.0
         self._T_p_a_prior: Float | None = None
         self._T_p_a: Float = np.eye(4)
 
@@ -71,6 +83,10 @@ class JointGraph:
     def pose(self, keyframe_id: int) -> Float:
         """T_w_p (4, 4) of one keyframe."""
         return self._T_w_p[self._row[keyframe_id]]
+
+    def state(self) -> State:
+        """Every pose and T_p_a where they now are."""
+        return State(self.poses(), self._T_p_a)
 
     def set_rig_prior(self, T_p_a: Float) -> None:
         """E_prior: anchors T_p_a (4, 4) to the first sub-map's average."""
@@ -109,6 +125,7 @@ class JointGraph:
             )
         )
         self._n_submaps += 1
+        self._scale_variance += _scale_variance(T_s_p[seen], T_s_a)
 
     def add_bridge(self, before_id: int, after_id: int) -> None:
         """Ties two keyframes with nothing measured between them, loosely, where they now are."""
@@ -137,47 +154,110 @@ class JointGraph:
 
     def problem(self) -> Problem:
         """Everything measured so far, with its noise in world units; needs one pair and a prior."""
+        return self._problem(self._edges)
+
+    def _problem(self, edges: list[Edges]) -> Problem:
         if self._T_p_a_prior is None:
             raise ValueError("set_rig_prior comes before problem and optimise")
         config = self._config
         unit = np.repeat([self._spacing, 1.0], 3)
         variance = np.repeat([config.translation_variance, config.rotation_variance], 3)
-        fields = {
-            name: np.concatenate([getattr(edges, name) for edges in self._edges])
-            for name in Edges.__slots__
-        }
         return Problem(
-            edges=Edges(**fields),
+            edges=joined(edges),
             T_p_a_prior=self._T_p_a_prior,
             sigma=np.sqrt(variance) * unit,
             sigma_prior=np.sqrt(config.rig_prior_variance) * unit,
+            spacing=self._spacing,
+            scale_sigma=float(np.sqrt(self._scale_variance / max(self._n_submaps, 1))),
         )
 
-    def optimise(self, tolerance: float = 1e-6) -> Optimised:
+    def optimise(self, tolerance: float = TOLERANCE) -> Optimised:
         """Moves every pose and T_p_a to the optimum; the first keyframe stays where it is.
 
         tolerance: it ends when an iteration lowers the cost by less than this share.
-        With loops there are two ways down: at once, which leaves out what contradicts the poses
-        so far, and after a convex kernel, by which a true loop closes however far the drift. The
-        lower of the two ends is kept: a false loop bends the path at a cost.
         """
         if not self._edges:
             return Optimised(0, 0.0, 0.0)
-        problem, start = self.problem(), State(self.poses(), self._T_p_a)
-        before = cost(problem, residuals(problem, start), cauchy)
-        state, iterations = minimise(problem, start, cauchy, tolerance)
-        after = cost(problem, residuals(problem, state), cauchy)
-        if problem.edges.robust.any():
-            pulled, coarse = minimise(problem, start, huber, _COARSE)
-            pulled, fine = minimise(problem, pulled, cauchy, tolerance)
-            iterations += coarse + fine
-            if (pulled_cost := cost(problem, residuals(problem, pulled), cauchy)) < after:
-                state, after = pulled, pulled_cost
-        self._T_w_p, self._T_p_a = list(state.T_w_p), state.T_p_a
-        return Optimised(iterations, before, after)
+        found = optimum(self.problem(), self.state(), tolerance)
+        self.apply(Solved(self._key, found))
+        return Optimised(found.iterations, found.cost_before, found.cost_after, found.loops)
+
+    def snapshot(self) -> Snapshot | None:
+        """What an optimiser needs, None while nothing is measured."""
+        return Snapshot(self._key, self.problem(), self.state()) if self._edges else None
+
+    def apply(self, solved: Solved) -> bool:
+        """Moves every pose to an optimum of this graph as it was; False for another graph's.
+
+        Keyframes added since follow the last optimised one rigidly.
+        """
+        if solved.graph != self._key:
+            return False
+        T_w_p, self._T_p_a = solved.optimum.state
+        n = len(T_w_p)
+        moved = T_w_p[-1] @ se3.inverse(self._T_w_p[n - 1])
+        self._T_w_p = [*T_w_p, *(moved @ T for T in self._T_w_p[n:])]
+        return True
+
+    def covariances(self, ids: Int) -> Float:
+        """(M, 6, 6) of keyframes `ids` (M,) against the first one; after `optimise`.
+
+        (translation, rotation) in each camera's own axes, world units and rad. The whole graph
+        is factorised: linear in its length. KeyError where a keyframe has no pose.
+        """
+        rows = np.array([self._row[int(keyframe_id)] for keyframe_id in ids])
+        problem = self.problem()
+        return Marginals(problem, self.state(), self._noise(problem)).covariances(rows)
+
+    def relative_covariance(self, keyframe_id: int, origin_id: int) -> Float:
+        """(6, 6) of a keyframe against an earlier one, both among the last few sub-maps.
+
+        As `covariances`, from the newest sub-maps alone: its cost does not grow with the drive,
+        and loops beyond them do not count. KeyError where either has no pose.
+        """
+        row, origin = self._row[keyframe_id], self._row[origin_id]
+        recent: list[Edges] = []
+        for edges in reversed(self._edges):
+            recent.append(edges)
+            if len(recent) >= _RECENT and edges.i.max() < min(row, origin):
+                break
+        problem = self._problem(recent[::-1])
+        edges = problem.edges
+        first = int(min(edges.i[edges.submap >= 0].min(initial=origin), origin, row))
+        first = min(first, int(edges.j[edges.submap >= 0].min(initial=origin)))
+        inside = np.minimum(edges.i, edges.j) >= first
+        local = replace(problem, edges=edges.chosen(inside).shifted(-first))
+        state = State(np.array(self._T_w_p[first:]), self._T_p_a)
+        marginals = Marginals(local, state, self._noise(problem))
+        return np.asarray(marginals.covariances(np.array([row - first]), origin - first)[0])
+
+    def noise_scale(self) -> tuple[float, float] | None:
+        """By how much the variances of translation and rotation of a measured pair differ from
+        the paper's, as factors; None while no pair was measured twice.
+        """
+        if not self._edges:
+            return None
+        problem = self.problem()
+        noise = measured_noise(problem)
+        if noise is None:
+            return None
+        translation, rotation = 2 * np.square(noise[:2]) / problem.sigma[[0, -1]] ** 2
+        return float(translation), float(rotation)
+
+    @staticmethod
+    def _noise(problem: Problem) -> Noise:
+        return measured_noise(problem) or assumed_noise(problem)
 
 
 def _preceding(n: int, window: int) -> tuple[Int, Int]:
     """Pairs (i, j) of n views, each view i with its `window` predecessors j."""
     i, j = np.nonzero(np.tri(n, k=-1) - np.tri(n, k=-window - 1))
     return i, j
+
+
+def _scale_variance(T_s_p: Float, T_s_a: Float) -> float:
+    """Of the log scale of a sub-map: how uncertain the mean of its spacings (V,) is."""
+    spacing = np.linalg.norm((T_s_a - T_s_p)[:, :3, 3], axis=-1)
+    if len(spacing) < 2:
+        return 0.0
+    return float(spacing.var(ddof=1) / len(spacing) / spacing.mean() ** 2)

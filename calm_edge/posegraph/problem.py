@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -43,15 +43,35 @@ class Edges:
     robust: NDArray[np.bool_]
     submap: Int
 
+    def chosen(self, which: NDArray[np.bool_]) -> Edges:
+        """Those that `which` (P,) tells."""
+        return Edges(**{name: getattr(self, name)[which] for name in Edges.__slots__})
+
+    def shifted(self, rows: int) -> Edges:
+        """The same of a state that begins `rows` later."""
+        return replace(self, i=self.i + rows, j=self.j + rows)
+
+
+def joined(edges: Sequence[Edges]) -> Edges:
+    """One after the other; at least one."""
+    names = Edges.__slots__
+    return Edges(**{name: np.concatenate([getattr(e, name) for e in edges]) for name in names})
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Edges, the prior on T_p_a, sigmas (6,) of (translation, rotation): world units, rad."""
+    """Edges, the prior on T_p_a, sigmas (6,) of (translation, rotation): world units, rad.
+
+    spacing: world units a map unit. scale_sigma: one sigma of a sub-map's log scale, as the
+    scatter of its spacing tells.
+    """
 
     edges: Edges
     T_p_a_prior: Float
     sigma: Float
     sigma_prior: Float
+    spacing: float
+    scale_sigma: float
 
 
 class Residuals(NamedTuple):

@@ -138,6 +138,7 @@ def test_a_true_loop_closes_a_long_drift_and_a_false_one_is_let_go():
     open_error = position_error(graph.poses(), T)
     graph.add_loop(LoopClosure(119, 0, se3.inverse(T[0]) @ T[119]))
     graph.add_loop(LoopClosure(118, 1, se3.inverse(T[1]) @ T[118]))
+    graph.add_loop(LoopClosure(116, 2, se3.inverse(T[2]) @ T[116]))
     graph.optimise()
     closed_error = position_error(graph.poses(), T)
     assert open_error[-1] > 5.0
