@@ -1,0 +1,98 @@
+"""What is asked of ours beside the rivals, and whether it holds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from statistics import median
+from typing import Any
+
+from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
+
+# (what was measured, what was asked, the measure, whether it passes; None: not yet measured).
+Verdict = tuple[str, str, Any, bool | None]
+Results = Mapping[str, Mapping[str, Mapping[str, Any]]]
+
+# With less of its frames placed, or of the path spanned, a method has lost the drive.
+LOST_BELOW = 0.8
+KARLSRUHE_M = 1.07
+KITTI06_M = 0.2
+
+# Against which row of ORB-SLAM3, and how much of its error ours may have.
+RATIOS = (
+    ("orbslam3", "ORB-SLAM3 with the truth", 1.3),
+    ("orbslam3_yaw", "ORB-SLAM3 half a degree wrong", 1 / 3),
+    ("orbslam3_frame", "ORB-SLAM3 one frame out of step", 1 / 3),
+)
+
+
+def error_m(figures: Mapping[str, Any], key: str = "ate_se3_m") -> float:
+    """The error, m; infinite when the drive was lost or the method failed."""
+    placed = figures.get("placed", (figures.get("coverage_percent") or 0.0) / 100)
+    value = figures.get(key)
+    return math.inf if value is None or placed < LOST_BELOW else float(value)
+
+
+def focal_observed(figures: Mapping[str, Any]) -> bool:
+    """Whether both eyes' focals are known to MAX_FOCAL_SIGMA_PERCENT."""
+    sigma = figures.get("focal_sigma_percent") or (None, None)
+    return all(s is not None and s <= MAX_FOCAL_SIGMA_PERCENT for s in sigma)
+
+
+def ratio(ours: Mapping[str, Any], rival: Mapping[str, Any]) -> float:
+    """Our SE(3) error over the rival's: 0 where it alone is lost, infinite where ours is."""
+    mine, theirs = error_m(ours), error_m(rival)
+    if math.isinf(mine):
+        return math.inf
+    return 0.0 if math.isinf(theirs) else mine / theirs
+
+
+def verdicts(results: Results, rendered: Collection[str]) -> list[Verdict]:
+    """The targets over what was measured; rendered: the names of the drives with exact truth."""
+    return [*_medians(results, rendered), *_real(results), *_against_colmap(results)]
+
+
+def _measured(figures: Mapping[str, Any] | None) -> bool:
+    return figures is not None and "skipped" not in figures
+
+
+def _medians(results: Results, rendered: Collection[str]) -> list[Verdict]:
+    drives = [
+        methods
+        for name, methods in results.items()
+        if name in rendered and _measured(methods.get("ours")) and focal_observed(methods["ours"])
+    ]
+    checks: list[Verdict] = []
+    for method, rival, most in RATIOS:
+        ratios = [ratio(d["ours"], d[method]) for d in drives if _measured(d.get(method))]
+        middle = median(ratios) if ratios else None
+        finite = middle if middle is not None and math.isfinite(middle) else None
+        what = f"median of ours over {rival}, {len(ratios)} drives"
+        checks.append((what, f"<= {most:.2f}", finite, None if middle is None else middle <= most))
+    return checks
+
+
+def _real(results: Results) -> list[Verdict]:
+    checks: list[Verdict] = []
+    for name, most in (("karlsruhe", KARLSRUHE_M), ("kitti06", KITTI06_M)):
+        ours = results.get(name, {}).get("ours")
+        error = error_m(ours, "ate_sim3_m") if ours is not None else None
+        finite = error if error is not None and math.isfinite(error) else None
+        passed = None if error is None else error <= most
+        checks.append((f"{name}, Sim(3) m", f"<= {most:g}", finite, passed))
+    return checks
+
+
+def _against_colmap(results: Results) -> list[Verdict]:
+    checks: list[Verdict] = []
+    for name, methods in results.items():
+        ours, colmap = methods.get("ours"), methods.get("colmap")
+        if ours is None or colmap is None or not _measured(colmap):
+            continue
+        mine, theirs = error_m(ours, "ate_sim3_m"), error_m(colmap, "ate_sim3_m")
+        shown = [v if math.isfinite(v) else None for v in (mine, theirs)]
+        checks.append((f"{name}, Sim(3) m, ours and COLMAP", "better", shown, mine < theirs))
+        if ours.get("cpu_s") and colmap.get("cpu_s"):
+            part = ours["cpu_s"] / colmap["cpu_s"]
+            checks.append((f"{name}, CPU of ours over COLMAP's", "<= 0.05", part, part <= 0.05))
+    return checks
