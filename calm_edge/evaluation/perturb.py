@@ -45,8 +45,8 @@ class Perturbation:
 
     split: odd frames (1, 3 ...) to the primary, even ones to the assistant. drop: probability
     that a frame is lost, an eye. crop: by which part of what remains of the width and the
-    height the principal point moves left and up (negative: right and down), an eye. blur_px: sigma of a Gaussian. gain: an
-    eye's brightness is multiplied by it.
+    height the principal point moves left and up (negative: right and down), an eye. blur_px:
+    sigma of a Gaussian. gain: an eye's brightness is multiplied by it.
     """
 
     clocks: Clocks = Clocks()
