@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from calm_edge.backbones.bundle import kit
+from calm_edge.backbones.kit_belief import product
 from calm_edge.types import Float, KitBelief
 
 # One sigma of what happens between two drives without anyone having touched the kit.
@@ -59,12 +60,11 @@ class Change:
 def faded(belief: KitBelief) -> KitBelief:
     """The belief as the next drive may hold it: its covariance plus what happens in between.
 
-    (Lambda^-1 + Q)^-1, written so that Lambda may be singular. Raises ValueError on a layout
-    shorter than a kit's.
+    (Lambda^-1 + Q)^-1, written so that Lambda may be singular. Raises ValueError on a layout that
+    is none of a kit.
     """
-    sigma = np.full(len(belief.mean), OTHERS_FADE)
-    if len(sigma) < kit.SIZE:
-        raise ValueError(f"a belief of {len(sigma)} entries is none of a kit")
+    _check(belief)
+    sigma = np.full(kit.SIZE, OTHERS_FADE)
     for optics in kit.OPTICS:
         sigma[optics] = [FOCAL_FADES, CENTRE_FADES, CENTRE_FADES, RADIAL_FADES]
     sigma[kit.RIG] = np.repeat([RIG_ROTATION_FADES, RIG_PLACE_FADES], 3)
@@ -77,11 +77,13 @@ def faded(belief: KitBelief) -> KitBelief:
 def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
     """The focals of both eyes, then the rotation and the place of the assistant, each on its own.
 
-    remembered: faded. evidence: of this drive alone. Raises ValueError when they differ in layout.
+    remembered: faded. evidence: of this drive alone. What is true of any camera bounds its centre
+    and distortion, without which no short drive would tell its focal. Raises ValueError on a layout
+    that is none of a kit.
     """
-    if remembered.mean.shape != evidence.mean.shape:
-        raise ValueError("beliefs of different kits: their layouts differ")
-    axes = np.eye(len(remembered.mean))
+    bounds = _bounds()
+    remembered, evidence = (_bounded(belief, bounds) for belief in (remembered, evidence))
+    axes = np.eye(kit.SIZE)
     out = []
     for eye, index in zip(("primary", "assistant"), kit.LOG_FOCAL, strict=True):
         moved, change = _part(remembered, evidence, axes[:, [index]], kit.LOG_FOCAL_SIGMA)
@@ -98,6 +100,27 @@ def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
     swung = np.degrees(np.arctan2(np.linalg.norm(moved), np.linalg.norm(direction)))
     out.append(_change(f"assistant's place swung round by {swung:.1f} deg", change))
     return tuple(out)
+
+
+def _check(belief: KitBelief) -> None:
+    if belief.mean.shape != (kit.SIZE,):
+        raise ValueError(f"a belief of {len(belief.mean)} entries is none of a kit")
+
+
+def _bounds() -> KitBelief:
+    """The prior of a kit, of the entries that are no part of what may be said to have moved."""
+    prior = kit.prior((None, None))
+    information = np.diag(prior.information).copy()
+    information[list(kit.LOG_FOCAL)] = 0
+    information[kit.RIG] = 0
+    return KitBelief(mean=prior.mean, information=np.diag(information))
+
+
+def _bounded(belief: KitBelief, bounds: KitBelief) -> KitBelief:
+    _check(belief)
+    joint = product([belief, bounds])
+    assert joint is not None
+    return joint
 
 
 def _change(text: str, part: tuple[float, int]) -> Change:
