@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from calm_edge.frontend import pnp
 from calm_edge.geometry import epipolar, pinhole, se3
-from calm_edge.geometry.sift import Features, consistent, well_spread
+from calm_edge.geometry.sift import Features, cells, consistent, well_spread
 from calm_edge.types import Float, Float32, Int
 
 REFERENCE_WIDTH_PX = 640  # thresholds below are for such a picture; they grow with its width
@@ -25,8 +25,10 @@ POSE_PX = 3.0
 # What the eyes' pictures say of the rig at their two instants, against what the rig is at one.
 # Tens of milliseconds at speed: mostly a step ahead, and a little of a turn.
 RIG_SIGMA = np.array([0.1, 0.1, 0.5, 0.01, 0.01, 0.01])  # spacings x, y, z, then rad
-# A point is near when its two views differ by this from those of a point at infinity.
+# A point is near when its parallax between the eyes is so much more than that of the farthest.
 NEAR_PX = 3.0
+FAR_PERCENT = 10.0
+SOME_DEPTH = 10.0  # spacings: any will do to say which way parallax goes
 MIN_AGREEING = 0.6
 # What is looked for under the pose: so near its predicted pixel and so like it (cosine).
 SEEN_AGAIN_PX = 8.0
@@ -46,10 +48,20 @@ class KnownKit:
 
 @dataclass(frozen=True, slots=True)
 class SamePlace:
-    """T_query_match: (4, 4) match->query, in spacings, rough. n_matches: on one geometry."""
+    """One pose explains what both pictures show of it.
+
+    T_query_match: (4, 4) match->query, in spacings, rough. n_matches: on one geometry.
+    seen_again: share of what the eyes see now that the past picture has too.
+    """
 
     T_query_match: Float
     n_matches: int
+    seen_again: float
+
+    @property
+    def is_same(self) -> bool:
+        """Whether it is that place, and not one that looks like it in part."""
+        return self.seen_again >= MIN_SEEN_AGAIN
 
 
 def same_place(
@@ -63,7 +75,7 @@ def same_place(
     """The past picture's place against a primary picture and the assistant's of that time.
 
     size: (2,) width, height [px] of the primary's pictures. min_matches: on one geometry with the
-    past picture; half as many near points. None where anything disagrees.
+    past picture; half as many near points. None where no pose explains the pictures.
     """
     stretch = float(size[0]) / REFERENCE_WIDTH_PX
     pairs = consistent(query, past, EPIPOLAR_PX * stretch)
@@ -91,10 +103,8 @@ def same_place(
     miss = np.abs(epipolar.sampson(F, _double(query, pairs[:, 0]), _double(past, pairs[:, 1])))
     if np.mean(miss < POSE_PX * stretch) < MIN_AGREEING:
         return None
-    vectors = query.vector[across[:, 0]]
-    if seen_again(all_points, vectors, past, kit.K[0], T, size) < MIN_SEEN_AGAIN:
-        return None
-    return SamePlace(T, len(pairs))
+    again = seen_again(all_points, query.vector[across[:, 0]], past, kit.K[0], T, size)
+    return SamePlace(T, len(pairs), again)
 
 
 def seen_again(
@@ -102,18 +112,20 @@ def seen_again(
 ) -> float:
     """The share of points (M, 3) that the past picture shows where T_q_past (4, 4) puts them.
 
-    points: query camera, with their descriptors (M, 128). size: (2,) width, height px.
+    points: query camera, with their descriptors (M, 128). size: (2,) width, height px. Each cell
+    of the query picture counts the same: a tiled wall has more points than the trees above it.
     """
     p = se3.transform(se3.inverse(T_q_past), points)
-    uv = pinhole.project(K, p)
     front = (points[:, 2] > 0) & (p[:, 2] > 0)
-    if not front.any():
+    if not front.any() or len(past.uv) == 0:
         return 0.0
+    uv = pinhole.project(K, p[front])
     likeness = vectors[front] @ past.vector.T
-    away = np.linalg.norm(uv[front, None] - past.uv[None], axis=2)
+    away = np.linalg.norm(uv[:, None] - past.uv[None], axis=2)
     away /= float(size[0]) / REFERENCE_WIDTH_PX
-    there = (likeness > SEEN_AGAIN_LIKENESS) & (away < SEEN_AGAIN_PX)
-    return float(there.any(1).mean())
+    there = ((likeness > SEEN_AGAIN_LIKENESS) & (away < SEEN_AGAIN_PX)).any(1)
+    _, cell = np.unique(cells(pinhole.project(K, points[front]), size), return_inverse=True)
+    return float((np.bincount(cell, there) / np.bincount(cell)).mean())
 
 
 def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
@@ -139,8 +151,13 @@ def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple
     P_a = kit.K[1] @ T_a_p[:3]
     X = np.asarray(cv2.triangulatePoints(P_p, P_a, uv_p.T, uv_a.T), np.float64).T
     points = X[:, :3] / np.where(np.abs(X[:, 3:]) < 1e-9, 1e-9, X[:, 3:])
-    far = epipolar.homogeneous(uv_p) @ np.linalg.inv(kit.K[0]).T @ T_a_p[:3, :3].T @ kit.K[1].T
-    parallax = np.linalg.norm(uv_a - far[:, :2] / far[:, 2:], axis=1)
+    rays = epipolar.homogeneous(uv_p) @ np.linalg.inv(kit.K[0]).T
+    far = pinhole.project(kit.K[1], rays @ T_a_p[:3, :3].T)
+    shift = pinhole.project(kit.K[1], se3.transform(T_a_p, SOME_DEPTH * rays)) - far
+    along = shift / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-9)
+    parallax = ((uv_a - far) * along).sum(1)
+    # a small error of the rig's rotation moves all points alike: the farthest tell by how much
+    parallax -= np.percentile(parallax, FAR_PERCENT)
     in_front = (points[:, 2] > 0) & (se3.transform(T_a_p, points)[:, 2] > 0)
     return points, in_front & (parallax > NEAR_PX)
 

@@ -137,7 +137,7 @@ class PlaceLoops:
         look = _Look(window, images, kit, self._config.min_matches)
         for view, place in self._alike(window, views):
             found = look.same_place(view, place)
-            if found is not None and self._confirmed(look, view, place):
+            if found is not None and found.is_same and self._confirmed(look, view, place):
                 self._last_found = window.primary[view].id
                 return LoopCandidate(
                     self._last_found, view, place, found.T_query_match, found.n_matches
@@ -176,13 +176,18 @@ class PlaceLoops:
         return pairs
 
     def _confirmed(self, look: _Look, view: int, place: Keyframe) -> bool:
-        """Whether a place beside it is seen again too, as far along: one look-alike is not rare."""
+        """Whether a place beside it is seen again too, as far along, and none proves another one.
+
+        One look-alike is not rare; where a look cannot tell, it does not count.
+        """
         last = len(look.window.primary) - 1
+        said: list[bool] = []
         for other in self._memory.beside(place):
             there = min(max(view + other.id - place.id, 0), last)
-            if there != view and look.same_place(there, other) is not None:
-                return True
-        return False
+            found = look.same_place(there, other) if there != view else None
+            if found is not None:
+                said.append(found.is_same)
+        return bool(said) and all(said)
 
 
 class _Look:

@@ -75,7 +75,13 @@ def consistent(a: Features, b: Features, threshold_px: float) -> Int:
     return pairs[found.inliers] if found is not None else pairs[:0]
 
 
+def cells(uv: Float | Float32, size: Int) -> Int:
+    """(M,) which cell of the picture's lattice each pixel (M, 2) lies in, columns first."""
+    at = np.clip((uv + 0.5) / size * GRID, 0, np.array(GRID) - 1).astype(np.int64)
+    return np.asarray(at[:, 0] * GRID[1] + at[:, 1])
+
+
 def well_spread(uv: Float | Float32, size: Int) -> bool:
     """Whether pixels (M, 2) lie in enough cells of the picture, and not all in one strip."""
-    cell = np.clip((uv + 0.5) / size * GRID, 0, np.array(GRID) - 1).astype(np.int64)
-    return len(np.unique(cell, axis=0)) >= MIN_CELLS and len(np.unique(cell[:, 0])) >= MIN_COLUMNS
+    taken = np.unique(cells(uv, size))
+    return len(taken) >= MIN_CELLS and len(np.unique(taken // GRID[1])) >= MIN_COLUMNS

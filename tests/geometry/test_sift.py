@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from calm_edge.geometry import sift
+from calm_edge.geometry.sift import Features
+
+SHIFT = np.array([7.0, 3.0])
+
+
+def blobs(seed=0, size=(320, 160), n=150):
+    """A grey picture of soft spots."""
+    rng = np.random.default_rng(seed)
+    picture = np.full(size[::-1], 120, np.float32)
+    for _ in range(n):
+        centre = tuple(int(v) for v in rng.integers(0, size))
+        cv2.circle(picture, centre, int(rng.integers(2, 9)), float(rng.integers(0, 255)), -1)
+    return cv2.GaussianBlur(picture, (0, 0), 1.0).astype(np.uint8)
+
+
+def test_features_of_a_shifted_picture_are_found_where_it_was_shifted():
+    big = blobs(size=(360, 200))
+    a = sift.detect(big[10:170, 10:330], 300)
+    b = sift.detect(big[13:173, 17:337], 300)
+    pairs = sift.match(a, b)
+    moved = a.uv[pairs[:, 0]] - b.uv[pairs[:, 1]]
+    assert len(pairs) > 80
+    assert np.median(np.abs(moved - SHIFT)) < 0.05
+    assert len(np.unique(pairs[:, 0])) == len(np.unique(pairs[:, 1])) == len(pairs)
+
+
+def test_positions_are_those_of_the_full_picture():
+    """A picture too wide is looked at smaller; its mirror image gives away any offset."""
+    wide = cv2.resize(blobs(), (4 * 320, 4 * 160), interpolation=cv2.INTER_CUBIC)
+    a = sift.detect(wide, 200).uv
+    b = sift.detect(np.ascontiguousarray(wide[:, ::-1]), 200).uv
+    b[:, 0] = wide.shape[1] - 1 - b[:, 0]
+    nearest = np.linalg.norm(a[:, None] - b[None], axis=2).argmin(1)
+    off = a[:, 0] - b[nearest, 0]
+    assert abs(np.median(off[np.abs(off) < 3])) < 0.1
+    assert a[:, 0].max() > 1000
+
+
+def test_descriptors_are_unit_and_no_point_comes_twice():
+    found = sift.detect(blobs(), 100)
+    assert np.linalg.norm(found.vector, axis=1) == pytest.approx(np.ones(len(found.uv)), abs=1e-4)
+    assert len(np.unique(found.uv, axis=0)) == len(found.uv) > 25
+    assert found.uv.dtype == found.vector.dtype == np.float32
+
+
+def test_a_blank_picture_has_nothing_and_matches_nothing():
+    blank = sift.detect(np.full((60, 80), 90, np.uint8), 100)
+    assert blank.uv.shape == (0, 2) and blank.vector.shape == (0, 128)
+    assert sift.match(blank, sift.detect(blobs(), 100)).shape == (0, 2)
+    assert sift.consistent(blank, blank, 1.0).shape == (0, 2)
+
+
+def test_a_match_as_good_elsewhere_is_no_match():
+    vector = np.eye(3, 128, dtype=np.float32)
+    a = Features(np.zeros((3, 2), np.float32), vector)
+    twice = Features(np.zeros((4, 2), np.float32), vector[[0, 0, 1, 2]])
+    assert sift.match(a, twice).tolist() == [[1, 2], [2, 3]]
+
+
+def test_what_no_one_geometry_explains_is_left_out():
+    rng = np.random.default_rng(1)
+    uv = rng.uniform(0, 300, (60, 2)).astype(np.float32)
+    vector = np.eye(60, 128, dtype=np.float32)
+    moved = uv + np.c_[rng.uniform(5, 40, 60), np.zeros(60)].astype(np.float32)
+    moved[:15, 1] += rng.uniform(10, 60, 15).astype(np.float32)
+    kept = sift.consistent(Features(uv, vector), Features(moved, vector), 1.0)
+    assert set(range(15, 60)) <= set(kept[:, 0]) and (kept[:, 0] < 15).sum() <= 2
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "spread"), [(8, 4, True), (2, 4, False), (5, 1, False), (3, 2, True)]
+)
+def test_spread_counts_cells_and_columns(columns, rows, spread):
+    size = np.array([320, 160])
+    u, v = np.meshgrid(40 * np.arange(columns) + 20, 40 * np.arange(rows) + 20)
+    assert sift.well_spread(np.stack([u, v], -1).reshape(-1, 2), size) == spread
