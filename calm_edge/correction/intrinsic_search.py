@@ -1,0 +1,130 @@
+"""The online intrinsic search of paper V-A, both eyes, and the damping of V-C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calm_edge.config import CorrectionConfig
+from calm_edge.correction.eye_search import EyeSearch
+from calm_edge.correction.matches import PairMatches, SiftMatcher, from_landmarks
+from calm_edge.correction.test_bank import GroupBuilder
+from calm_edge.types import Bytes, Float, GlobalIntrinsics, Landmarks, Submap
+from device.frame import Eye
+
+# What is placed is corrected again when log focal moved by more than this, or by more than this
+# share of its own sigma: less is not known.
+_MOVED_LOG = 0.005
+_MOVED_SIGMAS = 0.5
+
+
+class IntrinsicSearch:
+    """Owns what is held true of both eyes; a deterministic function of its sub-maps.
+
+    Its cost a sub-map does not grow: guesses are capped, pictures and landmarks let go. A group
+    is begun every `group_every` sub-maps and made in as many shares, the eyes in turn.
+    """
+
+    def __init__(self, config: CorrectionConfig) -> None:
+        self._config = config
+        self._eyes = {eye: EyeSearch(config) for eye in Eye}
+        self._builders: dict[Eye, GroupBuilder] = {}
+        self._sift = SiftMatcher(config.max_features)
+        self._count = 0
+        self._applied: GlobalIntrinsics | None = None
+
+    @property
+    def intrinsics(self) -> GlobalIntrinsics | None:
+        """What is held true now; None until both eyes were seen."""
+        held = [self._eyes[eye].K for eye in Eye]
+        if any(K is None for K in held):
+            return None
+        eyes = self._eyes.values()
+        return GlobalIntrinsics(
+            K=np.stack([K for K in held if K is not None]),
+            damping=np.array([eye.damping for eye in eyes]),
+            focal_log_sigma=np.array([eye.log_sigma for eye in eyes]),
+            n_effective=np.array([eye.n_effective for eye in eyes]),
+        )
+
+    def add(
+        self, submap: Submap, landmarks: Landmarks | None, images: Sequence[Bytes] | None
+    ) -> bool:
+        """One sub-map more; whether what is placed must be rectified again.
+
+        K comes from submap.K_raw. landmarks: the backbone's, images: (H, W, 3) BGR, in batch
+        order; either may be None, and nothing is matched without both.
+        """
+        for eye in Eye:
+            views, ids = views_of(submap, eye)
+            if not views:
+                continue
+            self._eyes[eye].add_candidate(np.median(submap.K_raw[views], 0))
+            self._build(eye)
+            if self._is_due(eye):
+                matches = self._matches(views, landmarks, images)
+                if matches is not None:
+                    self._builders[eye] = GroupBuilder(eye, matches, views, ids, self._config)
+        self._count += 1
+        return self._has_changed()
+
+    def finish(self) -> bool:
+        """Ends what groups are still being made; as `add`, whether to rectify again."""
+        for eye in list(self._builders):
+            self._close(eye)
+        return self._has_changed()
+
+    def score_curve(self, eye: Eye, focals: Float) -> Float:
+        """The bank's score (G,) at focals (G,) px, for a report; nan without a group."""
+        return self._eyes[eye].curve(focals)
+
+    def _is_due(self, eye: Eye) -> bool:
+        # the eyes take turns, so that no sub-map pays for the features of both
+        turn = (self._config.group_every // 2) * int(eye)
+        due = self._count % self._config.group_every == turn
+        return due and eye not in self._builders and not self._eyes[eye].bank.is_closed
+
+    def _matches(
+        self, views: Sequence[int], landmarks: Landmarks | None, images: Sequence[Bytes] | None
+    ) -> PairMatches | None:
+        if landmarks is not None and self._config.matches != "sift":
+            return from_landmarks(landmarks, views)
+        if images is None:
+            return None
+        return self._sift.describe([images[view] for view in views], views)
+
+    def _build(self, eye: Eye) -> None:
+        builder = self._builders.get(eye)
+        if builder is not None:
+            builder.advance()
+            if builder.done:
+                self._close(eye)
+
+    def _close(self, eye: Eye) -> None:
+        group = self._builders.pop(eye).finish(self._eyes[eye].shape())
+        if group is not None:
+            self._eyes[eye].add_group(group)
+
+    def _has_changed(self) -> bool:
+        now, before = self.intrinsics, self._applied
+        if now is None:
+            return False
+        if before is None:
+            self._applied = now
+            return False
+        step = (now.damping != before.damping).any()
+        moved = np.abs(np.log(now.K[:, 0, 0] / before.K[:, 0, 0]))
+        enough = np.fmax(_MOVED_LOG, _MOVED_SIGMAS * now.focal_log_sigma)
+        if step or ((moved > enough) & (now.damping > 0)).any():
+            self._applied = now
+            return True
+        return False
+
+
+def views_of(submap: Submap, eye: Eye) -> tuple[list[int], list[int]]:
+    """Batch indices of an eye's views and their keyframe ids, a loop keyframe left out."""
+    if eye == Eye.PRIMARY:
+        return list(range(submap.n_primary)), list(submap.primary_ids)
+    first = submap.n_primary
+    return list(range(first, first + len(submap.assistant_ids))), list(submap.assistant_ids)
