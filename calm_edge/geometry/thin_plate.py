@@ -13,7 +13,8 @@ from calm_edge.geometry import se3
 Float = NDArray[np.float64]
 Kind = Literal["thin_plate", "rigid", "translation", "identity"]
 
-TILE = 8192
+# the distances of a tile to 150 controls stay in the processor's cache
+TILE = 512
 # singular values of the controls below this share of the largest count as no extent at all
 FLAT = 1e-3
 
@@ -34,16 +35,24 @@ class ThinPlate:
     kind: Kind
 
     def apply(self, points: NDArray[np.floating]) -> Float:
-        """(M, 3) -> (M, 3), same unit; works in tiles of 8192 points, so memory is O(N)."""
-        from scipy.spatial.distance import cdist
+        """(M, 3) -> (M, 3), same unit; works in tiles of 512 points, so memory is O(N).
 
+        Squared distances are one product of matrices, which costs half the digits of a distance
+        at a control point itself: some 1e-8 of `size` times its weight.
+        """
         points = np.asarray(points, np.float64)
         out = np.empty_like(points)
+        p = self.controls
+        # |x - p|^2 = (x, |x|^2, 1) . (-2 p, 1, |p|^2)
+        right = np.vstack([-2 * p.T, np.ones(len(p)), (p**2).sum(1)])
         for start in range(0, len(points), TILE):
             x = (points[start : start + TILE] - self.centre) / self.size
             y = x @ self.affine[:3] + self.affine[3]
-            if len(self.controls):
-                y += cdist(x, self.controls) @ self.weights
+            if len(p):
+                left = np.column_stack([x, (x**2).sum(1), np.ones(len(x))])
+                r = left @ right
+                np.sqrt(np.maximum(r, 0, out=r), out=r)
+                y += r @ self.weights
             out[start : start + TILE] = y * self.size + self.centre
         return out
 

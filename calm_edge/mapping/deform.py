@@ -123,9 +123,10 @@ def fit_deformation(
     """The deformation taking anchors p_s (M, 3) to target_s (M, 3), sub-map frame, world units.
 
     n: (M,) observation counts. centre_s: (3,) central camera. probes: (P, 3) points of the cloud at
-    which folding is looked for, besides the controls. stiffness: inf asks for the best rigid motion.
-    most: control points at most. Where det dPhi/dx falls below 0.1 the stiffness is raised tenfold up to a million times (which
-    is an affine fit), and if that folds too the best rigid motion is used.
+    which folding is looked for, besides the controls. stiffness: inf asks for the best rigid
+    motion. most: control points at most. Where det dPhi/dx falls below 0.1 the stiffness is raised
+    tenfold up to a million times (which is an affine fit), and if that folds too the best rigid
+    motion is used.
     """
     shift = np.linalg.norm(target_s - p_s, axis=-1)
     likely = shift <= MAX_RELATIVE_SHIFT * np.linalg.norm(p_s - centre_s, axis=-1)

@@ -2,25 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calm_edge.geometry import se3
 from calm_edge.mapping.deform import Deformation
-from calm_edge.types import AnchorTable, Float
+from calm_edge.types import AnchorTable, Float, Float32
 
 
 @dataclass(frozen=True, slots=True)
 class Seam:
-    """Two sub-maps with n_anchors in common; before, after: RMS distances, world units."""
+    """Two sub-maps and how far apart they put each anchor both have.
+
+    gaps_before, gaps_after: (M,) distances before and after the deformation, world units, M >= 1.
+    """
 
     submap_a: int
     submap_b: int
+    gaps_before: Float32
+    gaps_after: Float32
+
+    @property
+    def n_anchors(self) -> int:
+        return len(self.gaps_before)
+
+    @property
+    def before(self) -> float:
+        """RMS distance before the deformation, world units."""
+        return float(np.sqrt((self.gaps_before**2).mean()))
+
+    @property
+    def after(self) -> float:
+        """RMS distance after it, world units."""
+        return float(np.sqrt((self.gaps_after**2).mean()))
+
+
+@dataclass(frozen=True, slots=True)
+class SeamSummary:
+    """The gaps of all seams together: medians and 95th percentiles, world units."""
+
+    n_seams: int
     n_anchors: int
-    before: float
-    after: float
+    median_before: float
+    median_after: float
+    p95_before: float
+    p95_after: float
+
+
+def summary(found: Sequence[Seam]) -> SeamSummary | None:
+    """All anchors of all seams count alike; None without a seam."""
+    if not found:
+        return None
+    before = np.concatenate([seam.gaps_before for seam in found])
+    after = np.concatenate([seam.gaps_after for seam in found])
+    (m_before, p_before), (m_after, p_after) = (np.percentile(g, [50, 95]) for g in (before, after))
+    return SeamSummary(
+        len(found),
+        len(before),
+        float(m_before),
+        float(m_after),
+        float(p_before),
+        float(p_after),
+    )
 
 
 def seam_between(
@@ -44,9 +89,8 @@ def seam_between(
     return Seam(
         int(rows_a.submap[0]),
         int(rows_b.submap[0]),
-        len(shared),
-        float(np.sqrt((before**2).sum(1).mean())),
-        float(np.sqrt((after**2).sum(1).mean())),
+        np.linalg.norm(before, axis=1).astype(np.float32),
+        np.linalg.norm(after, axis=1).astype(np.float32),
     )
 
 

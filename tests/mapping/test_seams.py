@@ -6,7 +6,7 @@ import pytest
 from calm_edge.geometry import se3, thin_plate
 from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.deform import Deformation
-from calm_edge.mapping.seams import seam_between, seams
+from calm_edge.mapping.seams import Seam, seam_between, seams, summary
 
 
 def rows(submap_id, anchor, p_s):
@@ -52,3 +52,15 @@ def test_submaps_without_a_common_anchor_have_no_seam():
     a, b = rows(0, [1], np.ones((1, 3))), rows(1, [2], np.ones((1, 3)))
     poses = {0: np.eye(4), 1: np.eye(4)}
     assert seams([(0, 1)], {0: a, 1: b}, poses, {0: STILL, 1: STILL}) == ()
+
+
+def test_the_summary_counts_every_anchor_alike():
+    long = Seam(0, 1, np.full(90, 0.2, np.float32), np.full(90, 0.1, np.float32))
+    short = Seam(1, 2, np.full(10, 5.0, np.float32), np.full(10, 3.0, np.float32))
+    found = summary([long, short])
+    assert found is not None
+    assert (found.n_seams, found.n_anchors) == (2, 100)
+    assert found.median_before == pytest.approx(0.2) and found.median_after == pytest.approx(0.1)
+    assert found.p95_before == pytest.approx(5.0) and found.p95_after == pytest.approx(3.0)
+    assert long.before == pytest.approx(0.2) and short.after == pytest.approx(3.0)
+    assert summary([]) is None
