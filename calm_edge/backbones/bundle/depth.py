@@ -62,9 +62,11 @@ def sweep_window(
         )
         for i, g in enumerate(gray)
     ]
-    zeta = np.linspace(0, 1 / nearest_depth(prediction), PLANES)
+    has_loop = loop_view.has_loop(hints)
+    nearest = nearest_depth(loop_view.window_part(prediction) if has_loop else prediction)
+    zeta = np.linspace(0, 1 / nearest, PLANES)
     small = [_shrink(g, size) for g in gray]
-    n_window = len(images) - loop_view.has_loop(hints)
+    n_window = len(images) - has_loop
     t_ns, T_s_c = np.asarray(hints.t_ns), prediction.T_s_c
     sources = [
         sweep_sources(i, eyes[:n_window], t_ns[:n_window], T_s_c[:n_window])

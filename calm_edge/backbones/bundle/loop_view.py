@@ -89,9 +89,11 @@ def window_part(prediction: Prediction) -> Prediction:
     """The N views of the window and the landmarks that only they saw."""
     marks = prediction.landmarks
     if marks is not None:
-        loop = np.isin(marks.index, _loop_landmarks(marks, len(prediction.K) - 1))
-        kept, index = np.unique(marks.index[~loop], return_inverse=True)
-        marks = Landmarks(marks.points_s[kept], index, marks.view[~loop], marks.uv[~loop])
+        of_loop = _loop_landmarks(marks, len(prediction.K) - 1)
+        kept = np.setdiff1d(np.arange(len(marks.points_s)), of_loop)
+        rows = ~np.isin(marks.index, of_loop)
+        index = np.searchsorted(kept, marks.index[rows])
+        marks = Landmarks(marks.points_s[kept], index, marks.view[rows], marks.uv[rows])
     sigma = prediction.focal_log_sigma
     return replace(
         prediction,
