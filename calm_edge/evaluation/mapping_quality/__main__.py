@@ -6,14 +6,14 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
 
 from calm_edge.baselines.chain import ALIGNMENTS, chain
 from calm_edge.config import merge, parse_assignment
-from calm_edge.evaluation.estimate import from_recording
+from calm_edge.evaluation.estimate import from_recording, from_updates
 from calm_edge.evaluation.mapping_quality.build import build
 from calm_edge.evaluation.mapping_quality.rows import (
     Cameras,
@@ -24,12 +24,13 @@ from calm_edge.evaluation.mapping_quality.rows import (
 )
 from calm_edge.evaluation.results import common_origin
 from calm_edge.evaluation.sequences import Truth, read_truth
-from calm_edge.evaluation.tables import OUT, Table, publish
+from calm_edge.evaluation.tables import OUT, Check, Table, publish
 from calm_edge.evaluation.trajectory_file import EvaluationError
 from calm_edge.offline.submaps import gather
 from calm_edge.recording.reader import Recording
 from calm_edge.types import CalmEdgeError, Int
 
+BASELINES = ("sim3", "sl4")
 COLUMNS = (
     "map",
     "accuracy m",
@@ -52,7 +53,7 @@ def measure(
     for text in assignments:
         config = merge(config, parse_assignment(text))
     drive = gather(recording, config, lambda text: print(text, file=sys.stderr))
-    if not drive.updates or drive.trajectory is None:
+    if not drive.updates:
         raise EvaluationError(f"{path}: no window could be solved; nothing to map")
     first_frame = from_recording(path).first_frame
     spacing = config.scale.spacing_m or 1.0
@@ -64,10 +65,10 @@ def measure(
     with tempfile.TemporaryDirectory(prefix="mapping-") as scratch:
         folder = Path(scratch)
         built = build(path, recording, config, drive, folder, warp)
-        centres = drive.trajectory.T_w_c[:, :3, 3]
-        cameras = Cameras(on_truth(drive.trajectory.t_ns), centres, scale)
+        whole = from_updates(str(path), drive.updates)
+        cameras = Cameras(on_truth(whole.t_ns), whole.T_w_c[:, :3, 3], scale)
         rows = list(ours(built, config.mapping, built.submaps, cameras, truth, folder / "ours"))
-        for kind in ("sim3", "sl4"):
+        for kind in BASELINES:
             result = chain(ALIGNMENTS[kind], built.submaps, built.overlaps)
             stamps = on_truth(result.t_ns)
             rows.append(baseline(built, result, config.mapping, spacing, stamps, truth))
@@ -80,6 +81,22 @@ def measure(
         for text in built.skipped:
             print(text, file=sys.stderr)
     return rows
+
+
+def against(rows: Sequence[Quality]) -> tuple[Check, ...]:
+    """The promise: our map is nearer to the truth than each baseline's, by all three figures."""
+    found = {row.name: row for row in rows}
+    checks = []
+    for alignment in (ALIGNMENTS[kind] for kind in BASELINES):
+        full, other = found["full"].error, found[alignment.name].error
+        ratios: list[float] | str = found[alignment.name].failed or "no map"
+        if full and other:
+            pairs = zip(astuple(full), astuple(other), strict=True)
+            ratios = [round(a / b, 3) for a, b in pairs]
+        kept = full is not None and (isinstance(ratios, str) or max(ratios) < 1)
+        what = f"accuracy, completeness, chamfer over those of {alignment.name}"
+        checks.append(Check(what, "< 1 each", ratios, kept))
+    return tuple(checks)
 
 
 def table(rows: Sequence[Quality], name: str, command: str) -> Table:
@@ -108,7 +125,7 @@ def table(rows: Sequence[Quality], name: str, command: str) -> Table:
         command,
         COLUMNS,
         tuple(cells),
-        (),
+        against(rows),
         notes,
     )
 
