@@ -35,8 +35,8 @@ def honest_band(n: int, dof: int, confidence: float = 0.95) -> tuple[float, floa
     dof: 6 of poses, 3 of positions. Above it a covariance claims too much, below too little.
     """
     tail = (1 - confidence) / 2
-    low, high = stats.chi2.ppf([tail, 1 - tail], n * dof) / (n * dof)
-    return float(low), float(high)
+    quantiles = stats.chi2(n * dof).ppf
+    return float(quantiles(tail)) / (n * dof), float(quantiles(1 - tail)) / (n * dof)
 
 
 def _normalised(error: Float, covariance: Float) -> Float:

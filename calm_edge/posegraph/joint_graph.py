@@ -217,14 +217,15 @@ class JointGraph:
         """
         row, origin = self._row[keyframe_id], self._row[origin_id]
         recent: list[Edges] = []
+        n_submaps = 0
         for edges in reversed(self._edges):
             recent.append(edges)
-            if len(recent) >= _RECENT and edges.i.max() < min(row, origin):
+            n_submaps += int(edges.submap[0] >= 0)
+            if n_submaps >= _RECENT and edges.i.max() < min(row, origin):
                 break
         problem = self._problem(recent[::-1])
         edges = problem.edges
-        first = int(min(edges.i[edges.submap >= 0].min(initial=origin), origin, row))
-        first = min(first, int(edges.j[edges.submap >= 0].min(initial=origin)))
+        first = int(edges.j[edges.submap >= 0].min(initial=min(row, origin)))
         inside = np.minimum(edges.i, edges.j) >= first
         local = replace(problem, edges=edges.chosen(inside).shifted(-first))
         state = State(np.array(self._T_w_p[first:]), self._T_p_a)

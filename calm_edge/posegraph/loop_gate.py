@@ -3,9 +3,9 @@
 Under the paper's loose variances any one loop closes at little cost, a false one as well: a
 kernel alone cannot tell them apart. A loop is believed when usual drift could explain it, or
 when severe drift could and other loops nearby call for the same correction; never against better
-supported ones. A false loop as near the truth as drift itself is still believed.
-The second is the pairwise consistency of Mangelson et al., "Pairwise consistent measurement
-set maximization for robust multi-robot map merging", 2018, kept to loops near each other.
+supported ones. That is the pairwise consistency of Mangelson et al., "Pairwise consistent
+measurement set maximization for robust multi-robot map merging", 2018, kept to loops near each
+other. A false loop that is no further off than drift is believed too: nothing tells it apart.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SEVERE = 10.0
 # ones agree by chance.
 _BACKERS = 2
 # Two loops can bear each other out where so many keyframes, at both ends together, part them.
-_NEARBY = 60
+_NEARBY = 80
 # One sigma of a loop's own measurement: spacings, rad.
 _LOOP_SIGMA = (0.2, 0.04)
 
@@ -45,23 +45,35 @@ def believed(problem: Problem, T_w_p: Float, noise: Noise) -> Bool:
     path = _Path(problem, T_w_p, noise)
     loop = np.diag(np.repeat(np.square(_LOOP_SIGMA) * [problem.spacing**2, 1.0], 3))
     apart = np.abs(i[:, None] - i) + np.abs(j[:, None] - j)
-    a, b = np.nonzero((apart <= _NEARBY) & np.tri(len(at), k=-1, dtype=bool))
-    d2 = _disagreement(T_w_p, path, (i[a], j[a], Z[a]), (i[b], j[b], Z[b]), loop)
-    agree, contradict = np.zeros((2, len(at), len(at)), bool)
-    agree[a, b] = agree[b, a] = d2 < _GATE
-    contradict[a, b] = contradict[b, a] = d2 >= _GATE
+    nearby = (apart <= _NEARBY) & ~np.eye(len(at), dtype=bool)
+
+    def apart_by(a: Int, b: Int, worse: float | Float) -> Float:
+        return _disagreement(T_w_p, path, (i[a], j[a], Z[a]), (i[b], j[b], Z[b]), loop, worse)
+
+    agree = np.zeros(nearby.shape, bool)
+    a, b = np.nonzero(np.tril(nearby))
+    agree[a, b] = agree[b, a] = apart_by(a, b, 1.0) < _GATE
     error = se3.log(se3.inverse(T_w_p[j] @ Z) @ T_w_p[i])
     from_world = se3.adjoint(se3.inverse(T_w_p[i]))
-    own = _mahalanobis(error, path.between(i, j, from_world) + loop)
+    own = _mahalanobis(error, path.between(i, j, from_world, 1.0) + loop)
     usual = own < _GATE
     severe = _mahalanobis(error, path.between(i, j, from_world, _SEVERE) + loop) < _GATE
     support = agree.sum(1)
+    backed = support >= _BACKERS
+    short = np.abs(i - j) <= _DRIFT_KEYFRAMES
     chosen = np.zeros(len(at), bool)
     for k in np.lexsort((own, -support)):
-        possible = usual[k] or (severe[k] and support[k] >= _BACKERS)
-        chosen[k] = possible and not (contradict[k] & chosen).any()
+        # far along the way drift explains much: once others are backed, that is not enough
+        possible = (usual[k] and (short[k] or support[k] or not (chosen & backed).any())) or (
+            severe[k] and backed[k]
+        )
+        (others,) = np.nonzero(chosen)
+        if possible and len(others):
+            worse = np.where(backed[k] & backed[others] & ~nearby[k, others], _SEVERE, 1.0)
+            possible = (apart_by(others, np.full(len(others), k), worse) < _GATE).all()
+        chosen[k] = possible
     # support that was itself thrown out supports nothing
-    return chosen & (usual | ((agree & chosen).sum(1) >= _BACKERS))
+    return np.asarray(chosen & (usual | ((agree & chosen).sum(1) >= _BACKERS)))
 
 
 class _Path:
@@ -82,17 +94,16 @@ class _Path:
         self._noise = _summed(to_world, step)
         self._drift = _summed(to_world, drift[:, :, None] * np.eye(6))
 
-    def between(self, i: Int, j: Int, from_world: Float, worse: float = 1.0) -> Float:
+    def between(self, i: Int, j: Int, from_world: Float, worse: float | Float) -> Float:
         """(M, 6, 6) covariance of the motion between rows i and j, by from_world (M, 6, 6).
 
-        worse: how many times the usual drift.
-
+        worse: how many times the usual drift, one or (M,).
         Drift of n keyframes that all goes one way has n times the variance of independent ones.
         """
         low, high = np.minimum(i, j), np.maximum(i, j)
-        steps = np.minimum(high - low, _DRIFT_KEYFRAMES)[:, None, None]
+        steps = (np.minimum(high - low, _DRIFT_KEYFRAMES) * np.square(worse))[:, None, None]
         world = self._noise[high] - self._noise[low]
-        world = world + worse**2 * steps * (self._drift[high] - self._drift[low])
+        world = world + steps * (self._drift[high] - self._drift[low])
         return np.asarray(from_world @ world @ np.swapaxes(from_world, -1, -2))
 
 
@@ -108,6 +119,7 @@ def _disagreement(
     a: tuple[Int, Int, Float],
     b: tuple[Int, Int, Float],
     loop: Float,
+    worse: float | Float,
 ) -> Float:
     """(M,) squared Mahalanobis distances of loops b from what loops a and the path predict."""
     (i_a, j_a, Z_a), (i_b, j_b, Z_b) = a, b
@@ -118,8 +130,8 @@ def _disagreement(
     # the path at the far end moves in the world's axes, seen through the loop
     through_loop = se3.adjoint(se3.inverse(T_w_p[j_a] @ Z_a @ T_ia_ib))
     covariance = (
-        path.between(i_a, i_b, se3.adjoint(se3.inverse(T_w_p[i_b])))
-        + path.between(j_a, j_b, through_loop)
+        path.between(i_a, i_b, se3.adjoint(se3.inverse(T_w_p[i_b])), worse)
+        + path.between(j_a, j_b, through_loop, worse)
         + from_a @ loop @ np.swapaxes(from_a, -1, -2)
         + loop
     )

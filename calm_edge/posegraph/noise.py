@@ -57,7 +57,7 @@ def measured_noise(problem: Problem) -> Noise | None:
     difference = B[:, :3, 3] - A[:, :3, 3]
     length2 = np.maximum((A[:, :3, 3] ** 2).sum(-1), 1e-12)
     along = ((difference * A[:, :3, 3]).sum(-1) ** 2 / length2).mean()
-    across = (difference**2).sum(-1).mean() / 2 - along / 2
+    across = max((difference**2).sum(-1).mean() - along, 0.0) / 2
     rotation = (se3.log(se3.inverse(A) @ B)[:, 3:] ** 2).mean() / 4
     lever = 2 * rotation * length2.mean()
     # where the lever explains all, the rest is below what this can see: a tenth of it

@@ -6,34 +6,15 @@ import gtsam
 import numpy as np
 import pytest
 
-from calm_edge.config import PoseGraphConfig
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
+from calm_edge.posegraph.marginals import Marginals
+from calm_edge.posegraph.noise import assumed_noise, measured_noise
+from calm_edge.posegraph.optimiser import Solved
+from calm_edge.posegraph.optimum import optimum
 from calm_edge.types import LoopClosure
 from tests.drives import T_P_A, circle, curved, position_error
-
-CONFIG = PoseGraphConfig()
-
-
-def graph_of(T, *, noise=0.0, bias=None, seed=0, n_max=15, spacing=1.0, config=CONFIG):
-    """Sub-maps of `n_max` frames, 3 shared, each seen through its own noise."""
-    rng = np.random.default_rng(seed)
-    graph = JointGraph(config, spacing)
-    for start in range(0, len(T) - 3, n_max - 3):
-        ids = tuple(range(start, min(start + n_max, len(T))))
-        sigma = np.repeat([noise, noise / 10], 3)
-        T_s_p = T[list(ids)] @ se3.exp(rng.normal(size=(len(ids), 6)) * sigma)
-        T_s_a = T[list(ids)] @ T_P_A @ se3.exp(rng.normal(size=(len(ids), 6)) * sigma)
-        if bias is not None:
-            drift = se3.exp(np.arange(len(ids))[:, None] * bias)
-            T_s_p, T_s_a = drift @ T_s_p, drift @ T_s_a
-        T_s = se3.inverse(T_s_p[0])
-        T_s_p, T_s_a = T_s @ T_s_p, T_s @ T_s_a
-        if not len(graph):
-            graph.set_rig_prior(se3.mean(se3.inverse(T_s_p) @ T_s_a))
-        T_w_s = graph.pose(start) if start in graph else T[0]
-        graph.add_submap(ids, T_w_s, T_s_p, T_s_a, np.arange(len(ids)))
-    return graph
+from tests.posegraph.graphs import CONFIG, SEVERE, graph_of
 
 
 def reference_optimum(graph, sigma, sigma_prior):
@@ -129,12 +110,9 @@ def test_first_keyframe_holds_the_world():
     assert np.abs(graph.poses()[0] - T[0]).max() < 1e-9
 
 
-BIAS = np.array([0, 0.002, 0.05, 0, 0.01, 0])
-
-
 def test_a_true_loop_closes_a_long_drift_and_a_false_one_is_let_go():
     T = circle(120)
-    graph = graph_of(T, noise=0.003, bias=BIAS)
+    graph = graph_of(T, noise=0.003, bias=SEVERE)
     open_error = position_error(graph.poses(), T)
     graph.add_loop(LoopClosure(119, 0, se3.inverse(T[0]) @ T[119]))
     graph.add_loop(LoopClosure(118, 1, se3.inverse(T[1]) @ T[118]))
@@ -198,6 +176,54 @@ def test_two_runs_agree_to_the_bit():
         graph.optimise()
         runs.append(graph.poses().tobytes() + graph.T_p_a.tobytes())
     assert runs[0] == runs[1]
+
+
+def test_an_optimum_of_an_earlier_snapshot_takes_later_keyframes_along():
+    T = curved(60)
+    graph, grown = graph_of(T[:39], noise=0.05), graph_of(T, noise=0.05)
+    solved = Solved(grown.snapshot().graph, optimum(graph.problem(), graph.state()))
+    late = se3.inverse(grown.poses()[38]) @ grown.poses()[38:]
+    assert grown.apply(solved)
+    assert np.array_equal(grown.poses()[:39], solved.optimum.state.T_w_p)
+    assert np.abs(se3.inverse(grown.poses()[38]) @ grown.poses()[38:] - late).max() < 1e-12
+    assert np.array_equal(grown.T_p_a, solved.optimum.state.T_p_a)
+
+
+def test_an_optimum_of_another_graph_is_not_taken():
+    graph = graph_of(curved(30), noise=0.05)
+    before = graph.poses()
+    other = graph_of(curved(30), noise=0.05)
+    assert not graph.apply(Solved(other.snapshot().graph, optimum(other.problem(), other.state())))
+    assert np.array_equal(graph.poses(), before)
+
+
+@pytest.mark.parametrize("spacing", [1.0, 0.5])
+def test_noise_scale_is_the_measured_variance_of_a_pair_over_the_papers(spacing):
+    translation, rotation = graph_of(curved(300), noise=0.04, spacing=spacing).noise_scale()
+    assert translation == pytest.approx(2 * 0.04**2 / (0.1 * spacing**2), rel=0.2)
+    assert rotation == pytest.approx(2 * 0.004**2 / 0.05, rel=0.2)
+    assert graph_of(curved(15), noise=0.04).noise_scale() is None
+
+
+def test_covariances_grow_from_the_first_keyframe():
+    graph = graph_of(curved(80), noise=0.02)
+    graph.optimise()
+    sigma = np.sqrt(np.diagonal(graph.covariances(np.array([0, 20, 79])), axis1=1, axis2=2))
+    assert np.abs(sigma[0]).max() < 1e-9
+    assert (sigma[2] > sigma[1]).all()
+    with pytest.raises(KeyError):
+        graph.covariances(np.array([80]))
+
+
+@pytest.mark.parametrize("ids", [(119, 109), (119, 119), (14, 4)])
+def test_relative_covariance_of_the_newest_submaps_is_that_of_the_whole_graph(ids):
+    graph = graph_of(curved(120)[: 15 if ids[0] < 15 else 120], noise=0.02)
+    graph.optimise()
+    problem = graph.problem()
+    noise = measured_noise(problem) or assumed_noise(problem)
+    whole = Marginals(problem, graph.state(), noise).covariances(np.array(ids[:1]), ids[1])[0]
+    local = graph.relative_covariance(*ids)
+    assert np.linalg.norm(local - whole) <= 0.25 * np.linalg.norm(whole) + 1e-15
 
 
 def test_optimising_needs_a_rig_prior():

@@ -1,0 +1,96 @@
+import dataclasses
+
+import numpy as np
+
+from calm_edge.evaluation.nees import honest_band, pose_nees
+from calm_edge.geometry import se3
+from calm_edge.posegraph.joint_graph import JointGraph
+from calm_edge.posegraph.marginals import Marginals
+from calm_edge.posegraph.noise import Noise
+from calm_edge.types import LoopClosure
+from tests.drives import T_P_A, curved
+from tests.posegraph.graphs import CONFIG, graph_of
+
+N = 27
+
+
+def submaps(T, moved=None):
+    """A graph of exact sub-maps but for `moved`: (sub-map, eye, view, twist) or (sub-map, log)."""
+    graph = JointGraph(CONFIG)
+    graph.set_rig_prior(T_P_A)
+    for k, start in enumerate(range(0, len(T) - 3, 12)):
+        ids = tuple(range(start, min(start + 15, len(T))))
+        eyes = [T[list(ids)], T[list(ids)] @ T_P_A]
+        T_s = se3.inverse(T[start])
+        eyes = [T_s @ views for views in eyes]
+        if moved is not None and moved[0] == k:
+            if len(moved) == 4:
+                _, eye, view, twist = moved
+                eyes[eye][view] = eyes[eye][view] @ se3.exp(twist)
+            else:
+                for views in eyes:
+                    views[:, :3, 3] *= np.exp(moved[1])
+        graph.add_submap(ids, T[start], *eyes, np.arange(len(ids)))
+    graph.add_loop(LoopClosure(N - 1, 0, se3.inverse(T[0]) @ T[N - 1]))
+    return graph
+
+
+def shifts(T, moved, row, origins):
+    """(M, 6) twists by which the optimum of `row`, seen from each origin, answers."""
+    graph = submaps(T, moved)
+    graph.optimise(tolerance=1e-9)
+    X = graph.poses()
+    truth = se3.inverse(T[origins]) @ T[row]
+    return se3.log(se3.inverse(truth) @ se3.inverse(X[origins]) @ X[row])
+
+
+def test_the_covariance_is_that_of_every_error_put_in_by_hand():
+    T, row, origins, h = curved(N, turn=0.1), 20, [0, 9], 1e-4
+    noise = Noise(translation=0.01, rotation=0.002, scale=0.03)
+    sigma = np.repeat([noise.translation, noise.rotation], 3)
+    answers = []
+    for k in (0, 1):
+        for eye, view in np.ndindex(2, 15):
+            for axis in np.eye(6):
+                answers.append(shifts(T, (k, eye, view, axis * h), row, origins) * (axis @ sigma))
+        answers.append(shifts(T, (k, h), row, origins) * noise.scale)
+    expected = np.einsum("eoi,eoj->oij", answers, answers) / h**2
+    graph = submaps(T)
+    for origin, wanted in zip(origins, expected, strict=True):
+        found, rest = (
+            Marginals(graph.problem(), graph.state(), n).covariances(np.array([row]), origin)[0]
+            # without noise the loop is left, whose error nothing here moved
+            for n in (noise, Noise(0.0, 0.0, 0.0))
+        )
+        assert np.linalg.norm(found - rest - wanted) < 0.02 * np.linalg.norm(wanted)
+
+
+def test_honest_over_independent_drives():
+    T, rows, values = curved(51), np.array([12, 50]), []
+    for seed in range(20):
+        graph = graph_of(T, noise=0.02, seed=seed)
+        graph.optimise()
+        X = se3.inverse(graph.poses()[0]) @ graph.poses()
+        truth = se3.inverse(T[0]) @ T
+        problem = graph.problem()
+        # these sub-maps share one scale
+        noise = Noise(0.02, 0.002, 0.0)
+        covariance = Marginals(problem, graph.state(), noise).covariances(rows)
+        values.append(pose_nees(X[rows], truth[rows], covariance) / 6)
+    low, high = honest_band(20, 6, confidence=0.99)
+    assert (np.mean(values, 0) > low).all()
+    assert (np.mean(values, 0) < high).all()
+
+
+def test_papers_variances_as_errors_are_the_inverse_of_the_normal_matrix():
+    graph = graph_of(curved(20), noise=0.01)
+    graph.optimise()
+    problem = graph.problem()
+    marginals = Marginals(problem, graph.state(), Noise(0.01, 0.001, 0.0))
+    loud = marginals.graph_covariances(np.array([19]))[0]
+    doubled = dataclasses.replace(
+        problem, sigma=2 * problem.sigma, sigma_prior=2 * problem.sigma_prior
+    )
+    louder = Marginals(doubled, graph.state(), Noise(0.01, 0.001, 0.0))
+    assert np.allclose(louder.graph_covariances(np.array([19]))[0], 4 * loud)
+    assert np.linalg.eigvalsh(loud).min() > 0
