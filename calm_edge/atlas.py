@@ -15,6 +15,7 @@ from calm_edge import scale
 from calm_edge.config import Config
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
+from calm_edge.posegraph.optimiser import Optimiser
 from calm_edge.types import Float, Int, LoopClosure, Submap, Trajectory
 
 
@@ -41,6 +42,9 @@ class Atlas:
 
     def __len__(self) -> int:
         return len(self._submaps)
+
+    def __contains__(self, keyframe_id: int) -> bool:
+        return keyframe_id in self._graph
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
@@ -108,8 +112,26 @@ class Atlas:
         self.epoch += 1
 
     def optimise(self) -> None:
-        """The joint optimum (IV-C); each sub-map follows the mean motion of its keyframes."""
+        """The joint optimum (IV-C), here and now."""
         self._graph.optimise()
+        self._follow()
+
+    def request_optimum(self, optimiser: Optimiser) -> None:
+        """Asks for the joint optimum of everything measured so far."""
+        snapshot = self._graph.snapshot()
+        if snapshot is not None:
+            optimiser.request(snapshot)
+
+    def settle(self, optimiser: Optimiser) -> bool:
+        """Takes an optimum that has come since; whether anything moved."""
+        solved = optimiser.poll()
+        if solved is None or not self._graph.apply(solved):
+            return False
+        self._follow()
+        return True
+
+    def _follow(self) -> None:
+        """Each sub-map follows the mean motion of its keyframes."""
         self.epoch += 1
         for k, submap in enumerate(self._submaps):
             T_w_p = np.stack([self._graph.pose(i) for i in submap.primary_ids])

@@ -25,9 +25,10 @@ LARGEST_S = 0.1
 MAX_SUBMAPS = 200
 MIN_SUBMAPS = 5
 # How far the poses of one sub-map are thought to sit off the rig, to weigh translation (in
-# spacings) against rotation; the sigma is measured and does not rest on it.
+# spacings) against rotation; the sigma is measured, though never taken for under a tenth of that.
 TRANSLATION_NOISE = 0.02
 ROTATION_NOISE_RAD = 0.002
+LEAST_NOISE = 0.1
 ITERATIONS = 8
 # Frames to either side over which the car's motion is taken: between two alone it is mostly noise.
 SMOOTHING = 2
@@ -112,7 +113,8 @@ def _step(history: list[Samples], late: float) -> tuple[float, float]:
     if signal <= 0:
         return -late, PRIOR_SIGMA_S
     score = np.bincount(k, (J_free * r_free).sum(1))
-    information = signal**2 / max(float((score - score.mean()) @ (score - score.mean())), 1e-300)
+    scatter = float((score - score.mean()) @ (score - score.mean()))
+    information = signal**2 / max(scatter, LEAST_NOISE**2 * signal)
     total = information + PRIOR_SIGMA_S**-2
     found = late + float(score.sum()) / H
     return found * information / total - late, total**-0.5

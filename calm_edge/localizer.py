@@ -2,32 +2,33 @@
 
 Differences from the paper: the spacing itself is the unit (scale.py); windows solved under an
 older belief of the kit are solved again (kit_memory.py); a window that cannot be reconstructed
-is bridged (atlas.py). Scale comes after the correction of poses: with a wrong focal the lateral
-spacing is wrong while forward motion is kept, so the other order would put the focal's error
-into the scale.
+is bridged (atlas.py).
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
-from calm_edge import scale
+from calm_edge import batch, scale
 from calm_edge.atlas import Atlas, SkippedWindow
 from calm_edge.backbones.base import Backbone, BackboneError
-from calm_edge.backbones.kit_memory import KitMemory
+from calm_edge.backbones.kit_memory import KitMemory, ResolvingBackbone
 from calm_edge.config import Config
 from calm_edge.geometry import se3
+from calm_edge.loop_geometry import KnownKit
+from calm_edge.loops import LoopCandidate, LoopFinder, PlaceLoops
+from calm_edge.posegraph.optimiser import Immediate, Optimiser
+from calm_edge.rectifier import Rectifier
 from calm_edge.types import (
     Bytes,
-    Float,
+    GlobalIntrinsics,
     Hints,
-    Int,
     LocalizerUpdate,
     LoopClosure,
     Prediction,
@@ -35,20 +36,32 @@ from calm_edge.types import (
     SubmapWindow,
     Trajectory,
 )
-from device.frame import Eye, UnreadableImage
+from device.frame import UnreadableImage
 
 log = logging.getLogger(__name__)
 
 
 class Localizer:
-    """Owns the atlas and what is learned of the kit; a deterministic function of its windows."""
+    """Owns the atlas and what is learned of the kit; a deterministic function of its windows.
 
-    def __init__(self, config: Config, backbone: Backbone) -> None:
+    loops: finds places again (IV-D), None for what the configuration asks for. optimiser: where
+    the joint optimum is computed; beside the live path the result comes with a later window.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        backbone: Backbone,
+        loops: LoopFinder | None = None,
+        optimiser: Optimiser | None = None,
+    ) -> None:
         self._config = config
         self._backbone = backbone
         self._memory = KitMemory(backbone, config.backbone.resolve_windows)
+        self._rectifier = Rectifier(config, isinstance(backbone, ResolvingBackbone))
+        self._loops = loops or (PlaceLoops(config.loops) if config.loops.enabled else None)
+        self._optimiser = optimiser or Immediate()
         self._atlas = Atlas(config)
-        self._first_scale: float | None = None
         self._optimised = False
 
     @property
@@ -61,6 +74,11 @@ class Localizer:
         """Windows that could not be reconstructed; the next sub-map's n_overlap is 0."""
         return self._atlas.skipped
 
+    @property
+    def intrinsics(self) -> GlobalIntrinsics | None:
+        """What the online search holds true (V-A), where it runs."""
+        return self._rectifier.intrinsics
+
     def process(self, window: SubmapWindow) -> LocalizerUpdate | None:
         """One window more; None where it could not be reconstructed (see `skipped`)."""
         atlas, stage_ms = self._atlas, dict[str, float]()
@@ -69,19 +87,36 @@ class Localizer:
         try:
             with _timed(stage_ms, "decode"):
                 images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
+            with _timed(stage_ms, "loop"):
+                window, images, candidate = self._with_loop(window, images)
             hints = self._hints(window, images)
             with _timed(stage_ms, "infer"):
                 prediction = self._backbone.infer(images, hints)
-            with _timed(stage_ms, "scale"):
-                submap = self._scaled(_raw(window, hints, prediction))
+            raw = batch.raw_submap(window, hints, prediction)
+            with _timed(stage_ms, "search"):
+                learned = self._rectifier.learn(raw, prediction.landmarks, images)
+            with _timed(stage_ms, "rectify"):
+                submap = self._rectifier.rectify(raw)
         except (BackboneError, scale.ScaleError, UnreadableImage) as error:
             self._skip(window, str(error))
             return None
+        closed = self._closure(window, submap, prediction, candidate)
+        if window.loop_keyframe is not None and closed is None:
+            prediction, submap, hints = batch.without_loop(prediction, submap, hints)
         with _timed(stage_ms, "place"):
             atlas.add(submap)
+            if self._loops is not None:
+                self._loops.remember(window)
         with _timed(stage_ms, "resolve"):
             self._memory.add(submap.id, prediction, hints)
+            if learned:
+                self._replace_all(atlas.submaps)
             self._resolve(self._memory.outdated())
+        with _timed(stage_ms, "optimise"):
+            if closed is not None:
+                atlas.add_loop(closed)
+                self._request()
+            self._optimised |= atlas.settle(self._optimiser)
         placed, moved = atlas.submaps[-1], atlas.epoch != epoch
         after = atlas.pose(newest) if newest is not None else before
         return LocalizerUpdate(
@@ -91,6 +126,8 @@ class Localizer:
             T_odom_correction=after @ se3.inverse(before) if moved else np.eye(4),
             stage_ms=stage_ms,
             kit=self._memory.belief(),
+            loop=closed,
+            loop_keyframe=window.loop_keyframe if closed is not None else None,
         )
 
     def close_loop(self, loop: LoopClosure) -> Trajectory:
@@ -101,11 +138,15 @@ class Localizer:
 
     def finish(self) -> Trajectory | None:
         """Every window under the final belief, then the joint optimum; None without a sub-map."""
+        self._optimiser.close()
         if not len(self._atlas):
             return None
         self._optimised = False
+        if self._rectifier.finish():
+            self._replace_all(self._atlas.submaps)
         self._resolve(self._memory.retained())
-        self._optimise()
+        if self._config.posegraph.optimise:
+            self._optimise()
         return self.trajectory()
 
     def trajectory(self) -> Trajectory:
@@ -119,17 +160,50 @@ class Localizer:
             t_ns=np.array([frame.t_ns for frame in frames], np.int64),
             hfov_deg=self._config.backbone.hfov_of_eye,
             kit=self._memory.belief(),
-            sizes=_sizes(window, images),
+            sizes=batch.sizes(window, images),
         )
 
-    def _scaled(self, submap: Submap) -> Submap:
-        """IV-B; with `scale.rectify` off the first sub-map's factor is everyone's."""
-        scaled = scale.rectify(submap, self._config.scale.spacing_m)
-        if self._config.scale.rectify or self._first_scale is None:
-            self._first_scale = scaled.scale
-            return scaled
-        T_s_c = scale.rectified(submap.T_s_c, self._first_scale)
-        return replace(submap, scale=self._first_scale, T_s_c=T_s_c)
+    def _with_loop(
+        self, window: SubmapWindow, images: list[Bytes]
+    ) -> tuple[SubmapWindow, list[Bytes], LoopCandidate | None]:
+        """The window with a picture of the past in its batch, where one shows its place (IV-D).
+
+        A window that comes with one, from a recording, keeps it.
+        """
+        if self._loops is None:
+            return window, images, None
+        candidate = self._loops.find(window, images, self._known_kit())
+        if candidate is None or window.loop_keyframe is not None:
+            return window, images, None
+        joined = replace(window, loop_keyframe=candidate.keyframe)
+        return joined, [*images, candidate.keyframe.frame.bgr()], candidate
+
+    def _known_kit(self) -> KnownKit | None:
+        if not len(self._atlas):
+            return None
+        newest = self._atlas.submaps[-1]
+        return KnownKit(newest.K[[0, newest.n_primary]], self._atlas.T_p_a)
+
+    def _closure(
+        self,
+        window: SubmapWindow,
+        submap: Submap,
+        prediction: Prediction,
+        candidate: LoopCandidate | None,
+    ) -> LoopClosure | None:
+        """T_loop as the backbone measured it, where it did and the look-up does not object."""
+        match = window.loop_keyframe
+        if match is None or not prediction.loop_found or match.id not in self._atlas:
+            return None
+        T_s_match = submap.T_s_c[-1]
+        apart = np.linalg.norm(submap.T_s_c[: submap.n_primary, :3, 3] - T_s_match[:3, 3], axis=1)
+        query = candidate.query_view if candidate is not None else int(apart.argmin())
+        T_match_query = se3.inverse(T_s_match) @ submap.T_s_c[query]
+        spacing = self._config.scale.spacing_m or 1.0
+        if candidate is not None and not candidate.agrees(se3.inverse(T_match_query), spacing):
+            log.info("sub-map %d: loop to keyframe %d contradicted", submap.id, match.id)
+            return None
+        return LoopClosure(submap.primary_ids[query], match.id, T_match_query)
 
     def _skip(self, window: SubmapWindow, reason: str) -> None:
         log.warning("sub-map %d skipped: %s", window.submap_id, reason)
@@ -139,69 +213,31 @@ class Localizer:
     def _resolve(self, submap_ids: list[int]) -> None:
         """Solves windows again as the kit is now known and, where that worked, places all anew."""
         solved = self._memory.resolve(submap_ids)
-        if not solved:
-            return
-        self._atlas.replace_all([self._resolved(s, solved.get(s.id)) for s in self._atlas.submaps])
-        if self._optimised:
-            self._optimise()
+        if solved:
+            raw = [batch.solved_again(s, solved.get(s.id)) for s in self._atlas.submaps]
+            self._replace_all(raw)
 
-    def _resolved(self, submap: Submap, prediction: Prediction | None) -> Submap:
-        """The sub-map with a later prediction's poses, itself where that has no scale."""
-        if prediction is None:
-            return submap
-        raw = replace(
-            submap,
-            T_s_c_raw=prediction.T_s_c,
-            K_raw=prediction.K,
-            T_s_c=prediction.T_s_c,
-            K=prediction.K,
-            focal_log_sigma=_focal_log_sigma(submap.n_primary, prediction),
-            assistant_late_ns=round(prediction.assistant_late_s * 1e9),
-        )
+    def _replace_all(self, submaps: Sequence[Submap]) -> None:
+        """Rectifies the sub-maps from their raw poses and places all of them anew."""
+        self._atlas.replace_all([self._rectified_again(submap) for submap in submaps])
+        if self._optimised:
+            self._request()
+
+    def _rectified_again(self, submap: Submap) -> Submap:
+        """The sub-map as it is now known, as it was where that has no scale."""
         try:
-            return self._scaled(raw)
+            return self._rectifier.rectify(submap)
         except scale.ScaleError as error:
             log.warning("sub-map %d keeps its earlier solution: %s", submap.id, error)
-            return submap
+            return next(placed for placed in self._atlas.submaps if placed.id == submap.id)
+
+    def _request(self) -> None:
+        if self._config.posegraph.optimise:
+            self._atlas.request_optimum(self._optimiser)
 
     def _optimise(self) -> None:
         self._atlas.optimise()
         self._optimised = True
-
-
-def _raw(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Submap:
-    """The window as a sub-map, neither rectified nor placed."""
-    return Submap(
-        id=window.submap_id,
-        primary_ids=tuple(keyframe.id for keyframe in window.primary),
-        assistant_ids=tuple(keyframe.id for keyframe in window.assistant),
-        n_overlap=window.n_overlap,
-        t_ns=hints.t_ns,
-        T_s_c_raw=prediction.T_s_c,
-        K_raw=prediction.K,
-        T_s_c=prediction.T_s_c,
-        K=prediction.K,
-        scale=1.0,
-        T_w_s=np.eye(4),
-        focal_log_sigma=_focal_log_sigma(len(window.primary), prediction),
-        assistant_late_ns=round(prediction.assistant_late_s * 1e9),
-    )
-
-
-def _sizes(window: SubmapWindow, images: list[Bytes]) -> Int | None:
-    """(2, 2) width and height [px] of each eye's pictures, None without an assistant."""
-    if not window.assistant:
-        return None
-    shapes = [images[0].shape, images[len(window.primary)].shape]
-    return np.array([[shape[1], shape[0]] for shape in shapes], np.int64)
-
-
-def _focal_log_sigma(n_primary: int, prediction: Prediction) -> Float:
-    """(2,) an eye; inf where the model does not know its focal's error."""
-    sigma = prediction.focal_log_sigma
-    if sigma is None or len(sigma) <= n_primary:
-        return np.full(len(Eye), np.inf)
-    return np.asarray(sigma[[0, n_primary]])
 
 
 @contextmanager

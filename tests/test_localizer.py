@@ -114,16 +114,33 @@ def test_same_windows_give_the_same_bytes():
     assert runs[0] == runs[1]
 
 
-def test_the_loop_view_takes_no_part_in_scale():
-    T = curved(15)
-    (window,) = windows(15)
-    loop = Keyframe(0, dataclasses.replace(window.primary[0].frame, t_ns=START_NS + 777))
-    window = dataclasses.replace(window, loop_keyframe=loop)
+def with_loop_to(keyframe, window):
+    return dataclasses.replace(window, loop_keyframe=keyframe)
+
+
+def test_the_loop_view_takes_no_part_in_scale_and_closes_a_loop():
+    T = circle(150)
+    cut = windows(150)
     localizer = Localizer(METRES, ScriptedBackbone(scene(T)))
-    update = localizer.process(window)
-    assert len(update.submap.T_s_c) == 31
+    for window in cut[:-1]:
+        localizer.process(window)
+    update = localizer.process(with_loop_to(cut[0].primary[0], cut[-1]))
+    assert len(update.submap.T_s_c) == 31 - 15 * 2 + 2 * len(cut[-1].primary)
     assert update.submap.scale == pytest.approx(1.0, abs=1e-9)
-    assert position_error(update.trajectory.T_w_c, T).max() < 1e-9
+    assert update.loop.match_id == 0
+    expected = se3.inverse(T[0]) @ T[update.loop.query_id]
+    assert np.allclose(update.loop.T_match_query, expected, atol=1e-9)
+    assert update.trajectory.epoch == 1 and len(update.trajectory.t_ns) == 150
+
+
+def test_a_loop_to_a_place_without_a_pose_is_no_loop():
+    T = circle(60)
+    cut = windows(60)
+    localizer = Localizer(METRES, ScriptedBackbone(scene(T)))
+    localizer.process(cut[0])
+    update = localizer.process(with_loop_to(cut[-1].primary[-1], cut[1]))
+    assert update.loop is None and update.loop_keyframe is None
+    assert len(update.submap.T_s_c) == len(update.prediction.T_s_c) == 30
 
 
 class Failing(ScriptedBackbone):

@@ -132,8 +132,9 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
 class RigTies:
     """Where each assistant view sits between two primary views, and how stiff its tie is.
 
-    assistant, before, after: (A,) view indices. alpha: (A,) share of the way from before to
-    after as the stamps say it. rate: (A,) that share a second. information_root: (A, 6) one over sigma of (translation [spacings], rotation [rad]).
+    assistant, before, after: (A,) view indices. alpha: (A,) share of the way from before to after
+    as the stamps say it. rate: (A,) that share a second. information_root: (A, 6) one over sigma
+    of (translation [spacings], rotation [rad]).
     """
 
     assistant: Int
@@ -184,7 +185,8 @@ def tie_residuals(
 def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     """Residuals (A, 6) and derivatives (A, 6, 25) by (before, after, assistant, rig, lateness).
 
-    Numerical: fifteen ties a window: one call on the stack of steps costs less than analysis would read.
+    Numerical: one call on the stack of all steps of fifteen ties costs less than analysis would
+    read.
     """
     h = 1e-6
     # (4 blocks, 6 axes, 2 signs): row [b, k, s] steps axis k of block b
@@ -201,7 +203,11 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     sides = tie_residuals(before, after, assistant, rig, late, ties)  # (4, 6, 2, A, 6)
     J = (sides[:, :, 0] - sides[:, :, 1]) / (2 * h)
     J = J.transpose(2, 3, 0, 1).reshape(len(ties.alpha), 6, 24)
-    here = (*(state.T_c_s[v] for v in views), kit.rig(state.theta))
-    sooner, later = (tie_residuals(*here, late + step_s, ties) for step_s in (-h, h))
-    J_late = (later - sooner)[..., None] / (2 * h)
-    return tie_residuals(*here, late, ties), np.concatenate([J, J_late], 2)
+    rig_here = kit.rig(state.theta)
+
+    def at(late_s: float) -> Float:
+        T_before, T_after, T_assistant = (state.T_c_s[v] for v in views)
+        return tie_residuals(T_before, T_after, T_assistant, rig_here, late_s, ties)
+
+    J_late = (at(late + h) - at(late - h))[..., None] / (2 * h)
+    return at(late), np.concatenate([J, J_late], 2)

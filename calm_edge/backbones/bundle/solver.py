@@ -117,8 +117,10 @@ def total_cost(
     length = whitened_lengths(state, m)
     pixels = scale**2 * np.log1p((length / scale) ** 2).sum()
     T = state.T_c_s
-    views = T[ties.before], T[ties.after], T[ties.assistant]
-    tie = tie_residuals(*views, kit.rig(state.theta), float(state.theta[kit.LATE]), ties)
+    tie = tie_residuals(
+        T[ties.before], T[ties.after], T[ties.assistant],
+        kit.rig(state.theta), float(state.theta[kit.LATE]), ties,
+    )  # fmt: skip
     off = state.theta - prior.mean
     return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off)
 
