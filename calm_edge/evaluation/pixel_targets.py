@@ -56,11 +56,16 @@ def _measured(figures: Mapping[str, Any] | None) -> bool:
     return figures is not None and "skipped" not in figures
 
 
+def _counts(ours: Mapping[str, Any] | None) -> bool:
+    # a drive that broke ours is not excused by the focal it never got to
+    return ours is not None and ("failed" in ours or (_measured(ours) and focal_observed(ours)))
+
+
 def _medians(results: Results, rendered: Collection[str]) -> list[Verdict]:
     drives = [
         methods
         for name, methods in results.items()
-        if name in rendered and _measured(methods.get("ours")) and focal_observed(methods["ours"])
+        if name in rendered and _counts(methods.get("ours"))
     ]
     checks: list[Verdict] = []
     for method, rival, most in RATIOS:

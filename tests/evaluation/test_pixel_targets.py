@@ -74,6 +74,13 @@ def test_a_drive_that_ours_lost_counts_against_us() -> None:
     assert verdicts(results, set(results))[0][2:] == (None, False)
 
 
+def test_a_drive_that_broke_ours_counts_against_us() -> None:
+    results = drives([1.0, 1.0, 1.0], [1.0, 1.0, 1.0])
+    results["km0"]["ours"] = results["km1"]["ours"] = {"failed": "it broke"}
+    check = verdicts(results, set(results))[0]
+    assert check[0].endswith("3 drives") and check[2:] == (None, False)
+
+
 def test_a_skipped_rival_is_no_verdict() -> None:
     results = drives([1.0], [1.0])
     results["km0"]["orbslam3"] = {"skipped": "not here"}
