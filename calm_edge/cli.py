@@ -17,6 +17,7 @@ COMMANDS = {
     "record": "log two cameras (or replay a folder) and estimate poses live",
     "map": "make a dense map, a trajectory and a report of a recording",
     "eval": "compare a recording, a map or a TUM file with ground truth",
+    "eval-dataset": "repeat the paper's tables on KITTI odometry, KITTI-360 or Argoverse",
     "recover": "rewrite what can be read of a damaged recording",
     "validate": "check every byte of a recording",
     "cameras": "list the cameras of this machine",
@@ -33,7 +34,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
-        module = importlib.import_module(f"calm_edge.commands.{name}")
+        module = importlib.import_module(f"calm_edge.commands.{name.replace('-', '_')}")
         command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
         module.configure(command)
         command.set_defaults(run=module.run)
