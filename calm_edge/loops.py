@@ -20,9 +20,10 @@ from calm_edge.loop_geometry import KnownKit, SamePlace, same_place
 from calm_edge.types import Bytes, Float, Float32, Keyframe, SubmapWindow
 
 MAX_FEATURES = 800
-# Keyframes: between queries and places at first, between two closures, and how near to each other
-# two candidates are one.
+# Keyframes: between queries and places, as far as places are beside each other, between two
+# closures, and how near to each other two candidates are one.
 EVERY = 2
+BESIDE = 3
 CLOSURE_GAP = 15
 SUPPRESSION = 10
 MAX_PICTURE_BYTES = 96 << 20
@@ -70,40 +71,50 @@ class LoopFinder(Protocol):
 
 
 class PlaceMemory:
-    """Owns the places: one picture every few keyframes, thinned evenly when there are too many."""
+    """Owns the places: pairs of pictures EVERY keyframes apart, thinned evenly when too many.
+
+    A place is believed only together with one beside it, so a pair is kept or dropped as one.
+    """
 
     def __init__(self, max_places: int, max_bytes: int = MAX_PICTURE_BYTES) -> None:
         self._max_places = max(2, max_places)
         self._max_bytes = max_bytes
-        self._places: list[tuple[Keyframe, Float32]] = []
-        self.every = EVERY
+        self._pairs: list[list[tuple[Keyframe, Float32]]] = []
+        self.every = 2 * EVERY
 
     def __len__(self) -> int:
-        return len(self._places)
+        return sum(len(pair) for pair in self._pairs)
 
     def add(self, keyframe: Keyframe, vector: Float32) -> None:
-        """One more, if far enough from the last. A decoded picture is kept as a JPEG of it."""
-        if self._places and keyframe.id < self._places[-1][0].id + self.every:
+        """One more, if its turn has come. A decoded picture is kept as a JPEG of it."""
+        newest = self._pairs[-1] if self._pairs else []
+        begins = not newest or keyframe.id >= newest[0][0].id + self.every
+        joins = len(newest) == 1 and EVERY <= keyframe.id - newest[0][0].id <= BESIDE
+        if not (begins or joins):
             return
-        self._places.append((_compressed(keyframe), vector))
-        while len(self) > 1 and (len(self) > self._max_places or self.n_bytes > self._max_bytes):
-            self._places = self._places[::2]
+        if begins:
+            newest = []
+            self._pairs.append(newest)
+        newest.append((_compressed(keyframe), vector))
+        while len(self._pairs) > 1 and (
+            len(self) > self._max_places or self.n_bytes > self._max_bytes
+        ):
+            self._pairs = self._pairs[::2]
             self.every *= 2
 
     @property
     def n_bytes(self) -> int:
         """Of all pictures."""
-        return sum(len(keyframe.frame.image) for keyframe, _ in self._places)
+        return sum(len(keyframe.frame.image) for pair in self._pairs for keyframe, _ in pair)
 
     def beside(self, place: Keyframe) -> list[Keyframe]:
-        """The places next to one, on either side."""
-        ids = [keyframe.id for keyframe, _ in self._places]
-        at = ids.index(place.id)
-        return [self._places[k][0] for k in (at - 1, at + 1) if 0 <= k < len(ids)]
+        """The places next to one, on either side, where none was dropped between."""
+        every = [keyframe for pair in self._pairs for keyframe, _ in pair]
+        return [other for other in every if 0 < abs(other.id - place.id) <= BESIDE]
 
     def before(self, keyframe_id: int) -> tuple[list[Keyframe], Float32]:
         """Places up to that id, oldest first, and their descriptors (P, D)."""
-        known = [place for place in self._places if place[0].id <= keyframe_id]
+        known = [place for pair in self._pairs for place in pair if place[0].id <= keyframe_id]
         vectors = [vector for _, vector in known]
         return [k for k, _ in known], np.stack(vectors) if vectors else np.zeros((0, 0), np.float32)
 

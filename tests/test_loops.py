@@ -178,17 +178,33 @@ def picture_of(i, size=(40, 60, 3)):
     return np.full(size, i % 251, np.uint8)
 
 
-def test_places_are_capped_and_thinned_evenly():
+def test_places_are_capped_and_thinned_evenly_in_pairs():
     memory = PlaceMemory(max_places=16)
     for i in range(1000):
         memory.add(keyframe(i, picture_of(i)), np.full(4, i, np.float32))
         assert len(memory) <= 16
     places, vectors = memory.before(999)
     ids = np.array([place.id for place in places])
-    assert len(ids) > 8 and (np.diff(ids) == memory.every).all() and ids[0] == 0
-    assert ids[-1] > 999 - memory.every
+    first, second = ids[::2], ids[1::2]
+    assert len(ids) > 8 and ids[0] == 0
+    assert (np.diff(first) == memory.every).all() and ids[-1] > 999 - memory.every
+    assert np.array_equal(second, first[: len(second)] + EVERY)
     assert np.array_equal(vectors[:, 0], ids)
     assert [place.id for place in memory.before(int(ids[3]))[0]] == ids[:4].tolist()
+    # the dropped ones leave no neighbours behind but the other of the pair
+    assert [place.id for place in memory.beside(places[2])] == [ids[3]]
+
+
+def test_a_drive_of_any_length_can_still_be_returned_to(street):
+    """Thinned to one pair in sixteen keyframes, a place still has one beside it to confirm it."""
+    memory_of_few = replace(CONFIG, max_places=4)
+    finder = visited(street.first, street.kit, memory_of_few)
+    blank = [np.full((128, 320, 3), k, np.uint8) for k in (0, 80, 160)]
+    for first_id in range(N, 60, 3):
+        later = window(first_id, blank + blank)
+        assert finder.find(later, blank + blank, street.kit) is None
+        finder.remember(later)
+    assert found(finder, street, FIRST_RETURN + 60) is not None
 
 
 def test_pictures_are_capped_in_bytes():
@@ -222,3 +238,11 @@ def test_a_place_is_the_frame_itself():
     assert isinstance(decoded.frame.image, bytes)
     assert np.abs(decoded.frame.bgr().astype(int) - 9).max() <= 1
     assert replace(decoded.frame, image=b"") == replace(given[1].frame, image=b"")
+
+
+def test_pictures_with_nothing_in_them_are_no_places():
+    tiny = [np.zeros((4, 4, 3), np.uint8)] * 4
+    finder = visited(tiny[:2], KnownKit(np.stack([np.eye(3)] * 2), np.eye(4)))
+    assert (
+        finder.find(window(200, tiny), tiny, KnownKit(np.stack([np.eye(3)] * 2), np.eye(4))) is None
+    )
