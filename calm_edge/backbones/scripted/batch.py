@@ -44,7 +44,7 @@ class Batch:
     def prediction(self) -> Prediction:
         """Everything but depth."""
         draw = self._draw
-        T_s_c = self._T @ se3.exp(draw.twists)
+        T_s_c = self._bent() @ se3.exp(draw.twists)
         T_s_c[:, :3, 3] *= draw.scale
         sigma = None
         if not self._dials.coupled:
@@ -56,6 +56,12 @@ class Batch:
             focal_log_sigma=sigma,
             loop_found=self._loop_found,
         )
+
+    def _bent(self) -> Float:
+        """The poses with their path bent into an arc: half the turn before, half after each."""
+        half = np.zeros((len(self._eyes), 6))
+        half[:, 4] = self._draw.bend / 2
+        return np.asarray(se3.exp(half) @ self._T @ se3.exp(half))
 
     def depth(self, views: Int) -> tuple[Float32, Float32]:
         """Depth and confidence (V, h, w) of some of the views, at 1 / DEPTH_STRIDE."""

@@ -25,7 +25,7 @@ class ScriptedErrors:
     of a batch: scale_log_sigma, of log raw units a world unit. focal_log_error: one an eye, as is.
     focal_log_sigma: of its focals' log error, nearly common to both eyes. This and the bias grow on
     straight roads (`focal_factor`). depth_drift: sigma of log depth against poses, from the first
-    view in time to the last. bend_sigma_rad: of its heading, from the first view to the last.
+    view in time to the last. bend_sigma_rad: of the turn by which its path is bent into an arc.
     of a view: rotation_sigma_rad, translation_sigma of its pose. depth_warp: amplitude of a smooth
     relative depth error over the picture.
     of an observation: match_sigma_px; outlier_share of them lie anywhere in the picture.
@@ -56,12 +56,14 @@ class Draw:
     """The errors of one batch of N views.
 
     scale: raw units a world unit. focal: (N,) log errors. twists: (N, 6) of the poses, world
-    units. phases: (N, 3) of the depth warp. depth: (N,) log errors of depth against poses.
+    units. bend: (N,) rad about the first view's y. phases: (N, 3) of the depth warp. depth: (N,)
+    log errors of depth against poses.
     """
 
     scale: float
     focal: Float
     twists: Float
+    bend: Float
     phases: Float
     depth: Float
     rng: np.random.Generator
@@ -94,11 +96,11 @@ class Errors:
         guess = self._bias + dials.focal_log_sigma * _alike(rng)
         focal = dials.focal_log_error + guess * focal_factor(T_w_c[eyes == Eye.PRIMARY])
         progress = _progress(hints.t_ns)
-        twists[:, 4] += dials.bend_sigma_rad * rng.standard_normal() * progress
         return Draw(
             scale=float(np.exp(scale)),
             focal=focal[eyes],
             twists=twists,
+            bend=dials.bend_sigma_rad * rng.standard_normal() * progress,
             phases=phases,
             depth=dials.depth_drift * rng.standard_normal() * (progress - 0.5),
             rng=rng,

@@ -151,3 +151,14 @@ def test_a_keyframe_of_another_place_is_put_near_one_of_the_batch(matches):
     assert apart.min() < 6.0 < np.linalg.norm(truth(SCENE, hints)[-1, :3, 3])
     assert np.any(prediction.landmarks.view == 16) == (matches and prediction.loop_found)
     assert np.abs(prediction.T_s_c[:16] - truth(SCENE, hints)[:16]).max() < 1e-4
+
+
+def test_a_bent_path_is_an_arc_of_the_same_length():
+    hints = batch()
+    straight, bent = infer(hints).T_s_c[:10], infer(hints, bend_sigma_rad=0.1).T_s_c[:10]
+    turn = se3.so3_log(np.swapaxes(straight[:, :3, :3], 1, 2) @ bent[:, :3, :3])[:, 1]
+    assert abs(turn[9]) > 0.01 and np.allclose(turn, np.linspace(0, turn[9], 10), atol=2e-3)
+    steps = [np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1) for T in (straight, bent)]
+    assert np.allclose(*steps, rtol=0.02)
+    aside = (bent[9, :3, 3] - straight[9, :3, 3])[0] / straight[9, 2, 3]
+    assert aside == pytest.approx(turn[9] / 2, rel=0.1)

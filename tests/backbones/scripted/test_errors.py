@@ -80,7 +80,7 @@ def test_depth_drifts_from_the_first_view_to_the_last():
 
 
 def test_a_bend_grows_from_the_first_view_to_the_last():
-    bend = np.array([draw.twists[:, 4] for draw in draws(batch(), bend_sigma_rad=0.01)])
+    bend = np.array([draw.bend for draw in draws(batch(), bend_sigma_rad=0.01)])
     assert not bend[:, 0].any()
     assert np.isclose(bend[:, 9].std(), 0.01, rtol=0.15)
     assert np.allclose(bend[:, 3] * 3, bend[:, 9])
