@@ -18,7 +18,7 @@ _SHARED_NOISE = 1.65
 INFORMATIVE_LOG_SIGMA = 0.1
 # a group less sure than this by itself is not heard: its minimum may lie anywhere
 _LONGEST_LOG_SIGMA = 0.3
-_SETTLED = 1e-3
+_SETTLED = 2e-3
 _GRID = 24
 _REWEIGHTINGS = 3
 # median of a squared normal pair, over its mean
@@ -111,7 +111,7 @@ def _minimum(bank: TestBank, shape: Float, x: float, weights: Float) -> float:
         lambda log_focal: float(cost(log_focal)),
         bounds=(float(grid[max(best - 1, 0)]), float(grid[min(best + 1, len(grid) - 1)])),
         method="bounded",
-        options={"xatol": 1e-4},
+        options={"xatol": 5e-4},
     )
     return float(found.x)
 

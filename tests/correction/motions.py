@@ -1,0 +1,140 @@
+"""Motions on which a focal can and cannot be told, and the pixels a camera sees on them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from calm_edge.config import CorrectionConfig
+from calm_edge.correction.matches import from_landmarks
+from calm_edge.correction.test_bank import BankGroup, GroupBuilder
+from calm_edge.geometry import pinhole, se3
+from calm_edge.types import Float, Landmarks, Submap
+from device.frame import Eye
+
+SIZE = (1226, 370)
+K = pinhole.matrix(700, 700, 612.5, 184.5)
+N_VIEWS = 15
+
+
+def motion(kind: str, n: int = N_VIEWS) -> Float:
+    """T_w_c (n, 4, 4) of a car whose rear axle moves a metre a view; a leading - mirrors it.
+
+    straight; tangent: an arc the optical axis is tangent to; ahead: 1.5 m before the axle;
+    yawed: by 15 degrees, over the axle; general: yaw that comes and goes, some pitch.
+    """
+    name, phase = kind.lstrip("-"), np.arange(n - 1) / 4
+    yaw, pitch, mount, ahead = np.full(n - 1, np.radians(3.0)), np.zeros(n - 1), np.zeros(3), 0.0
+    if name == "straight":
+        yaw = np.zeros(n - 1)
+    elif name == "ahead":
+        ahead = 1.5
+    elif name == "yawed":
+        mount = np.array([0, np.radians(15), 0])
+    elif name == "general":
+        yaw, ahead = yaw * (1 + np.sin(phase)), 1.5
+        pitch = np.radians(0.5) * np.cos(2 * phase)
+    else:
+        assert name == "tangent"
+    T = [np.eye(4)]
+    for down, right in zip(pitch, yaw, strict=True):
+        # half the turn, the chord, the other half: the axle stays on its arc
+        half = se3.compose(se3.so3_exp(np.array([down / 2, right / 2, 0])), np.zeros(3))
+        T.append(T[-1] @ half @ se3.compose(np.eye(3), np.array([0, 0, 1.0])) @ half)
+    T_w_c = np.array(T) @ se3.compose(se3.so3_exp(mount), np.array([0, 0, ahead]))
+    mirror = np.diag([-1.0, 1, 1, 1])
+    return mirror @ T_w_c @ mirror if kind.startswith("-") else T_w_c
+
+
+def seen(
+    T_w_c: Float,
+    seed: int,
+    *,
+    camera: Float = K,
+    noise_px: float = 0.3,
+    outliers: float = 0.0,
+    points: int = 1500,
+) -> Landmarks:
+    """What the views saw of points around the way; a share of the pixels lies anywhere."""
+    rng = np.random.default_rng(seed)
+    p = rng.uniform([-18, -6, 3], [18, 1.6, 50], (points, 3))
+    p[np.abs(p[:, 0]) < 4, 1] = 1.6
+    near = T_w_c[rng.integers(0, len(T_w_c), points)]
+    p_w = np.einsum("nij,nj->ni", near[:, :3, :3], p) + near[:, :3, 3]
+    index, view, pixels = [], [], []
+    for n, T in enumerate(T_w_c):
+        p_c = se3.transform(se3.inverse(T), p_w)
+        uv = pinhole.project(camera, p_c)
+        (ids,) = np.nonzero((p_c[:, 2] > 1) & (uv > 0).all(1) & (uv < np.array(SIZE) - 1).all(1))
+        uv = uv[ids] + rng.normal(size=(len(ids), 2)) * noise_px
+        wrong = rng.random(len(ids)) < outliers
+        uv[wrong] = rng.uniform(0, SIZE, (wrong.sum(), 2))
+        index.append(ids)
+        view.append(np.full(len(ids), n))
+        pixels.append(uv)
+    return Landmarks(
+        points_s=p_w,
+        index=np.concatenate(index),
+        view=np.concatenate(view),
+        uv=np.concatenate(pixels).astype(np.float32),
+    )
+
+
+@cache
+def group(
+    kind: str,
+    seed: int,
+    *,
+    guess: float = 700.0,
+    focal: float = 700.0,
+    off_px: tuple[float, float] = (0.0, 0.0),
+    noise_px: float = 0.3,
+    outliers: float = 0.0,
+) -> BankGroup:
+    """A group of one motion; px of the camera's focal, of its principal point off the guess's.
+
+    Its information is weighed at the guess.
+    """
+    camera = pinhole.matrix(focal, focal, K[0, 2] + off_px[0], K[1, 2] + off_px[1])
+    landmarks = seen(motion(kind), seed, camera=camera, noise_px=noise_px, outliers=outliers)
+    views, shape = range(N_VIEWS), pinhole.matrix(guess, guess, K[0, 2], K[1, 2])
+    builder = GroupBuilder(Eye.PRIMARY, from_landmarks(landmarks), views, views, CorrectionConfig())
+    built = builder.finish(shape)
+    assert built is not None
+    return built
+
+
+def submap(number: int, focals: tuple[float, float], n: int = N_VIEWS) -> Submap:
+    """A sub-map of n views an eye whose backbone guessed these focals [px]; nothing else is told.
+
+    A loop keyframe of absurd focal trails the batch.
+    """
+    guesses = np.repeat([*focals, 1e5], [n, n, 1])
+    shapes = np.stack([pinhole.matrix(f, f, K[0, 2], K[1, 2]) for f in guesses])
+    poses = np.tile(np.eye(4), (2 * n + 1, 1, 1))
+    ids = tuple(range(number * n, (number + 1) * n))
+    return Submap(
+        id=number,
+        primary_ids=ids,
+        assistant_ids=ids,
+        n_overlap=0,
+        t_ns=np.arange(2 * n + 1),
+        T_s_c_raw=poses,
+        K_raw=shapes,
+        T_s_c=poses,
+        K=shapes,
+        scale=1.0,
+        T_w_s=np.eye(4),
+        focal_log_sigma=np.full(2, np.inf),
+    )
+
+
+def both_eyes(landmarks: Landmarks, other: Landmarks, n: int = N_VIEWS) -> Landmarks:
+    """One batch of the primary's and the assistant's landmarks."""
+    return Landmarks(
+        points_s=np.concatenate([landmarks.points_s, other.points_s]),
+        index=np.concatenate([landmarks.index, other.index + len(landmarks.points_s)]),
+        view=np.concatenate([landmarks.view, other.view + n]),
+        uv=np.concatenate([landmarks.uv, other.uv]),
+    )

@@ -1,0 +1,143 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calm_edge.config import CorrectionConfig
+from calm_edge.correction.eye_search import MAX_CANDIDATES
+from calm_edge.correction.intrinsic_search import IntrinsicSearch, views_of
+from device.frame import Eye
+from tests.correction.motions import both_eyes, group, motion, seen, submap
+
+CONFIG = CorrectionConfig(group_every=2, n_group=2)
+N = 8
+GUESSES = 700 * np.exp(0.08 * np.random.default_rng(0).normal(size=(12, 2)) + 0.05)
+
+
+def drive(config, kind, count=6, focals=GUESSES):
+    """The search after some sub-maps of one motion, and what each `add` answered."""
+    search, answers = IntrinsicSearch(config), []
+    for k in range(count):
+        name = kind if k % 4 < 2 else f"-{kind}"
+        T = motion(name, N)
+        landmarks = both_eyes(seen(T, 2 * k, points=900), seen(T, 2 * k + 1, points=900), N)
+        answers.append(search.add(submap(k, tuple(focals[k]), N), landmarks, None))
+    return search, answers
+
+
+@pytest.fixture(scope="module")
+def turning():
+    return drive(CONFIG, "general", 8)
+
+
+def test_views_of_an_eye_leave_the_loop_keyframe_out():
+    one = submap(3, (700.0, 800.0), 4)
+    assert views_of(one, Eye.PRIMARY) == ([0, 1, 2, 3], [12, 13, 14, 15])
+    assert views_of(one, Eye.ASSISTANT) == ([4, 5, 6, 7], [12, 13, 14, 15])
+
+
+def test_nothing_is_held_before_a_sub_map_and_the_first_guess_after_it():
+    search = IntrinsicSearch(CONFIG)
+    assert search.intrinsics is None
+    assert search.add(submap(0, (650.0, 810.0), 4), None, None) is False
+    held = search.intrinsics
+    assert held.K[:, 0, 0] == pytest.approx([650, 810])
+    assert (held.damping == 0).all() and np.isinf(held.focal_log_sigma).all()
+    assert (held.n_effective == 0).all()
+    assert np.isnan(search.score_curve(Eye.PRIMARY, np.array([700.0]))).all()
+
+
+def test_turning_finds_both_focals_and_says_once_that_they_changed(turning):
+    search, answers = turning
+    held = search.intrinsics
+    error = np.abs(np.log(held.K[:, 0, 0] / 700))
+    assert (error < 0.03).all() and (error < 3 * held.focal_log_sigma).all()
+    assert (held.damping > 0).all() and (held.n_effective > 5).all()
+    assert answers[0] is False and any(answers) and not all(answers[1:])
+    focals = 700 * np.exp(np.linspace(-0.3, 0.3, 31))
+    assert abs(search.score_curve(Eye.PRIMARY, focals).argmin() - 15) <= 1
+
+
+def test_the_same_sub_maps_give_the_same_intrinsics(turning):
+    again, answers = drive(CONFIG, "general", 8)
+    assert answers == turning[1]
+    assert (again.intrinsics.K == turning[0].intrinsics.K).all()
+
+
+def test_straights_keep_the_median_guess_and_correct_nothing():
+    search, answers = drive(CONFIG, "straight", 6)
+    held = search.intrinsics
+    assert held.K[:, 0, 0] == pytest.approx(np.median(GUESSES[:6], 0), rel=0.01)
+    assert (held.damping == 0).all() and np.isinf(held.focal_log_sigma).all()
+    assert not any(answers)
+
+
+def test_the_papers_search_takes_the_guess_of_least_score():
+    config = replace(CONFIG, weighted=False, refine=False, n_pair=1, n_feature=7)
+    focals = np.array([[900, 500], [800, 600], [705, 690], [760, 650], [620, 780.0], [750, 750]])
+    search, _ = drive(config, "general", 6, focals)
+    held = search.intrinsics
+    assert held.K[:, 0, 0] == pytest.approx([705, 690])
+    # two groups of 28 pairs over a capacity of two, over 1 * 7
+    assert held.n_effective == pytest.approx([56, 56], abs=3)
+    assert (held.damping == 1).all()
+
+
+def test_the_papers_search_takes_a_better_guess_at_once_and_no_worse_one():
+    config = replace(CONFIG, weighted=False, refine=False)
+    search, _ = drive(config, "general", 5, np.array([[900.0, 900.0]] * 5))
+    assert search.intrinsics.K[0, 0, 0] == 900
+    search.add(submap(5, (710.0, 900.0), N), None, None)
+    assert search.intrinsics.K[0, 0, 0] == 710
+    search.add(submap(6, (980.0, 900.0), N), None, None)
+    assert search.intrinsics.K[0, 0, 0] == 710
+
+
+def test_damping_held_at_one_is_one_where_the_bank_can_tell():
+    config = replace(CONFIG, adaptive_damping=False)
+    assert (drive(config, "general", 8)[0].intrinsics.damping == 1).all()
+    assert (drive(config, "straight", 6)[0].intrinsics.damping == 0).all()
+
+
+def test_a_group_still_in_the_making_can_be_ended():
+    search, _ = drive(replace(CONFIG, group_every=50), "general", 2)
+    assert np.isinf(search.intrinsics.focal_log_sigma[0])
+    search.finish()
+    assert search.intrinsics.n_effective[0] > 5
+
+
+def test_guesses_are_forgotten_so_that_a_sub_map_costs_the_same_after_an_hour():
+    search = IntrinsicSearch(CONFIG)
+    for k in range(MAX_CANDIDATES + 30):
+        search.add(submap(k, (500.0 if k < 30 else 700.0, 700.0), 2), None, None)
+    assert search.intrinsics.K[0, 0, 0] == pytest.approx(700)
+
+
+def test_an_eye_without_views_is_waited_for():
+    search, lonely = IntrinsicSearch(CONFIG), submap(0, (700.0, 700.0), 4)
+    assert search.add(replace(lonely, assistant_ids=()), None, None) is False
+    assert search.intrinsics is None
+
+
+def test_sift_is_used_where_asked_or_where_nothing_else_is_there():
+    blank = [np.zeros((60, 80, 3), np.uint8)] * 9
+    search = IntrinsicSearch(replace(CONFIG, matches="sift"))
+    T = motion("general", 4)
+    landmarks = both_eyes(seen(T, 0), seen(T, 1), 4)
+    for k in range(4):
+        search.add(submap(k, (700.0, 700.0), 4), landmarks, blank)
+    # blank pictures have no features; the landmarks would have made a group
+    assert (search.intrinsics.n_effective == 0).all()
+
+
+def test_a_group_that_tells_more_changes_what_is_held():
+    from calm_edge.correction.eye_search import EyeSearch
+
+    eye = EyeSearch(replace(CONFIG, n_group=1))
+    eye.add_candidate(submap(0, (770.0, 770.0), 2).K_raw[0])
+    eye.add_group(group("straight", 0))
+    assert not eye.is_informed and eye.K[0, 0] == pytest.approx(770)
+    eye.add_group(group("general", 0))
+    assert eye.is_informed and eye.K[0, 0] == pytest.approx(700, rel=0.02)
+    eye.add_group(group("tangent", 0))
+    assert eye.is_informed and len(eye.bank.groups) == 1

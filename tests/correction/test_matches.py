@@ -1,0 +1,74 @@
+import cv2
+import numpy as np
+import pytest
+
+from calm_edge.correction.matches import SiftMatcher, from_landmarks
+from calm_edge.types import Landmarks
+
+
+def landmarks():
+    return Landmarks(
+        points_s=np.zeros((4, 3)),
+        index=np.array([3, 0, 1, 1, 3, 2, 0]),
+        view=np.array([0, 0, 0, 2, 2, 2, 1]),
+        uv=np.arange(14, dtype=np.float32).reshape(7, 2),
+    )
+
+
+def picture(seed=0, size=(200, 320)):
+    noise = np.random.default_rng(seed).normal(size=size).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 3)
+    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+def test_landmarks_match_where_both_views_saw_them():
+    uv_a, uv_b = from_landmarks(landmarks()).pair(0, 2)
+    assert uv_a.tolist() == [[4, 5], [0, 1]] and uv_b.tolist() == [[6, 7], [8, 9]]
+    swapped = from_landmarks(landmarks()).pair(2, 0)
+    assert swapped[0].tolist() == uv_b.tolist() and swapped[1].tolist() == uv_a.tolist()
+
+
+def test_views_that_share_nothing_or_were_left_out_match_nowhere():
+    for matches in (from_landmarks(landmarks()), from_landmarks(landmarks(), [0, 2])):
+        uv_a, uv_b = matches.pair(1, 2)
+        assert uv_a.shape == uv_b.shape == (0, 2)
+
+
+def test_sift_follows_a_shift_to_a_tenth_of_a_pixel():
+    image = picture()
+    moved = cv2.warpAffine(
+        image, np.array([[1, 0, 6.25], [0, 1, -3.5]]), (320, 200), flags=cv2.INTER_CUBIC
+    )
+    matches = SiftMatcher(300).describe([image, cv2.cvtColor(moved, cv2.COLOR_GRAY2BGR)], [4, 9])
+    uv_a, uv_b = matches.pair(4, 9)
+    assert len(uv_a) > 60
+    error = np.linalg.norm(uv_b - uv_a - [6.25, -3.5], axis=1)
+    assert np.median(error) < 0.1 and (error < 1).mean() > 0.95
+
+
+def test_sift_features_lie_where_the_picture_has_them():
+    """Without the precise upscaling they would lie a quarter of a pixel aside."""
+    y, x = np.mgrid[:120, :160]
+    blob = np.exp(-((x - 70.3) ** 2 + (y - 51.8) ** 2) / (2 * 5.0**2))
+    uv = SiftMatcher(20).describe([(255 * blob).astype(np.uint8)], [0]).uv[0]
+    assert np.linalg.norm(uv - [70.3, 51.8], axis=1).min() < 0.1
+
+
+def test_at_most_the_asked_features_are_kept_and_a_blank_has_none():
+    blank = np.zeros((100, 100), np.uint8)
+    matches = SiftMatcher(25).describe([picture(), blank], [0, 1])
+    assert len(matches.uv[0]) == len(matches.descriptors[0]) == 25
+    assert matches.pair(0, 1)[0].shape == (0, 2)
+
+
+def test_different_pictures_hardly_match():
+    matches = SiftMatcher(300).describe([picture(1), picture(2)], [0, 1])
+    assert len(matches.pair(0, 1)[0]) < 10
+
+
+@pytest.mark.parametrize("views", [(0, 1), (1, 0)])
+def test_matches_are_mutual(views):
+    matches = SiftMatcher(200).describe([picture(), np.roll(picture(), 4, 1)], [0, 1])
+    uv_a, _ = matches.pair(*views)
+    _, back = matches.pair(*views[::-1])
+    assert {tuple(p) for p in uv_a} == {tuple(p) for p in back}

@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+
+from calm_edge.correction import spectral
+from calm_edge.geometry import epipolar, pinhole, se3
+from tests.correction.motions import K, group, motion
+
+FOCALS = 700 * np.array([0.7, 0.85, 1.0, 1.15, 1.3])
+
+
+def pairs(kind):
+    """Exact F (P, 3, 3) of each view against the fourth after it."""
+    T = motion(kind)
+    return epipolar.from_motion(K, K, se3.inverse(T[4:]) @ T[:-4])
+
+
+def test_the_score_is_the_papers():
+    rng = np.random.default_rng(0)
+    F, skewed = rng.normal(size=(50, 3, 3)), K.copy()
+    skewed[0, 1], skewed[1, 1] = 3.0, 650
+    s = np.linalg.svd(skewed.T @ F @ skewed, compute_uv=False)
+    expected = (np.abs(s[:, 0] - s[:, 1]) + s[:, 2]) / s[:, 0]
+    assert spectral.score(skewed, F) == pytest.approx(expected, abs=1e-6)
+    many = spectral.score(np.stack([K, skewed]), F)
+    assert many.shape == (2, 50) and many[1] == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_true_focal_scores_zero_and_a_turn_tells_it():
+    score = spectral.score(spectral.at_focal(K, FOCALS), pairs("general")).mean(-1)
+    assert score.argmin() == 2 and score[2] < 1e-6
+    assert score[[1, 3]].min() > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["straight", "tangent"])
+def test_on_a_straight_and_on_a_tangent_arc_every_focal_scores_zero(kind):
+    assert spectral.score(spectral.at_focal(K, FOCALS), pairs(kind)).max() < 1e-6
+
+
+def test_ahead_of_the_axle_five_percent_cost_little_but_something():
+    score = spectral.score(spectral.at_focal(K, np.array([665.0, 700, 735])), pairs("ahead"))
+    assert 1e-4 < score.mean(-1)[[0, 2]].max() < 5e-3
+
+
+def test_the_aspect_and_the_principal_point_stay():
+    shape = pinhole.matrix(600, 660, 300, 200)
+    assert spectral.at_focal(shape, 300.0) == pytest.approx(pinhole.matrix(300, 330, 300, 200))
+
+
+@pytest.mark.parametrize("kind", ["straight", "tangent"])
+def test_what_cannot_tell_weighs_next_to_nothing(kind):
+    told = spectral.information(group(kind, 1).told, np.log(700)).sum()
+    assert told < 1e-3 * spectral.information(group("yawed", 1).told, np.log(700)).sum()
+
+
+def test_information_is_the_curvature_over_the_noise():
+    told = group("general", 2).told
+    slope, noise, _, across, down = told.at(np.log(700))
+    unswayed = slope**2 / (noise**2 + across**2 + down**2)
+    information = spectral.information(told, np.log(700))
+    counted = information > 0
+    assert counted.mean() > 0.9
+    assert information[counted] == pytest.approx(unswayed[counted], rel=0.05)
+    assert (spectral.information(told, np.log(700), 0.05) <= information).all()
+
+
+def test_twice_the_noise_is_a_quarter_of_the_information():
+    def of_matches(noise_px):
+        slope, noise, *_ = group("general", 3, noise_px=noise_px).told.at(np.log(700))
+        return np.median(slope / noise) ** 2
+
+    assert of_matches(0.2) / of_matches(0.4) == pytest.approx(4, rel=0.35)
+
+
+def test_the_principal_point_pulls_opposite_ways_in_opposite_turns():
+    def pull(kind):
+        told = group(kind, 4).told
+        weight = spectral.information(told, np.log(700))
+        return (weight @ spectral.pull(told, np.log(700)))[0] / weight.sum()
+
+    right, left = pull("ahead"), pull("-ahead")
+    assert right * left < 0 and abs(right) > 0.03
+    assert right == pytest.approx(-left, rel=0.2)
+
+
+def test_the_pull_predicts_where_the_minimum_goes():
+    sigma_px = spectral.PRINCIPAL_POINT_SHARE * 2 * K[0, 2]
+    F = pairs("ahead")
+    told = spectral.telling(K, F, np.zeros((len(F), 7, 3, 3)), np.array([500.0, 700, 900]))
+    expected = spectral.pull(told, np.log(700))[:, 0].mean()
+    aside = K + 0.2 * np.array([[0, 0, sigma_px], [0, 0, 0], [0, 0, 0]])
+    focals = 700 * np.exp(np.linspace(-0.1, 0.1, 201))
+    score = spectral.score(spectral.at_focal(aside, focals), F).mean(-1)
+    assert np.log(focals[score.argmin()] / 700) == pytest.approx(0.2 * expected, rel=0.15)

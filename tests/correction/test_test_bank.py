@@ -1,0 +1,93 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calm_edge.config import CorrectionConfig
+from calm_edge.correction import test_bank
+from calm_edge.correction.matches import from_landmarks
+from calm_edge.correction.test_bank import GroupBuilder
+from calm_edge.geometry import epipolar, se3
+from calm_edge.types import Landmarks
+from device.frame import Eye
+from tests.correction.motions import N_VIEWS, K, group, motion, seen
+
+CONFIG = CorrectionConfig()
+AT = float(np.log(700))
+
+
+def builder(landmarks, config=CONFIG, n=N_VIEWS):
+    ids = range(40, 40 + n)
+    return GroupBuilder(Eye.ASSISTANT, from_landmarks(landmarks), range(n), ids, config)
+
+
+def test_fifteen_views_give_every_pair_known_by_its_keyframes():
+    T = motion("general")
+    made = builder(seen(T, 0)).finish(K).test
+    assert made.eye == Eye.ASSISTANT
+    assert len(made.F) == len(made.pairs) == len(made.information) == 105
+    assert {tuple(pair) for pair in made.pairs} == {
+        (a, b) for a in range(40, 55) for b in range(a + 1, 55)
+    }
+    for F, (a, b) in zip(made.F, made.pairs - 40, strict=True):
+        if b - a >= 4:
+            truth = epipolar.from_motion(K, K, se3.inverse(T[b]) @ T[a])
+            uv = seen(T, 0, noise_px=0)
+            matches = from_landmarks(uv).pair(a, b)
+            assert np.median(np.abs(epipolar.sampson(F, *matches))) < 0.2
+            assert np.median(np.abs(epipolar.sampson(truth, *matches))) < 1e-3
+
+
+def test_the_work_is_spread_over_as_many_calls_as_sub_maps_and_gives_the_same():
+    landmarks = seen(motion("general"), 1)
+    spread = builder(landmarks)
+    for call in range(CONFIG.group_every):
+        assert not spread.done, call
+        spread.advance()
+    assert spread.done
+    at_once = builder(landmarks).finish(K)
+    assert (spread.finish(K).test.F == at_once.test.F).all()
+
+
+def test_a_group_needs_its_pairs_and_a_pair_its_matches():
+    landmarks = seen(motion("general", 6), 2)
+    assert builder(landmarks, n=5).finish(K) is not None
+    assert builder(landmarks, n=4).finish(K) is None
+    assert builder(landmarks, replace(CONFIG, n_pair=16), n=6).finish(K) is None
+    assert builder(landmarks, replace(CONFIG, n_feature=10_000), n=6).finish(K) is None
+
+
+def test_nothing_seen_is_no_group():
+    empty = np.zeros(0, np.int64)
+    nothing = Landmarks(np.zeros((0, 3)), empty, empty, np.zeros((0, 2), np.float32))
+    assert builder(nothing).finish(K) is None
+
+
+def test_a_full_bank_of_the_paper_takes_no_more():
+    bank = test_bank.TestBank(replace(CONFIG, n_group=2, weighted=False))
+    straight, turn = group("straight", 0), group("general", 0)
+    assert bank.add(straight, AT) and bank.add(straight, AT) and bank.is_closed
+    assert not bank.add(turn, AT)
+    assert bank.groups == (straight, straight)
+
+
+def test_a_full_weighted_bank_lets_the_least_telling_group_go():
+    bank = test_bank.TestBank(replace(CONFIG, n_group=2))
+    straight, turn, other = group("straight", 0), group("general", 0), group("ahead", 0)
+    assert bank.add(straight, AT) and bank.add(turn, AT) and not bank.is_closed
+    assert bank.add(other, AT)
+    assert bank.groups == (turn, other)
+    assert not bank.add(straight, AT)
+    assert len(bank.F) == len(bank.information(AT)) == len(bank.noise(AT)) == 210
+    assert bank.group_of().tolist() == [0] * 105 + [1] * 105
+
+
+def test_an_empty_bank_has_empty_columns():
+    bank = test_bank.TestBank(CONFIG)
+    assert bank.F.shape == (0, 3, 3) and bank.pull(AT).shape == (0, 2)
+    assert len(bank.information(AT)) == len(bank.group_of()) == 0
+
+
+def test_focals_are_looked_for_in_image_widths():
+    low, high = test_bank.focal_range(K)
+    assert (low, high) == pytest.approx((0.3 * 1226, 3 * 1226))
