@@ -23,6 +23,16 @@ _FALSE_TWIST = np.array([1.0, 0.2, 1.5, 0.02, 0.05, 0.02])
 _MIN_SHARED = 24
 
 
+def false_place(t_ns: int, n_primary: int) -> tuple[int, Float]:
+    """Where a model puts a picture of another place, exposed at t_ns: a view and T_view_picture.
+
+    What fools a model may fool a look-up in the same way, so both can ask.
+    """
+    rng = np.random.default_rng([t_ns % (1 << 64), n_primary])
+    view = int(rng.integers(n_primary))
+    return view, se3.exp(rng.standard_normal(6) * _FALSE_TWIST)
+
+
 class Batch:
     """What the backbone says of one batch of N views; all of it follows from the hints."""
 
@@ -108,10 +118,8 @@ class Batch:
         apart = np.linalg.norm(moved[:, :3, 3], axis=1)
         if np.any((apart < _SAME_PLACE) & (turn < _SAME_WAY_RAD)):
             return False
-        rng = self._draw.rng
-        looks_like = rng.integers(self._n_primary)
-        twist = rng.standard_normal(6) * _FALSE_TWIST
-        self._T_w_c[rest] = self._T_w_c[looks_like] @ se3.exp(twist)
+        view, T_v_loop = false_place(int(self._t_ns[rest]), self._n_primary)
+        self._T_w_c[rest] = self._T_w_c[view] @ T_v_loop
         return True
 
     def _sight(self) -> Sightings:

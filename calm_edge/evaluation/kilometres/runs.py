@@ -62,7 +62,8 @@ def run(
 ) -> Outcome:
     """The drive's windows through the variant, in order, to the end."""
     spacing_m = float(np.linalg.norm(drive.scene.T_p_a[:3, 3]))
-    config = merge(config or Config(), {"scale": {"spacing_m": spacing_m}})
+    known = {"scale": {"spacing_m": spacing_m}, "loops": {"enabled": loops is not None}}
+    config = merge(config or Config(), known)
     config = merge(config, {section: dict(keys) for section, keys in variant.changes.items()})
     start = perf_counter()
     place = variant.aligner or localized
@@ -85,7 +86,7 @@ def localized(
     drive: Drive, backbone: CachedBackbone, config: Config, loops: ScriptedLoops | None
 ) -> tuple[Int, Float]:
     """The product's own way: Localizer over the windows, then its final optimum."""
-    localizer = Localizer(config, backbone)
+    localizer = Localizer(config, backbone, loops)
     for window in drive.windows:
         localizer.process(window)
     trajectory = localizer.finish()

@@ -3,10 +3,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calm_edge.backbones.scripted import ScriptedBackbone, ScriptedErrors
 from calm_edge.config import Config
 from calm_edge.evaluation.kilometres import drives
-from calm_edge.evaluation.kilometres.loops import ScriptedLoops, true_loops, with_loop
+from calm_edge.evaluation.kilometres.loops import ScriptedLoops, true_loops
 from calm_edge.evaluation.kilometres.streams import Streams
+from calm_edge.types import Hints
 from tests.backbones.scripted.street_drive import street
 from tests.drives import PERIOD_NS, START_NS, circle
 
@@ -37,25 +39,57 @@ def test_a_place_passed_the_other_way_is_no_loop(drive):
     assert not np.any(true_loops(back, 60)[:, 0] >= 200)
 
 
+def remembering(drive, **dials):
+    """A finder that has been told of every window, as at the end of the drive."""
+    finder = ScriptedLoops(drive, **dials)
+    for window in drive.windows:
+        finder.remember(window)
+    return finder
+
+
+def found(finder, drive):
+    pairs = [(w, finder.find(w, [], None)) for w in drive.windows]
+    return [(w, candidate) for w, candidate in pairs if candidate is not None]
+
+
 def test_candidates_are_found_at_the_rate_of_the_dial(drive):
-    everything = ScriptedLoops(drive, detection=1.0)
-    possible = [w for w in drive.windows if everything.find(w)]
+    everything = remembering(drive, detection=1.0)
+    possible = found(everything, drive)
     assert len(possible) >= 10
-    for w in possible:
-        query, match = everything.find(w)
-        assert query in {k.id for k in w.primary[w.n_overlap :]} and match.id < query
-        assert everything.is_true(query, match.id)
-        assert with_loop(w, everything).loop_keyframe == match
-    found = [
-        ScriptedLoops(drive, detection=0.6, seed=s).find(w) for s in range(20) for w in possible
-    ]
-    assert np.mean([f is not None for f in found]) == pytest.approx(0.6, abs=0.1)
+    for w, candidate in possible:
+        assert w.primary[candidate.query_view].id == candidate.query_id
+        assert everything.is_true(candidate.query_id, candidate.keyframe.id)
+        T = np.linalg.inv(drive.T_w_p[candidate.query_id]) @ drive.T_w_p[candidate.keyframe.id]
+        assert candidate.agrees(T, np.linalg.norm(drive.scene.T_p_a[:3, 3]))
+    some = sum(len(found(remembering(drive, detection=0.6, seed=s), drive)) for s in range(8))
+    assert some / (8 * len(possible)) == pytest.approx(0.6, abs=0.1)
+
+
+def test_only_what_has_a_pose_is_found(drive):
+    assert not found(ScriptedLoops(drive, detection=1.0), drive)
 
 
 def test_false_candidates_come_from_elsewhere(drive):
-    finder = ScriptedLoops(drive, detection=0.0, false_share=1.0, seed=2)
-    false = [found for w in drive.windows if (found := finder.find(w))]
+    finder = remembering(drive, detection=0.0, false_share=1.0, seed=2)
+    false = found(finder, drive)
     assert len(false) > 3
-    for query, match in false:
-        assert not finder.is_true(query, match.id)
-    assert not any(ScriptedLoops(drive, detection=0.0).find(w) for w in drive.windows)
+    for _, candidate in false:
+        assert not finder.is_true(candidate.query_id, candidate.keyframe.id)
+    assert not found(remembering(drive, detection=0.0), drive)
+
+
+@pytest.mark.parametrize("aliased", [True, False])
+def test_an_aliased_place_fools_the_look_up_as_it_fools_the_model(drive, aliased):
+    finder = remembering(drive, detection=0.0, false_share=1.0, aliased=aliased, seed=2)
+    backbone = ScriptedBackbone(drive.scene, ScriptedErrors())
+    agreed = []
+    for window, candidate in found(finder, drive)[:6]:
+        keyframes = (*window.keyframes(), candidate.keyframe)
+        hints = Hints(
+            eyes=np.array([int(k.frame.eye) for k in keyframes]),
+            t_ns=np.array([k.frame.t_ns for k in keyframes]),
+        )
+        T = backbone.infer([], hints).T_s_c
+        spacing = np.linalg.norm(drive.scene.T_p_a[:3, 3])
+        agreed.append(candidate.agrees(np.linalg.inv(T[candidate.query_view]) @ T[-1], spacing))
+    assert len(agreed) > 3 and np.mean(agreed) == (1.0 if aliased else pytest.approx(0.0, abs=0.4))

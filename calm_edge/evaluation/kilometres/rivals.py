@@ -1,0 +1,110 @@
+"""The baselines on the very sub-maps that ours is given, by their depth in the common pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from calm_edge import batch, scale
+from calm_edge.baselines import overlap
+from calm_edge.baselines.chain import ALIGNMENTS, LoopOverlap, chain
+from calm_edge.baselines.overlap import Correspondences
+from calm_edge.config import Config
+from calm_edge.evaluation.kilometres.drives import Drive
+from calm_edge.evaluation.kilometres.loops import ScriptedLoops
+from calm_edge.evaluation.kilometres.predictions import CachedBackbone
+from calm_edge.evaluation.kilometres.runs import Aligner, Variant
+from calm_edge.types import Float, Hints, Int, Prediction, Submap, SubmapWindow
+
+
+def rival(name: str) -> Variant:
+    """`sim3` or `sl4` as a row beside ours."""
+    return Variant(name, aligner=_aligner(name))
+
+
+def _aligner(name: str) -> Aligner:
+    def place(
+        drive: Drive, backbone: CachedBackbone, config: Config, loops: ScriptedLoops | None
+    ) -> tuple[Int, Float]:
+        views = _Views(drive, backbone, loops)
+        overlaps = (views.between(k - 1, k) for k in range(1, len(views.submaps)))
+        found = chain(ALIGNMENTS[name], views.submaps, overlaps, views.closures())
+        if found.T_w_c is None:
+            return np.zeros(0, np.int64), np.zeros((0, 4, 4))
+        return found.keyframe_ids, found.T_w_c
+
+    return place
+
+
+class _Views:
+    """The raw sub-maps of a drive; depth is made for pictures two of them share, when asked."""
+
+    def __init__(self, drive: Drive, backbone: CachedBackbone, loops: ScriptedLoops | None) -> None:
+        self._size = drive.scene.size[0]
+        self._backbone = backbone
+        self._hints: list[Hints] = []
+        self._predictions: list[Prediction] = []
+        self._matches: list[tuple[int, int]] = []
+        self.submaps: list[Submap] = []
+        for window in drive.windows:
+            candidate = loops.find(window, [], None) if loops is not None else None
+            if candidate is not None:
+                window = replace(window, loop_keyframe=candidate.keyframe)
+                self._matches.append((len(self.submaps), candidate.keyframe.id))
+            if loops is not None:
+                loops.remember(window)
+            self._add(window)
+
+    def between(self, previous: int, new: int) -> Correspondences:
+        """By all common keyframes of two sub-maps."""
+        pair = self.submaps[previous], self.submaps[new]
+        return self._correspondences(previous, new, *overlap.common_views(*pair))
+
+    def closures(self) -> Iterator[LoopOverlap]:
+        """By the loop keyframe and the first sub-map that held it."""
+        for query, match_id in self._matches:
+            match = next(k for k, s in enumerate(self.submaps) if match_id in s.primary_ids)
+            views = overlap.loop_views(self.submaps[match], self.submaps[query], match_id)
+            yield LoopOverlap(match, query, self._correspondences(match, query, *views))
+
+    def _add(self, window: SubmapWindow) -> None:
+        frames = [keyframe.frame for keyframe in window.keyframes()]
+        hints = Hints(
+            eyes=np.array([frame.eye for frame in frames], np.int64),
+            t_ns=np.array([frame.t_ns for frame in frames], np.int64),
+        )
+        prediction = replace(self._backbone.infer([], hints), landmarks=None)
+        submap = batch.raw_submap(window, hints, prediction)
+        if not self.submaps:
+            # the world's unit is that of the first sub-map's own scale
+            n, m = submap.n_primary, len(submap.assistant_ids)
+            rig = scale.rig_samples(
+                submap.t_ns[:n],
+                submap.T_s_c[:n],
+                submap.t_ns[n : n + m],
+                submap.T_s_c[n : n + m],
+            )
+            submap = replace(submap, scale=scale.factor(scale.spacing(rig), 0.0))
+        self._hints.append(hints)
+        self._predictions.append(prediction)
+        self.submaps.append(submap)
+
+    def _correspondences(
+        self, previous: int, new: int, views_previous: Int, views_new: Int
+    ) -> Correspondences:
+        return overlap.correspondences(
+            self._with_depth(previous, views_previous),
+            views_previous,
+            self._with_depth(new, views_new),
+            views_new,
+            self._size,
+        )
+
+    def _with_depth(self, k: int, views: Int) -> Prediction:
+        some, belief = self._backbone.depth(self._hints[k], views)
+        depth = np.zeros((len(self._hints[k].t_ns), *some.shape[1:]), np.float32)
+        confidence = np.zeros_like(depth)
+        depth[views], confidence[views] = some, belief
+        return replace(self._predictions[k], depth=depth, confidence=confidence)
