@@ -1,6 +1,7 @@
 """Ours beside what a user would pick instead, on pictures: `python -m calm_edge.evaluation.pixels`.
 
-Ours gets the drive as a loose kit saw it and the spacing, nothing else. ORB-SLAM3 gets the same
+Ours gets the drive as a loose kit saw it and the spacing, nothing else; Sim(3) and SL(4) chain the
+sub-maps that ours made of it. ORB-SLAM3 gets the same
 drive in step and the true calibration it needs, then the truth with one thing wrong; COLMAP, on
 request, the pictures alone. Results are kept in build/eval/pixels.json, a method of a drive at a
 time, so that a run adds to what is there.
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from calm_edge.evaluation import steps
+from calm_edge.evaluation.chained import chained
 from calm_edge.evaluation.drives import DATA, DEVELOPMENT, HELD_OUT, Kilometre, Prepare, there
 from calm_edge.evaluation.estimate import Estimate
 from calm_edge.evaluation.pixel_targets import Verdict, verdicts
@@ -129,8 +131,21 @@ def _colmap(case: Case, out: Path) -> dict[str, Any]:
     return judged(colmap.run(folder, out), folder)
 
 
+def _chained(alignment: str) -> Method:
+    def method(case: Case, out: Path) -> dict[str, Any]:
+        sequence, recording = _prepared(case.loose, out), out.parent / "ours" / "recording"
+        if not recording.is_dir():
+            raise RivalMissing("ours comes first: its sub-maps are the ones chained")
+        said = compare(chained(recording, alignment), read_truth(sequence), "se3")
+        return {key: said[key] for key in _KEPT[:6]}
+
+    return method
+
+
 METHODS: dict[str, Method] = {
     "ours": ours,
+    "sim3": _chained("sim3"),
+    "sl4": _chained("sl4"),
     "orbslam3": _orbslam3(),
     "orbslam3_focal": _orbslam3(lambda c: c.with_focal(FOCAL_WRONG)),
     "orbslam3_yaw": _orbslam3(lambda c: c.with_yaw(YAW_WRONG_DEG)),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calm_edge.evaluation import drives, pixels, steps
+from calm_edge.evaluation.estimate import Estimate
 from calm_edge.evaluation.rivals.environment import RivalMissing, RivalRun
 from calm_edge.evaluation.steps import Cost
 from calm_edge.evaluation.trajectory_file import EvaluationError
@@ -67,6 +68,27 @@ def test_orbslam3_is_told_the_truth_but_for_one_thing(
     result = pixels.measure(case, method, tmp_path / "out")
     assert result["placed"] == 0.5 and result["cpu_s"] == 4.0
     assert result["ate_se3_m"] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("alignment", ["sim3", "sl4"])
+def test_chaining_takes_the_submaps_that_ours_made(
+    alignment: str, case: pixels.Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    assert "ours comes first" in pixels.measure(case, alignment, out)["skipped"]
+    recording = out / "k" / "ours" / "recording"
+    recording.mkdir(parents=True)
+    t_ns = np.arange(N, dtype=np.int64) * 10**8 + 10**9
+
+    def chained(path: Path, by: str) -> Estimate:
+        assert path == recording and by == alignment
+        T = curve(N)
+        T[:, :3, 3] *= 1.1
+        return Estimate("r", t_ns, T)
+
+    monkeypatch.setattr(pixels, "chained", chained)
+    figures = pixels.measure(case, alignment, out)
+    assert figures["ate_sim3_m"] == pytest.approx(0.0, abs=1e-6) and figures["ate_se3_m"] > 0.5
 
 
 def test_a_drive_in_step_has_no_loose_row(case: pixels.Case, tmp_path: Path) -> None:
