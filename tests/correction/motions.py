@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -81,7 +81,7 @@ def seen(
     )
 
 
-@cache
+@lru_cache(maxsize=64)
 def group(
     kind: str,
     seed: int,
