@@ -26,7 +26,7 @@ POSE_PX = 3.0
 # Tens of milliseconds at speed: mostly a step ahead, and a little of a turn.
 RIG_SIGMA = np.array([0.1, 0.1, 0.5, 0.01, 0.01, 0.01])  # spacings x, y, z, then rad
 # A point is near when its parallax between the eyes is so much more than that of the farthest.
-NEAR_PX = 3.0
+NEAR_PX = 2.0
 FAR_PERCENT = 10.0
 SOME_DEPTH = 10.0  # spacings: any will do to say which way parallax goes
 MIN_AGREEING = 0.6
@@ -75,7 +75,7 @@ def same_place(
     """The past picture's place against a primary picture and the assistant's of that time.
 
     size: (2,) width, height [px] of the primary's pictures. min_matches: on one geometry with the
-    past picture; half as many near points. None where no pose explains the pictures.
+    past picture; a third as many near points. None where no pose explains the pictures.
     """
     stretch = float(size[0]) / REFERENCE_WIDTH_PX
     pairs = consistent(query, past, EPIPOLAR_PX * stretch)
@@ -85,14 +85,14 @@ def same_place(
     shared, in_past, in_assistant = np.intersect1d(
         pairs[:, 0], across[:, 0], assume_unique=True, return_indices=True
     )
-    if len(shared) < min_matches // 2:
+    if len(shared) < min_matches // 3:
         return None
     uv_q, uv_a = _double(query, across[:, 0]), _double(assistant, across[:, 1])
     all_points, all_near = triangulated(uv_q, uv_a, kit, rig_between(uv_q, uv_a, kit))
     points, near = all_points[in_assistant], all_near[in_assistant]
     uv_past = past.uv[pairs[in_past, 1]]
     fit = _pose(kit.K[0], points[near], uv_past[near], POSE_PX * stretch)
-    if fit is None or fit.n_inliers < max(min_matches // 2, MIN_AGREEING * near.sum()):
+    if fit is None or fit.n_inliers < max(min_matches // 3, MIN_AGREEING * near.sum()):
         return None
     if not well_spread(query.uv[shared[near][fit.inlier]], size):
         return None
