@@ -18,7 +18,8 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 from device.frame import Eye
 
-MATCHES = 160
+# Of a pair of primary views, and of each of the three pairs that hold an assistant view.
+MATCHES, _MATCHES_OF_THREE = 160, 80
 _MIN_MATCHES = 12
 # An assistant view is held against its nearest primary view and those so many before and after.
 _REACH = 2
@@ -100,27 +101,30 @@ def _with_assistants(
     near = np.argmin(np.abs(t_ns[:n] - t_ns[views, None]), axis=1)
     first = np.clip(near - _REACH, 0, max(n - 1 - 2 * _REACH, 0))
     held = np.minimum(first[:, None] + _REACH * np.arange(3), n - 1)
-    matches = _matches(held.ravel(), np.repeat(views, 3), rays, focals, sightings)
+    pairs = held.ravel(), np.repeat(views, 3)
+    matches = _matches(*pairs, rays, focals, sightings, _MATCHES_OF_THREE)
     T[views] = se3.inverse(epipolar.resect(se3.inverse(T[views]), T[held], matches))
     return T
 
 
-def _matches(a: Int, b: Int, rays: Float, focals: Float, sightings: Sightings) -> epipolar.Matches:
+def _matches(
+    a: Int, b: Int, rays: Float, focals: Float, sightings: Sightings, most: int = MATCHES
+) -> epipolar.Matches:
     """What views a (P,) and b (P,) see both; raises BackboneError where that is too little."""
-    index, weight = _some(sightings.seen[a] & sightings.seen[b])
+    index, weight = _some(sightings.seen[a] & sightings.seen[b], most)
     x_a, x_b = rays[a[:, None], index], rays[b[:, None], index]
     return epipolar.Matches(x_a, x_b, focals[a], focals[b], weight)
 
 
-def _some(mask: Bool) -> tuple[Int, Float]:
-    """Up to MATCHES columns of each row of a mask (P, M), spread over it -> (P, C), weights (P, C).
+def _some(mask: Bool, most: int = MATCHES) -> tuple[Int, Float]:
+    """Up to `most` columns of each row of a mask (P, M), spread over it -> (P, C), weights (P, C).
 
     Raises BackboneError where a row has too few.
     """
     if mask.sum(1).min() < _MIN_MATCHES:
         raise BackboneError("scripted: two neighbouring frames share too little of the scene")
     shuffle = np.random.default_rng(0).permutation(mask.shape[1])
-    order = np.argsort(~mask[:, shuffle], axis=1, kind="stable")[:, :MATCHES]
+    order = np.argsort(~mask[:, shuffle], axis=1, kind="stable")[:, :most]
     index = shuffle[order]
     return index, np.take_along_axis(mask, index, 1).astype(np.float64)
 

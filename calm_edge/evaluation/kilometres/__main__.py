@@ -1,4 +1,4 @@
-"""`python -m calm_edge.evaluation.kilometres`: the Localizer over scripted kilometres."""
+"""`python -m calm_edge.evaluation.kilometres`: variants and baselines over scripted kilometres."""
 
 from __future__ import annotations
 
@@ -9,48 +9,73 @@ import numpy as np
 
 from calm_edge.config import Config, load
 from calm_edge.evaluation.kilometres.dials import sized
-from calm_edge.evaluation.kilometres.drives import SEQUENCES, kitti
+from calm_edge.evaluation.kilometres.drives import SEQUENCES, Drive, kitti
+from calm_edge.evaluation.kilometres.loops import ScriptedLoops
 from calm_edge.evaluation.kilometres.predictions import cached
-from calm_edge.evaluation.kilometres.runs import Variant, run
+from calm_edge.evaluation.kilometres.rivals import rival
+from calm_edge.evaluation.kilometres.runs import Outcome, Variant, run
 from calm_edge.evaluation.kilometres.streams import Streams
 from calm_edge.evaluation.table import print_rows
 from calm_edge.types import CalmEdgeError
 
-_COLUMNS = ("seq", "seed", "m", "sub-maps", "Sim(3) m", "SE(3) m", "% of path", "ms a sub-map")
+VARIANTS = {
+    "ours": Variant("ours"),
+    "uncorrected": Variant("uncorrected", {"correction": {"apply": "never"}}),
+    "sim3": rival("sim3"),
+    "sl4": rival("sl4"),
+}
+_COLUMNS = ("variant", "seq", "seed", "m", "sub-maps", "Sim(3) m", "SE(3) m", "%", "ms a sub-map")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Prints a row a sequence and seed; 0, or 1 with one line where a drive is not here."""
+    """Prints a row a variant, sequence and seed; 0, or 1 with one line where that cannot be."""
     parser = argparse.ArgumentParser(prog="python -m calm_edge.evaluation.kilometres")
     parser.add_argument("--sequences", default=",".join(SEQUENCES), help="00,05,...")
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--variants", default="ours", help=", ".join(VARIANTS))
     parser.add_argument("--alternate", action="store_true", help="odd and even frames an eye")
+    parser.add_argument("--loops", action="store_true", help="with a scripted loop finder")
     parser.add_argument("--frames", type=int, default=0, help="only the first so many; 0 all")
     parser.add_argument("--set", dest="assignments", action="append", default=[])
     asked = parser.parse_args(arguments)
-    rows: list[list[object]] = []
+    rows: list[tuple[str, str, int, Outcome]] = []
     try:
         config = load(None, asked.assignments)
+        variants = [_variant(name) for name in asked.variants.split(",")]
         for name in asked.sequences.split(","):
             for seed in range(asked.seeds):
-                rows.append(_row(name, seed, config, asked))
-                print(*rows[-1], file=sys.stderr)
+                streams = Streams(alternate=asked.alternate)
+                drive = kitti(name, config, seed, streams, asked.frames)
+                for variant in variants:
+                    outcome = _outcome(drive, seed, variant, config, asked.loops)
+                    rows.append((variant.name, name, seed, outcome))
+                    print(variant.name, name, seed, *_figures(outcome), file=sys.stderr)
     except CalmEdgeError as error:
         print(error, file=sys.stderr)
         return 1
-    mean = np.mean([[row[4], row[5], row[6], row[7]] for row in rows], axis=0)  # type: ignore[arg-type]
-    rows.append(["mean", None, None, None, *mean.tolist()])
-    print_rows(_COLUMNS, rows)
+    table = [[variant, name, seed, *_figures(outcome)] for variant, name, seed, outcome in rows]
+    for variant in variants:
+        figures = [_figures(outcome) for of, _, _, outcome in rows if of == variant.name]
+        table.append([variant.name, "mean", None, *np.mean(figures, axis=0).tolist()])
+    print_rows(_COLUMNS, table)
     return 0
 
 
-def _row(name: str, seed: int, config: Config, asked: argparse.Namespace) -> list[object]:
-    streams = Streams(alternate=asked.alternate)
-    drive = kitti(name, config, seed, streams, asked.frames)
-    outcome = run(drive, cached(drive, sized(seed)), Variant("ours"), config)
+def _variant(name: str) -> Variant:
+    if name not in VARIANTS:
+        raise CalmEdgeError(f"--variants {name}: unknown; known: {', '.join(VARIANTS)}")
+    return VARIANTS[name]
+
+
+def _outcome(
+    drive: Drive, seed: int, variant: Variant, config: Config, with_loops: bool
+) -> Outcome:
+    loops = ScriptedLoops(drive, config.loops.min_gap, seed=seed) if with_loops else None
+    return run(drive, cached(drive, sized(seed)), variant, config, loops)
+
+
+def _figures(outcome: Outcome) -> list[float]:
     return [
-        name,
-        seed,
         outcome.path_m,
         outcome.n_submaps,
         outcome.ate_sim3_m,
