@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 import numpy as np
 
 from calm_edge.config import Config, load
 from calm_edge.evaluation.kilometres.dials import sized
-from calm_edge.evaluation.kilometres.drives import SEQUENCES, Drive, kitti
+from calm_edge.evaluation.kilometres.drives import SEQUENCES, Drive, kitti, rendered
 from calm_edge.evaluation.kilometres.loops import ScriptedLoops
 from calm_edge.evaluation.kilometres.predictions import cached
 from calm_edge.evaluation.kilometres.rivals import rival
@@ -30,7 +31,9 @@ _COLUMNS = ("variant", "seq", "seed", "m", "sub-maps", "Sim(3) m", "SE(3) m", "%
 def main(arguments: list[str] | None = None) -> int:
     """Prints a row a variant, sequence and seed; 0, or 1 with one line where that cannot be."""
     parser = argparse.ArgumentParser(prog="python -m calm_edge.evaluation.kilometres")
-    parser.add_argument("--sequences", default=",".join(SEQUENCES), help="00,05,...")
+    parser.add_argument(
+        "--sequences", default=",".join(SEQUENCES), help="00,05,... or folders of rendered drives"
+    )
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--variants", default="ours", help=", ".join(VARIANTS))
     parser.add_argument("--alternate", action="store_true", help="odd and even frames an eye")
@@ -45,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
         for name in asked.sequences.split(","):
             for seed in range(asked.seeds):
                 streams = Streams(alternate=asked.alternate)
-                drive = kitti(name, config, seed, streams, asked.frames)
+                drive = _drive(name, config, seed, streams, asked.frames)
                 for variant in variants:
                     outcome = _outcome(drive, seed, variant, config, asked.loops)
                     rows.append((variant.name, name, seed, outcome))
@@ -59,6 +62,12 @@ def main(arguments: list[str] | None = None) -> int:
         table.append([variant.name, "mean", None, *np.mean(figures, axis=0).tolist()])
     print_rows(_COLUMNS, table)
     return 0
+
+
+def _drive(name: str, config: Config, seed: int, streams: Streams, frames: int) -> Drive:
+    if Path(name).is_dir():
+        return rendered(Path(name), config, seed, streams)
+    return kitti(name, config, seed, streams, frames)
 
 
 def _variant(name: str) -> Variant:

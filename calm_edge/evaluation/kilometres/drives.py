@@ -90,6 +90,8 @@ def rendered(folder: Path, config: Config, seed: int = 0, streams: Streams | Non
     if not (folder / "poses1.txt").is_file():
         raise DriveError(f"{folder}: holds no poses1.txt; render it with drive_sim.py first")
     T_w_p, T_w_a = read_poses(folder / "poses0.txt"), read_poses(folder / "poses1.txt")
+    # a street needs a world whose y points down, as the first camera's does
+    T_w_p, T_w_a = se3.inverse(T_w_p[0]) @ T_w_p, se3.inverse(T_w_p[0]) @ T_w_a
     t_ns, t_a = (sequence.read_times(folder / f"times{eye}.txt") for eye in (0, 1))
     T_w_ref = se3.interpolate_at(t_ns - t_ns[0], T_w_p, (t_a - t_ns[0]).astype(np.float64))
     calib = read_rows(folder / "calib.txt", 6)

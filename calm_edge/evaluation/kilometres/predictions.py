@@ -21,6 +21,10 @@ from calm_edge.types import Float32, Hints, Int, Landmarks, Prediction
 CACHE = ROOT / "build" / "kilometres"
 
 
+# As it was loaded: what is edited while a run goes on must not pass for what the run did.
+_CODE = b"".join(f.read_bytes() for f in sorted(Path(scripted.__path__[0]).glob("*.py")))
+
+
 class CachedBackbone:
     """A scripted backbone that predicts each window once in its life, not once a run."""
 
@@ -53,8 +57,7 @@ class CachedBackbone:
 def cached(drive: Drive, dials: ScriptedErrors, folder: Path = CACHE) -> CachedBackbone:
     """The drive seen through the dials; what another code, drive or dial said is not read."""
     digest = hashlib.sha256(repr(dials).encode())
-    for file in sorted(Path(scripted.__path__[0]).glob("*.py")):
-        digest.update(file.read_bytes())
+    digest.update(_CODE)
     scene = drive.scene
     for array in (scene.t_ns, scene.T_w_p, scene.T_p_a, scene.K, scene.size):
         digest.update(array.tobytes())

@@ -6,6 +6,7 @@ import pytest
 from calm_edge.config import Config
 from calm_edge.evaluation.kilometres import drives
 from calm_edge.evaluation.kilometres.streams import Streams
+from calm_edge.geometry import se3
 from device.frame import Eye
 from tests.backbones.scripted.street_drive import street
 from tests.drives import START_NS
@@ -79,11 +80,13 @@ def test_a_drive_that_is_not_here_is_said(monkeypatch, tmp_path):
 
 def test_a_rendered_drives_folder_is_a_drive(tmp_path):
     scene = street(40)
-    T_w_a = scene.T_w_p @ scene.T_p_a
-    for eye, T in enumerate((scene.T_w_p, T_w_a)):
+    upright = se3.exp(np.array([40.0, -3.0, 2.0, np.pi / 2, 0.0, 0.0]))
+    T_w_p = upright @ scene.T_w_p
+    for eye, T in enumerate((T_w_p, T_w_p @ scene.T_p_a)):
         np.savetxt(tmp_path / f"poses{eye}.txt", T[:, :3].reshape(-1, 12))
         np.savetxt(tmp_path / f"times{eye}.txt", np.arange(40) * 0.1)
     (tmp_path / "calib.txt").write_text("300 300 319.5 99.5 640 200\n310 310 319.5 119.5 640 240\n")
     drive = drives.rendered(tmp_path, Config())
     assert np.allclose(drive.scene.T_p_a, scene.T_p_a, atol=1e-6)
+    assert np.allclose(drive.scene.T_w_p, se3.inverse(scene.T_w_p[0]) @ scene.T_w_p, atol=1e-6)
     assert drive.scene.K[1, 0, 0] == 310 and drive.scene.size.tolist() == [[640, 200], [640, 240]]

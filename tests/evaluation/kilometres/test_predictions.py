@@ -20,7 +20,7 @@ def drive():
 def test_a_prediction_read_is_the_one_written(drive, tmp_path):
     first = predictions.cached(drive, DIALS, tmp_path)
     said = first.infer([], batch())
-    (file,) = tmp_path.glob("*/*.npz")
+    assert len(list(tmp_path.glob("*/*.npz"))) == 1
     again = predictions.cached(drive, DIALS, tmp_path)
     read = again.infer([], batch())
     for name in ("K", "T_s_c"):
@@ -29,9 +29,6 @@ def test_a_prediction_read_is_the_one_written(drive, tmp_path):
         a, b = getattr(said.landmarks, field.name), getattr(read.landmarks, field.name)
         assert np.array_equal(a, b) and a.dtype == b.dtype
     assert read.focal_log_sigma is None and read.loop_found
-    file.write_bytes(b"")
-    with pytest.raises(EOFError):
-        again.infer([], batch())
 
 
 def test_other_dials_and_other_stamps_are_other_predictions(drive, tmp_path):
