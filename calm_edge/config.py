@@ -57,12 +57,14 @@ class BackboneConfig:
     """`bundle`, `scripted:FOLDER` or the name of a folder under models/.
 
     resolve_windows: how many recent windows can be solved again when the kit is known better.
+    kit_file: where what a drive learns of these cameras is kept for the next one; empty for none.
     """
 
     name: str = "bundle"
     hfov_deg: tuple[float, ...] = ()
     seed: int = 0
     resolve_windows: int = 400
+    kit_file: str = ""
 
     @property
     def hfov_of_eye(self) -> tuple[float | None, float | None]:

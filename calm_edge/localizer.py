@@ -19,6 +19,7 @@ from calm_edge import batch, scale
 from calm_edge.atlas import Atlas, SkippedWindow
 from calm_edge.backbones.base import Backbone, BackboneError
 from calm_edge.backbones.kit_memory import KitMemory, ResolvingBackbone
+from calm_edge.backbones.kit_prior import KitPrior
 from calm_edge.config import Config
 from calm_edge.geometry import se3
 from calm_edge.loop_geometry import KnownKit
@@ -58,6 +59,7 @@ class Localizer:
         self._config = config
         self._backbone = backbone
         self._memory = KitMemory(backbone, config.backbone.resolve_windows)
+        self._kit_prior = KitPrior(config)
         self._rectifier = Rectifier(config, isinstance(backbone, ResolvingBackbone))
         self._loops = loops or (PlaceLoops(config.loops) if config.loops.enabled else None)
         self._optimiser = optimiser or Immediate()
@@ -109,6 +111,8 @@ class Localizer:
                 self._loops.remember(window)
         with _timed(stage_ms, "resolve"):
             self._memory.add(submap.id, prediction, hints)
+            notices = self._kit_prior.contradicted(self._memory.taught())
+            self._memory.remembered = self._kit_prior.belief
             if learned:
                 self._replace_all(atlas.submaps)
             self._resolve(self._memory.outdated())
@@ -116,7 +120,7 @@ class Localizer:
             if closed is not None:
                 atlas.add_loop(closed)
                 self._request()
-            self._optimised |= atlas.settle(self._optimiser)
+            atlas.settle(self._optimiser)
         placed, moved = atlas.submaps[-1], atlas.epoch != epoch
         after = atlas.pose(newest) if newest is not None else before
         return LocalizerUpdate(
@@ -126,6 +130,7 @@ class Localizer:
             T_odom_correction=after @ se3.inverse(before) if moved else np.eye(4),
             stage_ms=stage_ms,
             kit=self._memory.belief(),
+            notices=notices,
             loop=closed,
             loop_keyframe=window.loop_keyframe if closed is not None else None,
         )
@@ -147,6 +152,7 @@ class Localizer:
         self._resolve(self._memory.retained())
         if self._config.posegraph.optimise:
             self._optimise()
+        self._kit_prior.save(self._memory.taught())
         return self.trajectory()
 
     def trajectory(self) -> Trajectory:
@@ -155,12 +161,15 @@ class Localizer:
 
     def _hints(self, window: SubmapWindow, images: list[Bytes]) -> Hints:
         frames = [keyframe.frame for keyframe in window.keyframes()]
+        sizes = batch.sizes(window, images)
+        self._kit_prior.open(sizes)
+        self._memory.remembered = self._kit_prior.belief
         return Hints(
             eyes=np.array([frame.eye for frame in frames], np.int64),
             t_ns=np.array([frame.t_ns for frame in frames], np.int64),
             hfov_deg=self._config.backbone.hfov_of_eye,
             kit=self._memory.belief(),
-            sizes=batch.sizes(window, images),
+            sizes=sizes,
         )
 
     def _with_loop(
@@ -234,6 +243,7 @@ class Localizer:
     def _request(self) -> None:
         if self._config.posegraph.optimise:
             self._atlas.request_optimum(self._optimiser)
+            self._optimised = True
 
     def _optimise(self) -> None:
         self._atlas.optimise()

@@ -277,7 +277,8 @@ class LocalizerUpdate:
 
     trajectory: the keyframes that are new or moved; all of them when its epoch grew.
     T_odom_correction: (4, 4) new world<-old world of the newest keyframe placed before.
-    stage_ms: stage name -> milliseconds. kit: belief after this window. loop: what IV-D closed.
+    stage_ms: stage name -> milliseconds. kit: belief after this window. notices: lines for the
+    user. loop: what IV-D closed.
     loop_keyframe: the picture it joined to the batch, for the window's record.
     """
 
@@ -287,5 +288,6 @@ class LocalizerUpdate:
     T_odom_correction: Float
     stage_ms: dict[str, float] = field(default_factory=dict)
     kit: KitBelief | None = None
+    notices: tuple[str, ...] = ()
     loop: LoopClosure | None = None
     loop_keyframe: Keyframe | None = None

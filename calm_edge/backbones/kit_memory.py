@@ -43,18 +43,24 @@ class _Window:
 class KitMemory:
     """Owns the kit evidence of every window, and the `limit` most recent windows themselves.
 
-    Windows are kept only for a backbone with `resolve`, and without their depth.
+    remembered: of earlier drives, None for nothing. Windows are kept only for a backbone with
+    `resolve`, and without their depth.
     """
 
     def __init__(self, backbone: Backbone, limit: int) -> None:
         self._backbone = backbone
         self._limit = limit
+        self.remembered: KitBelief | None = None
         self._taught: dict[int, KitBelief] = {}
         self._windows: dict[int, _Window] = {}
 
-    def belief(self, without: int | None = None) -> KitBelief | None:
+    def taught(self, without: int | None = None) -> KitBelief | None:
         """The product of what all windows taught, `without` one of them."""
         return product([kit for key, kit in self._taught.items() if key != without])
+
+    def belief(self, without: int | None = None) -> KitBelief | None:
+        """That and what is remembered of earlier drives."""
+        return product([self.remembered, self.taught(without)])
 
     def add(self, submap_id: int, prediction: Prediction, hints: Hints) -> None:
         """Takes in a window just solved."""

@@ -7,7 +7,7 @@ import json
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ from calm_edge.commands.exit_codes import LOSS, OK
 if TYPE_CHECKING:
     from calm_edge.config import Config
     from calm_edge.evaluation.estimate import Estimate
+    from calm_edge.mapping.seams import SeamSummary
     from calm_edge.offline.submaps import Drive
     from calm_edge.recording.reader import Recording
 
@@ -61,13 +62,18 @@ def run(arguments: argparse.Namespace) -> int:
             f"({'; '.join(drive.losses + recording.losses) or 'too little motion or overlap'})"
         )
     out.mkdir(parents=True, exist_ok=True)
-    n_points = make_cloud(arguments.recording, recording, config, drive, out)
-    estimate = write_trajectory(arguments.recording, config, drive, out)
+    n_points, seams = make_cloud(arguments.recording, recording, config, drive, out)
+    estimate = write_trajectory(arguments.recording, config, drive, out, seams)
     losses = [*recording.losses, *drive.losses]
     recorded = arguments.recording.resolve()
     title = f"{recorded.parent.name}/{recorded.name}"
     write_report(title, estimate, drive, truth, losses, out)
     print(f"map         {out / MAP} ({n_points:,} points)")
+    if seams is not None:
+        print(
+            f"seams       {seams.n_seams}; sub-maps apart by {seams.median_before:.3g} before,"
+            f" {seams.median_after:.3g} after deformation (median of {seams.n_anchors:,} anchors)"
+        )
     print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
     print(f"report      {out / REPORT}")
     print(f"took        {time.monotonic() - started:.0f} s")
@@ -90,9 +96,12 @@ def new_folder(out: Path) -> Path:
     return out
 
 
-def make_cloud(path: Path, recording: Recording, config: Config, drive: Drive, out: Path) -> int:
-    """Depth, anchors, tiles, the PLY; returns how many points it has."""
+def make_cloud(
+    path: Path, recording: Recording, config: Config, drive: Drive, out: Path
+) -> tuple[int, SeamSummary | None]:
+    """Depth, anchors, tiles, the PLY; how many points it has, and how well sub-maps meet."""
     from calm_edge.commands.record import say
+    from calm_edge.mapping import seams
     from calm_edge.mapping.cloud_file import CloudWriter
     from calm_edge.mapping.mapper import Mapper
     from calm_edge.offline.densify import densified
@@ -115,10 +124,12 @@ def make_cloud(path: Path, recording: Recording, config: Config, drive: Drive, o
         with CloudWriter(out / MAP) as cloud:
             for tile in mapper.finish():
                 cloud.write(tile)
-            return cloud.count
+        return cloud.count, seams.summary(mapper.seams())
 
 
-def write_trajectory(path: Path, config: Config, drive: Drive, out: Path) -> Estimate:
+def write_trajectory(
+    path: Path, config: Config, drive: Drive, out: Path, seams: SeamSummary | None
+) -> Estimate:
     """trajectory.tum, trajectory.kitti and summary.json."""
     from calm_edge.evaluation.estimate import from_recording, from_updates
     from calm_edge.evaluation.trajectory_file import write_kitti, write_tum
@@ -135,7 +146,8 @@ def write_trajectory(path: Path, config: Config, drive: Drive, out: Path) -> Est
     )
     write_tum(out / TUM, estimate.t_ns, estimate.T_w_c)
     write_kitti(out / KITTI, estimate.T_w_c)
-    (out / SUMMARY).write_text(json.dumps(summary(estimate), indent=2) + "\n")
+    told = summary(estimate) | {"seams": asdict(seams) if seams is not None else None}
+    (out / SUMMARY).write_text(json.dumps(told, indent=2) + "\n")
     return replace(estimate, points_w=read_cloud(out / MAP)[0])
 
 

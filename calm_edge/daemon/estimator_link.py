@@ -31,9 +31,15 @@ class EstimatorLink:
     """Owner of the estimator's process, its inbox and what was lost with it."""
 
     def __init__(
-        self, config: Config, events: queue.Queue[Any], say: Callable[[str], None]
+        self,
+        config: Config,
+        events: queue.Queue[Any],
+        say: Callable[[str], None],
+        *,
+        lockstep: bool = False,
     ) -> None:
         self._config = config
+        self._lockstep = lockstep
         self._events = events
         self._say = say
         self._inbox: deque[SubmapWindow] = deque()
@@ -117,7 +123,7 @@ class EstimatorLink:
         self.child.stop(Stop(), timeout_s)
 
     def _spawn(self) -> Child:
-        return Child("estimator", run_estimator, (self._config,), self._events)
+        return Child("estimator", run_estimator, (self._config, self._lockstep), self._events)
 
     def _bury(self) -> None:
         self._deaths_in_a_row += 1

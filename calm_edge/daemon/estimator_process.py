@@ -19,6 +19,7 @@ from calm_edge.daemon.child import serve
 from calm_edge.daemon.messages import Finish, Finished, Process, Processed, Ready, Refused, Stop
 from calm_edge.localizer import Localizer
 from calm_edge.offline.densify import window_hints
+from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
 from calm_edge.recording.window_record import of_window
 from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
 
@@ -26,10 +27,10 @@ from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
 class EstimatorWork:
     """A Localizer fed by messages in order."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, optimiser: Optimiser) -> None:
         self._config = config
         self._backbone = open_backbone(config)
-        self._localizer = Localizer(config, self._backbone)
+        self._localizer = Localizer(config, self._backbone, optimiser=optimiser)
 
     def handle(self, message: Any) -> Any:
         """The answer to one message."""
@@ -73,8 +74,8 @@ class EstimatorWork:
         return dataclasses.replace(update, prediction=prediction, stage_ms=stage_ms)
 
 
-def run_estimator(connection: Connection, config: Config) -> None:
-    """The process's main function."""
+def run_estimator(connection: Connection, config: Config, lockstep: bool) -> None:
+    """The process's main function; in lockstep every window waits for the joint optimum."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # a window may wait, a frame and its pose may not
     os.nice(10)
@@ -82,7 +83,7 @@ def run_estimator(connection: Connection, config: Config) -> None:
     logging.basicConfig(level=logging.ERROR)
     cv2.setNumThreads(1)
     try:
-        work = EstimatorWork(config)
+        work = EstimatorWork(config, Immediate() if lockstep else Spawned())
     except CalmEdgeError as error:
         connection.send(Refused(str(error)))
         return

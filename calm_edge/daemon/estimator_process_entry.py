@@ -7,8 +7,8 @@ from multiprocessing.connection import Connection
 from calm_edge.config import Config
 
 
-def run_estimator(connection: Connection, config: Config) -> None:
+def run_estimator(connection: Connection, config: Config, lockstep: bool) -> None:
     """Runs the estimator in the process this is called in."""
     from calm_edge.daemon import estimator_process
 
-    estimator_process.run_estimator(connection, config)
+    estimator_process.run_estimator(connection, config, lockstep)

@@ -60,7 +60,7 @@ class Switchboard:
         self._open_writer, self._publisher = open_writer, publisher
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
         self.tracker = TrackerLink(config.frontend, self._events, self.say)
-        self.estimator = EstimatorLink(config, self._events, self.say)
+        self.estimator = EstimatorLink(config, self._events, self.say, lockstep=lockstep)
 
     def start(self) -> None:
         """Waits for both children, opens the recording; raises CalmEdgeError."""
@@ -163,6 +163,8 @@ class Switchboard:
         update = getattr(message, "update", None)
         if update is not None:
             self.kit = update.kit
+            for notice in update.notices:
+                self.say(notice)
             if message.window is not None:
                 self.recording.write_window(message.window)
             self.recording.write_update(update)

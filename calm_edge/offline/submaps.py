@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calm_edge.backbones.base import open_backbone
-from calm_edge.config import Config
+from calm_edge.config import Config, merge
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.geometry import pinhole
@@ -127,6 +127,8 @@ def _recompute(
     config: Config,
     say: Callable[[str], None],
 ) -> Drive:
+    # the kit file may by now hold what this very drive taught
+    config = merge(config, {"backbone": {"kit_file": ""}})
     localizer = Localizer(config, open_backbone(config))
     drive = Drive(recomputed=True)
     found: dict[int, tuple[WindowRecord, LocalizerUpdate]] = {}

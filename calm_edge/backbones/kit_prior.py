@@ -1,0 +1,58 @@
+"""What earlier drives of the same cameras taught, as long as this drive fits it."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from calm_edge.backbones import kit_change, kit_file
+from calm_edge.backbones.kit_belief import product
+from calm_edge.config import Config
+from calm_edge.types import Int, KitBelief
+
+log = logging.getLogger(__name__)
+
+
+class KitPrior:
+    """Owns the belief read from `backbone.kit_file`; without that key it keeps nothing."""
+
+    def __init__(self, config: Config) -> None:
+        name = config.backbone.kit_file
+        self._path = Path(name) if name else None
+        self._cameras = (config.capture.primary, config.capture.assistant)
+        self._sizes: Int | None = None
+        self.belief: KitBelief | None = None
+
+    def open(self, sizes: Int | None) -> None:
+        """Reads the file once the pictures' sizes (2, 2) are known; raises KitFileError."""
+        if self._path is None or self._sizes is not None or sizes is None:
+            return
+        self._sizes = sizes
+        self.belief, reason = kit_file.load(self._path, self._cameras, sizes)
+        if reason:
+            log.info("kit memory: %s", reason)
+
+    def contradicted(self, taught: KitBelief | None) -> tuple[str, ...]:
+        """What moved since, in words, against what this drive `taught`; then all of it is dropped.
+
+        A kit that was touched in one place may have been touched in others.
+        """
+        if self.belief is None or taught is None:
+            return ()
+        moved = [change for change in kit_change.changes(self.belief, taught) if change.noticed]
+        if moved:
+            self.belief = None
+        return tuple(
+            f"the kit has changed since its last drive: {change.text}; it is learned anew"
+            for change in moved
+        )
+
+    def save(self, taught: KitBelief | None) -> None:
+        """Keeps what is now known for the next drive; a failure is logged and costs nothing."""
+        known = product([self.belief, taught])
+        if self._path is None or self._sizes is None or known is None:
+            return
+        try:
+            kit_file.save(self._path, self._cameras, self._sizes, known)
+        except kit_file.KitFileError as error:
+            log.error("%s", error)

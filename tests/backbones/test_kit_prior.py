@@ -1,0 +1,66 @@
+import logging
+
+import numpy as np
+import pytest
+
+from calm_edge.backbones.bundle import kit
+from calm_edge.backbones.kit_file import KitFileError
+from calm_edge.backbones.kit_prior import KitPrior
+from calm_edge.config import Config, merge
+from calm_edge.types import KitBelief
+
+SIZES = np.array([[640, 360], [640, 360]])
+
+
+def config(path):
+    return merge(Config(), {"backbone": {"kit_file": str(path)}})
+
+
+def taught(turned_rad=0.0):
+    """What a good drive teaches: focals to 0.5 %, the rig to half a milliradian."""
+    mean = kit.prior((70.0, 70.0)).mean
+    mean[kit.RIG] = [0.02, 0.05 + turned_rad, 0.0, 1.0, 0.0, 0.0]
+    sigma = np.full(kit.SIZE, 0.005)
+    sigma[kit.RIG] = 0.0005
+    return KitBelief(mean, np.diag(sigma**-2.0))
+
+
+def test_what_one_drive_learned_the_next_one_knows(tmp_path):
+    first = KitPrior(config(tmp_path / "kit.json"))
+    first.open(SIZES)
+    assert first.belief is None
+    first.save(taught())
+    second = KitPrior(config(tmp_path / "kit.json"))
+    second.open(SIZES)
+    assert np.allclose(second.belief.mean, taught().mean)
+    assert second.contradicted(taught()) == () and second.belief is not None
+
+
+def test_a_bumped_mount_is_said_and_the_memory_dropped(tmp_path):
+    first = KitPrior(config(tmp_path / "kit.json"))
+    first.open(SIZES)
+    first.save(taught())
+    second = KitPrior(config(tmp_path / "kit.json"))
+    second.open(SIZES)
+    notices = second.contradicted(taught(np.radians(4.0)))
+    assert any("assistant turned by 4.0 deg" in line for line in notices)
+    assert second.belief is None and second.contradicted(taught()) == ()
+
+
+def test_without_a_file_nothing_is_kept(tmp_path):
+    prior = KitPrior(Config())
+    prior.open(SIZES)
+    prior.save(taught())
+    assert prior.belief is None and not list(tmp_path.iterdir())
+
+
+def test_a_foreign_file_is_an_error_and_an_unwritable_one_a_line(tmp_path, caplog):
+    (tmp_path / "kit.json").write_text("[]")
+    with pytest.raises(KitFileError, match=r"kit\.json"):
+        KitPrior(config(tmp_path / "kit.json")).open(SIZES)
+    (tmp_path / "file").write_text("")
+    lost = KitPrior(config(tmp_path / "file" / "kit.json"))
+    with caplog.at_level(logging.ERROR):
+        lost._sizes = SIZES
+        lost.save(taught())
+    assert "cannot be written" in caplog.text
