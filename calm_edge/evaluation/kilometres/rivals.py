@@ -28,7 +28,7 @@ def _aligner(name: str) -> Aligner:
     def place(
         drive: Drive, backbone: CachedBackbone, config: Config, loops: ScriptedLoops | None
     ) -> tuple[Int, Float]:
-        views = _Views(drive, backbone, loops)
+        views = _Views(drive, backbone, config.scale.spacing_m, loops)
         overlaps = (views.between(k - 1, k) for k in range(1, len(views.submaps)))
         found = chain(ALIGNMENTS[name], views.submaps, overlaps, views.closures())
         if found.T_w_c is None:
@@ -41,7 +41,15 @@ def _aligner(name: str) -> Aligner:
 class _Views:
     """The raw sub-maps of a drive; depth is made for pictures two of them share, when asked."""
 
-    def __init__(self, drive: Drive, backbone: CachedBackbone, loops: ScriptedLoops | None) -> None:
+    def __init__(
+        self,
+        drive: Drive,
+        backbone: CachedBackbone,
+        spacing_m: float,
+        loops: ScriptedLoops | None,
+    ) -> None:
+        self._spacing_m = spacing_m
+        self._held: dict[int, Prediction] = {}
         self._size = drive.scene.size[0]
         self._backbone = backbone
         self._hints: list[Hints] = []
@@ -78,7 +86,7 @@ class _Views:
         prediction = replace(self._backbone.infer([], hints), landmarks=None)
         submap = batch.raw_submap(window, hints, prediction)
         if not self.submaps:
-            # the world's unit is that of the first sub-map's own scale
+            # metres by the first sub-map's spacing
             n, m = submap.n_primary, len(submap.assistant_ids)
             rig = scale.rig_samples(
                 submap.t_ns[:n],
@@ -86,7 +94,7 @@ class _Views:
                 submap.t_ns[n : n + m],
                 submap.T_s_c[n : n + m],
             )
-            submap = replace(submap, scale=scale.factor(scale.spacing(rig), 0.0))
+            submap = replace(submap, scale=scale.factor(scale.spacing(rig), self._spacing_m))
         self._hints.append(hints)
         self._predictions.append(prediction)
         self.submaps.append(submap)
@@ -103,8 +111,19 @@ class _Views:
         )
 
     def _with_depth(self, k: int, views: Int) -> Prediction:
+        """The k-th prediction with depth of at least these views."""
+        held = self._held.get(k)
+        if held is not None and held.depth is not None and held.depth[views].any((1, 2)).all():
+            return held
+        if k + 1 < len(self.submaps):
+            # the next sub-map will ask for those it shares
+            shared = overlap.common_views(self.submaps[k], self.submaps[k + 1])[0]
+            views = np.union1d(views, shared)
         some, belief = self._backbone.depth(self._hints[k], views)
         depth = np.zeros((len(self._hints[k].t_ns), *some.shape[1:]), np.float32)
         confidence = np.zeros_like(depth)
         depth[views], confidence[views] = some, belief
-        return replace(self._predictions[k], depth=depth, confidence=confidence)
+        prediction = replace(self._predictions[k], depth=depth, confidence=confidence)
+        self._held = {k - 1: self._held[k - 1]} if k - 1 in self._held else {}
+        self._held[k] = prediction
+        return prediction
