@@ -28,9 +28,9 @@ RATIOS = (
 
 def error_m(figures: Mapping[str, Any], key: str = "ate_se3_m") -> float:
     """The error, m; infinite when the drive was lost or the method failed."""
-    placed = figures.get("placed", (figures.get("coverage_percent") or 0.0) / 100)
-    value = figures.get(key)
-    return math.inf if value is None or placed < LOST_BELOW else float(value)
+    value, covered = figures.get(key), (figures.get("coverage_percent") or 0.0) / 100
+    kept = min(covered, figures.get("placed", 1.0))
+    return math.inf if value is None or kept < LOST_BELOW else float(value)
 
 
 def focal_observed(figures: Mapping[str, Any]) -> bool:
@@ -47,9 +47,9 @@ def ratio(ours: Mapping[str, Any], rival: Mapping[str, Any]) -> float:
     return 0.0 if math.isinf(theirs) else mine / theirs
 
 
-def verdicts(results: Results, rendered: Collection[str]) -> list[Verdict]:
-    """The targets over what was measured; rendered: the names of the drives with exact truth."""
-    return [*_medians(results, rendered), *_real(results), *_against_colmap(results)]
+def verdicts(results: Results, counted: Collection[str]) -> list[Verdict]:
+    """The targets over what was measured; counted: the names of the drives that count."""
+    return [*_medians(results, counted), *_real(results), *_against_colmap(results)]
 
 
 def _measured(figures: Mapping[str, Any] | None) -> bool:
@@ -61,11 +61,11 @@ def _counts(ours: Mapping[str, Any] | None) -> bool:
     return ours is not None and ("failed" in ours or (_measured(ours) and focal_observed(ours)))
 
 
-def _medians(results: Results, rendered: Collection[str]) -> list[Verdict]:
+def _medians(results: Results, counted: Collection[str]) -> list[Verdict]:
     drives = [
         methods
         for name, methods in results.items()
-        if name in rendered and _counts(methods.get("ours"))
+        if name in counted and _counts(methods.get("ours"))
     ]
     checks: list[Verdict] = []
     for method, rival, most in RATIOS:

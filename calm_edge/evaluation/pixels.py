@@ -13,14 +13,14 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from calm_edge.evaluation import steps
 from calm_edge.evaluation.chained import chained
-from calm_edge.evaluation.drives import DATA, DEVELOPMENT, HELD_OUT, Kilometre, Prepare, there
+from calm_edge.evaluation.drives import Prepare
 from calm_edge.evaluation.estimate import Estimate
+from calm_edge.evaluation.pixel_cases import CASES, EVERY, UNSEEN, WORSE, Case
 from calm_edge.evaluation.pixel_targets import Verdict, verdicts
 from calm_edge.evaluation.results import compare
 from calm_edge.evaluation.rivals import colmap, orbslam3
@@ -47,36 +47,8 @@ _KEPT = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """A drive. loose: as ours gets it. in_step: as ORB-SLAM3 gets it; the same where nothing
-    is wrong with the clocks. rendered: its truth is exact, and targets on medians count it."""
-
-    name: str
-    loose: Prepare
-    in_step: Prepare
-    spacing_m: float
-    rendered: bool = True
-
-
 # Given a drive and a folder to work in: the figures.
 Method = Callable[[Case, Path], dict[str, Any]]
-
-
-def _case(drive: Kilometre) -> Case:
-    return Case(drive.name, drive.loose, drive.in_step, drive.spacing_m)
-
-
-def _real(name: str, folder: str, spacing_m: float) -> Case:
-    return Case(name, there(DATA / folder), there(DATA / folder), spacing_m, rendered=False)
-
-
-REAL = (
-    _real("karlsruhe", "karlsruhe_town", 0.5712),
-    _real("kitti06", "kitti06_straight", 0.5372),
-)
-CASES = (*REAL, *(_case(d) for d in DEVELOPMENT))
-UNSEEN = tuple(_case(d) for d in HELD_OUT)
 
 
 def _prepared(prepare: Prepare, out: Path) -> Path:
@@ -199,14 +171,16 @@ def table(results: Mapping[str, Mapping[str, Any]]) -> list[list[Any]]:
 def main(argv: list[str] | None = None) -> int:
     """Measure, print the table and the verdicts, keep pixels.json; 1 when a target is missed."""
     parser = argparse.ArgumentParser(prog="calm_edge.evaluation.pixels", description=__doc__)
-    known = {case.name: case for case in (*CASES, *UNSEEN)}
-    parser.add_argument("--only", action="append", metavar="NAME", choices=list(known))
+    parser.add_argument("--only", action="append", metavar="NAME", choices=list(EVERY))
     parser.add_argument("--method", action="append", choices=list(METHODS))
-    parser.add_argument("--held-out", action="store_true", help="the tracks nothing is tuned on")
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--held-out", action="store_true", help="the tracks nothing is tuned on")
+    group.add_argument("--worse", action="store_true", help="stamps that lie, principal points off")
     parser.add_argument("--show", action="store_true", help="measure nothing, show what is known")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(argv)
-    names = options.only or [c.name for c in (UNSEEN if options.held_out else CASES)]
+    asked = UNSEEN if options.held_out else WORSE if options.worse else CASES
+    names = options.only or [case.name for case in asked]
     methods = options.method or [m for m in METHODS if m not in EXPENSIVE]
     file = options.out / "pixels.json"
     options.out.mkdir(parents=True, exist_ok=True)
@@ -215,7 +189,7 @@ def main(argv: list[str] | None = None) -> int:
         for method in methods:
             print(f"{name} {method} ...", file=sys.stderr, flush=True)
             results.setdefault(name, {})[method] = measure(
-                known[name], method, options.out / "pixels"
+                EVERY[name], method, options.out / "pixels"
             )
             keep(file, results)
     columns = ("drive", "method", "SE(3) m", "% of path", "Sim(3) m", "placed %", "CPU s", "note")
@@ -227,8 +201,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def keep(file: Path, results: Mapping[str, Mapping[str, Any]]) -> list[Verdict]:
     """Write {drives, targets}; returns the verdicts."""
-    rendered = {c.name for c in (*CASES, *UNSEEN) if c.rendered}
-    checks = verdicts(results, rendered)
+    checks = verdicts(results, {case.name for case in EVERY.values() if case.counts})
     keys = ("what", "asked", "measured", "passed")
     content = {"drives": results, "targets": [dict(zip(keys, c, strict=True)) for c in checks]}
     file.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")

@@ -20,7 +20,8 @@ def ours(error: float, sigma: float = 2.0, covered: float = 100.0, **more: Any) 
 
 
 def rival(error: float, placed: float = 1.0, **more: Any) -> dict[str, Any]:
-    return {"ate_se3_m": error, "ate_sim3_m": error / 2, "placed": placed, **more}
+    errors = {"ate_se3_m": error, "ate_sim3_m": error / 2}
+    return {**errors, "placed": placed, "coverage_percent": 100.0, **more}
 
 
 @pytest.mark.parametrize(
@@ -43,6 +44,7 @@ def test_a_ratio_knows_who_lost_the_drive(
 def test_errors_and_focals() -> None:
     assert error_m(rival(2.0), "ate_sim3_m") == 1.0
     assert math.isinf(error_m(rival(2.0, placed=0.79)))
+    assert math.isinf(error_m(rival(2.0, coverage_percent=79.0)))
     assert focal_observed(ours(1.0, sigma=5.0)) and not focal_observed(ours(1.0, sigma=5.1))
     assert not focal_observed({"focal_sigma_percent": [1.0, None]}) and not focal_observed({})
 

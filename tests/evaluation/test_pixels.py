@@ -127,6 +127,7 @@ def test_a_run_adds_to_what_is_known(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(pixels, "CASES", (case,))
+    monkeypatch.setattr(pixels, "EVERY", {"k": case})
     errors = {"ours": 1.0, "orbslam3": 0.5}
 
     def method(name: str) -> pixels.Method:
