@@ -22,7 +22,7 @@ def sized(seed: int) -> ScriptedErrors:
         translation_sigma=0.005,
         bend_sigma_rad=0.0025,
         depth_warp=0.1,
-        depth_drift=0.07,
+        depth_drift=0.05,
         match_sigma_px=0.4,
         outlier_share=0.05,
         seed=seed,
