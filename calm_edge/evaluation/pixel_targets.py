@@ -53,7 +53,8 @@ def verdicts(results: Results, counted: Collection[str]) -> list[Verdict]:
 
 
 def _measured(figures: Mapping[str, Any] | None) -> bool:
-    return figures is not None and "skipped" not in figures
+    # a rival that crashed, perhaps by our handling, is no point for us
+    return figures is not None and not {"skipped", "failed"} & set(figures)
 
 
 def _counts(ours: Mapping[str, Any] | None) -> bool:

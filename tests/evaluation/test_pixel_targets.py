@@ -32,7 +32,6 @@ def rival(error: float, placed: float = 1.0, **more: Any) -> dict[str, Any]:
         (ours(1.0, covered=50.0), rival(2.0), math.inf),
         (ours(1.0, covered=50.0), rival(2.0, placed=0.5), math.inf),
         ({"failed": "x"}, rival(2.0), math.inf),
-        (ours(1.0), {"failed": "x"}, 0.0),
     ],
 )
 def test_a_ratio_knows_who_lost_the_drive(
@@ -83,9 +82,10 @@ def test_a_drive_that_broke_ours_counts_against_us() -> None:
     assert check[0].endswith("3 drives") and check[2:] == (None, False)
 
 
-def test_a_skipped_rival_is_no_verdict() -> None:
+@pytest.mark.parametrize("why", ["skipped", "failed"])
+def test_a_rival_that_did_not_run_is_no_verdict(why: str) -> None:
     results = drives([1.0], [1.0])
-    results["km0"]["orbslam3"] = {"skipped": "not here"}
+    results["km0"]["orbslam3"] = {why: "not here"}
     assert verdicts(results, {"km0"})[0][2:] == (None, None)
 
 

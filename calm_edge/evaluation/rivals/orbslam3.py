@@ -45,7 +45,7 @@ _VIEWER = {
 
 
 def settings(calibration: Calibration, rate_hz: float) -> str:
-    """Its settings file: two pinhole cameras and the rig; it rectifies by itself."""
+    """Its settings file: two pinhole cameras and the rig; it rectifies by itself. No loops."""
     width, height = calibration.size
     lines = ["%YAML:1.0", 'File.version: "1.0"', 'Camera.type: "PinHole"']
     for eye, K in enumerate(calibration.K, 1):
@@ -58,6 +58,8 @@ def settings(calibration: Calibration, rate_hz: float) -> str:
     lines += ["Stereo.T_c1_c2: !!opencv-matrix", "  rows: 4", "  cols: 4", "  dt: f"]
     lines += [f"  data: [{data}]"]
     lines += [f"{name}: {value}" for name, value in _FEATURES.items()]
+    # a vocabulary of one drive finds loops that are none, and a false one can crash it
+    lines += ["loopClosing: 0"]
     lines += [f"Viewer.{name}: {value}" for name, value in _VIEWER.items()]
     return "\n".join(lines) + "\n"
 

@@ -24,6 +24,7 @@ def test_its_settings_hold_the_whole_kit() -> None:
         said = [float(value[f"Camera{eye}.{key}"]) for key in ("fx", "fy", "cx", "cy")]
         assert said == [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
     assert (value["Camera.width"], value["Camera.height"]) == ("640", "240")
+    assert value["loopClosing"] == "0"
     (data,) = re.findall(r"data: \[(.*)\]", text)
     np.testing.assert_allclose(np.fromstring(data, sep=",").reshape(4, 4), RIG, atol=1e-11)
 
