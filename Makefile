@@ -38,6 +38,7 @@ bench: setup
 	@rm -rf build/bench
 	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace realtime --out build/bench
 	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.bench build/bench
 
 eval: setup
 	.venv/bin/python -m calm_edge.evaluation.targets

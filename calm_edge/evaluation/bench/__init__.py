@@ -1,0 +1,1 @@
+"""What a sub-map costs, stage by stage and over a long drive; measured, never asserted."""

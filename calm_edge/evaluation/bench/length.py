@@ -1,0 +1,316 @@
+"""What a sub-map and a keyframe cost as a drive grows long: time, memory, pose graph."""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from calm_edge import localizer as localizer_module
+from calm_edge import scale
+from calm_edge.atlas import Atlas
+from calm_edge.backbones.scripted import ScriptedBackbone
+from calm_edge.config import Config, merge
+from calm_edge.evaluation import curves
+from calm_edge.evaluation.bench import circuit
+from calm_edge.evaluation.kilometres.dials import sized
+from calm_edge.evaluation.tables import Check, Table
+from calm_edge.localizer import Localizer
+from calm_edge.posegraph.optimiser import Snapshot, Solved
+from calm_edge.posegraph.optimum import optimum
+from calm_edge.types import CalmEdgeError, Float, Hints, KitBelief, Prediction, Submap
+
+# From here on every cap is reached: 1,000 places are thinned, 200 sub-maps tell the clock.
+SETTLED = 300
+ENDS = 200
+# Growth of the live cost over the whole drive, of its mean, that passes for none.
+FLAT_SHARE = 0.1
+MOST_MB = 600
+PGO_MS = 0.5
+# What `bundle` knows of a kit: two eyes of four numbers, a rig of six, a clock.
+_KIT = 15
+# Landmarks a sub-map, seen by nearly every view of the room: some 7,000 observations.
+_LANDMARKS = 350
+
+
+class TeachingBackbone:
+    """A scripted backbone, uncoupled to be cheap, that teaches of the kit as `bundle` does.
+
+    It gives about as many landmarks too: what they cost is part of the search.
+    """
+
+    name = "scripted"
+
+    def __init__(self, backbone: ScriptedBackbone) -> None:
+        self._backbone = backbone
+
+    def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
+        """As the backbone's, with evidence and fewer landmarks."""
+        prediction = self._backbone.infer(images, hints)
+        marks = prediction.landmarks
+        assert marks is not None
+        every = len(marks.points_s) // _LANDMARKS + 1
+        (kept,) = np.nonzero(marks.index % every == 0)
+        thinned = replace(
+            marks,
+            points_s=marks.points_s[::every],
+            index=marks.index[kept] // every,
+            view=marks.view[kept],
+            uv=marks.uv[kept],
+        )
+        return replace(prediction, landmarks=thinned, kit=KitBelief(np.zeros(_KIT), np.eye(_KIT)))
+
+    def densify(
+        self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+    ) -> Prediction:
+        """As the backbone's."""
+        return self._backbone.densify(images, hints, prediction)
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One drive, sub-map by sub-map (S,), and what is left of it.
+
+    stage_ms: processor time by stage, the model's own (`infer`) apart; what no stage holds is
+    `rest`. rss: bytes of this process after each. replaced: those where all were placed anew.
+    """
+
+    stage_ms: dict[str, Float]
+    infer_ms: Float
+    rss: Float
+    replaced: NDArray[np.bool_]
+    submaps: tuple[Submap, ...]
+    config: Config
+
+    @property
+    def live_ms(self) -> Float:
+        """(S,) everything but the model."""
+        return np.asarray(np.sum(list(self.stage_ms.values()), axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class Optimisation:
+    """One joint optimum of the first keyframes of the drive.
+
+    cpu_s: of the optimum, beside the live path. live_s: what the live path does for it, the
+    snapshot before and moving every sub-map after. believed: of the loops.
+    """
+
+    keyframes: int
+    loops: int
+    believed: int
+    cpu_s: float
+    live_s: float
+
+    @property
+    def ms_a_keyframe(self) -> float:
+        return 1e3 * self.cpu_s / self.keyframes
+
+
+class _Beside:
+    """Keeps what is asked, as an optimiser in its own process would, and solves when told."""
+
+    def __init__(self) -> None:
+        self._snapshot: Snapshot | None = None
+        self.solved: Solved | None = None
+
+    def request(self, snapshot: Snapshot) -> None:
+        self._snapshot = snapshot
+
+    def solve(self) -> None:
+        assert self._snapshot is not None
+        found = optimum(self._snapshot.problem, self._snapshot.state)
+        self.solved = Solved(self._snapshot.graph, found)
+
+    def poll(self) -> Solved | None:
+        return self.solved
+
+    def close(self) -> None:
+        self._snapshot = self.solved = None
+
+
+def rss() -> int:
+    """Bytes of this process that are in memory."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize()
+
+
+def drive(n_submaps: int, config: Config | None = None, seed: int = 0) -> Course:
+    """Runs the Localizer over the circuit; needs ten sub-maps for a fit, raises CalmEdgeError."""
+    if n_submaps < 10:
+        raise CalmEdgeError(f"--submaps {n_submaps}: 10 or more, or nothing can be fitted")
+    spacing_m = float(np.linalg.norm(circuit.T_P_A[:3, 3]))
+    config = merge(config or Config(), {"scale": {"spacing_m": spacing_m}})
+    scene = circuit.scene(circuit.n_keyframes(n_submaps, config.frontend))
+    backbone = TeachingBackbone(ScriptedBackbone(scene, replace(sized(seed), coupled=False)))
+    localizer = Localizer(config, backbone)
+    stages: dict[str, Float] = {}
+    memory, replaced = np.zeros(n_submaps), np.zeros(n_submaps, bool)
+    rest, epoch = np.zeros(n_submaps), 0
+    # on a machine shared with others only the processor's time is the drive's own
+    with mock.patch.object(localizer_module, "perf_counter", time.process_time):
+        for k, window in enumerate(circuit.windows(n_submaps, config.frontend)):
+            start = time.process_time()
+            update = localizer.process(window)
+            total_ms = 1e3 * (time.process_time() - start)
+            if update is None:
+                raise CalmEdgeError(f"sub-map {k} was skipped: {localizer.skipped[-1].reason}")
+            for stage, ms in update.stage_ms.items():
+                stages.setdefault(stage, np.zeros(n_submaps))[k] = ms
+            rest[k] = total_ms - sum(update.stage_ms.values())
+            replaced[k], epoch = update.trajectory.epoch != epoch, update.trajectory.epoch
+            memory[k] = rss()
+    infer = stages.pop("infer")
+    return Course({**stages, "rest": rest}, infer, memory, replaced, localizer.submaps, config)
+
+
+def growth(values: Float, settled: int) -> float:
+    """What a straight line through values (S,) from `settled` on gains over all of S."""
+    x = np.arange(settled, len(values))
+    return float(np.polyfit(x, values[settled:], 1)[0] * len(values))
+
+
+def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) -> list[Optimisation]:
+    """The final graph's optimum at several lengths, without loops and with one a few sub-maps.
+
+    Sub-maps are those of the drive before correction: what the uncoupled model says of poses is
+    right, so correcting them for its focals would only bend them.
+    """
+    spacing_m = course.config.scale.spacing_m
+    plain = [replace(s, T_s_c=s.T_s_c_raw, K=s.K_raw, scale=1.0) for s in course.submaps]
+    scaled = [scale.rectify(submap, spacing_m) for submap in plain]
+    _optimise(course.config, scaled[:2], with_loops=False)  # loads what is loaded once
+    runs = []
+    for with_loops in (False, True):
+        for share in shares:
+            runs.append(_optimise(course.config, scaled[: round(share * len(scaled))], with_loops))
+    return runs
+
+
+def _optimise(config: Config, submaps: Sequence[Submap], with_loops: bool) -> Optimisation:
+    atlas = Atlas(config)
+    for submap in submaps:
+        atlas.add(submap)
+    n = submaps[-1].primary_ids[-1] + 1
+    new = config.frontend.n_max - config.frontend.n_overlap
+    loops = circuit.closures(n, circuit.CLOSURE_EVERY * new) if with_loops else []
+    for loop in loops:
+        atlas.add_loop(loop)
+    beside, start = _Beside(), time.process_time()
+    atlas.request_optimum(beside)
+    asked = time.process_time()
+    beside.solve()
+    solved = time.process_time()
+    atlas.settle(beside)
+    live_s = asked - start + time.process_time() - solved
+    assert beside.solved is not None
+    believed = int(beside.solved.optimum.loops.sum())
+    return Optimisation(n, len(loops), believed, solved - asked, live_s)
+
+
+def table(course: Course, command: str) -> Table:
+    """A row a stage of the live path, and of memory: at the start, once settled, at the end."""
+    n = len(course.infer_ms)
+    settled, ends = min(SETTLED, n // 2), min(ENDS, n // 5)
+    new = course.config.frontend.n_max - course.config.frontend.n_overlap
+    placed_anew = course.replaced
+    once = np.where(placed_anew, np.nan, course.live_ms)
+    once = np.where(np.isnan(once), np.nanmedian(once), once)
+    series = [
+        ("live cost, ms", course.live_ms),
+        *((f"  {stage}, ms", ms) for stage, ms in course.stage_ms.items()),
+        ("live cost where nothing was placed anew, ms", once),
+        ("memory, MB", course.rss / 1e6),
+    ]
+    rows = []
+    for name, values in series:
+        first, after, last = values[:ends], values[settled : settled + ends], values[-ends:]
+        means = (float(part.mean()) for part in (first, after, last))
+        rows.append((name, *means, float(values.max()), growth(values, settled)))
+    gained = growth(course.live_ms, settled) / float(course.live_ms[settled:].mean())
+    state = growth(course.rss, settled) / (n * new)
+    end_mb = float(course.rss[-1]) / 1e6
+    checks = (
+        Check(
+            f"growth of the live cost over {n} sub-maps, of its mean",
+            f"none (<= {FLAT_SHARE:.0%})",
+            round(gained, 3),
+            gained <= FLAT_SHARE,
+        ),
+        Check(
+            "memory of the process at the end, MB",
+            f"<= {MOST_MB}",
+            round(end_mb),
+            end_mb <= MOST_MB,
+        ),
+    )
+    notes = (
+        f"{n} sub-maps of {course.config.frontend.n_max} + {course.config.frontend.n_max} "
+        f"keyframes; processor time of one core without the model and without the joint optimum; "
+        f"load average {os.getloadavg()[0]:.1f}",
+        f"the line is fitted from sub-map {settled}, where every cap is reached; the model played "
+        f"costs {course.infer_ms.mean():.0f} ms a sub-map and is not counted",
+        f"state: {state:,.0f} bytes a keyframe of the primary",
+        f"{int(placed_anew.sum())} times every sub-map was placed anew, as the focals or the clock "
+        f"became better known; the last time at sub-map "
+        f"{int(np.flatnonzero(placed_anew).max(initial=0))}",
+        "no loop is closed here, so nothing asks for the joint optimum",
+    )
+    columns = ("", f"first {ends}", f"from {settled}", f"last {ends}", "most", f"line over {n}")
+    title = "Over a long drive of the scripted model"
+    return Table("bench_length", title, command, columns, tuple(rows), checks, notes)
+
+
+def optimum_table(runs: Sequence[Optimisation], command: str) -> Table:
+    """A row a length, without and with loops."""
+    rows = [
+        (run.keyframes, run.loops, run.believed, run.cpu_s, run.ms_a_keyframe, 1e3 * run.live_s)
+        for run in runs
+    ]
+    worst = max(run.ms_a_keyframe for run in runs)
+    checks = (
+        Check("joint optimum, ms a keyframe, the worst", f"<= {PGO_MS}", worst, worst <= PGO_MS),
+    )
+    notes = (
+        "processor time; the optimum is computed in a process of its own, triggers that pile up "
+        "are one",
+        "live: what the estimator does for one, a snapshot before and following it after",
+    )
+    columns = ("keyframes", "loops", "believed", "s", "ms a keyframe", "live ms")
+    title = "Joint optimum of a long drive"
+    return Table("bench_optimum", title, command, columns, tuple(rows), checks, notes)
+
+
+def plot(course: Course) -> str:
+    """SVG: cost a sub-map, its running median by stage, and memory on the right."""
+    figure, axes = curves._figure(10, 4.2)
+    live = course.live_ms
+    x = np.arange(len(live))
+    axes.plot(x, live, ".", color=curves.GRID, markersize=2.5, label="a sub-map, without the model")
+    axes.plot(x, _running(live), color=curves.ESTIMATE, linewidth=1.8, label="its running median")
+    longest = sorted(course.stage_ms, key=lambda stage: -course.stage_ms[stage].mean())[:3]
+    for stage, style in zip(longest, ("--", "-.", ":"), strict=False):
+        line = _running(course.stage_ms[stage])
+        axes.plot(x, line, style, color=curves.MUTED, linewidth=1.2, label=stage)
+    axes.set_ylim(0, 1.6 * float(np.percentile(live, 99)))
+    axes.set_xlabel("sub-map", color=curves.MUTED)
+    axes.set_ylabel("processor ms", color=curves.MUTED)
+    right = axes.twinx()
+    right.plot(x, course.rss / 1e6, color=curves.TRUTH, linewidth=1.6, label="memory (right)")
+    right.set_ylim(0, MOST_MB)
+    right.set_ylabel("MB", color=curves.TRUTH)
+    figure.legend(loc="upper center", ncols=3, frameon=False, fontsize=9, labelcolor=curves.INK)
+    return curves._svg(figure)
+
+
+def _running(values: Float, reach: int = 25) -> Float:
+    """(S,) median of the values up to `reach` before and after each."""
+    return np.asarray(median_filter(values, 2 * reach + 1, mode="nearest"))
