@@ -7,9 +7,11 @@ import pytest
 
 from calm_edge.config import Config, FrontendConfig
 from calm_edge.evaluation.bench import __main__ as bench
-from calm_edge.evaluation.bench import circuit, length, stages
-from calm_edge.evaluation.bench.length import Optimisation, growth
-from calm_edge.evaluation.bench.stages import Clock, Measured, Piece
+from calm_edge.evaluation.bench import circuit, joint_optimum, length, stages
+from calm_edge.evaluation.bench.clock import Clock, Measured
+from calm_edge.evaluation.bench.joint_optimum import Optimisation
+from calm_edge.evaluation.bench.length import growth
+from calm_edge.evaluation.bench.pieces import Piece
 from calm_edge.evaluation.tables import kept
 from calm_edge.geometry import se3
 from calm_edge.localizer import Localizer
@@ -115,14 +117,14 @@ def test_cost_that_grows_breaks_its_promise(course):
 
 def test_the_joint_optimum_is_taken_at_three_lengths_with_and_without_loops(course, monkeypatch):
     monkeypatch.setattr(circuit, "LAP", 60)
-    runs = length.optimisations(course)
+    runs = joint_optimum.optimisations(course)
     assert [r.keyframes for r in runs[:3]] == [39, 75, 147]
     assert [r.loops for r in runs] == [0, 0, 0, 0, 0, 1]
     assert all(r.cpu_s > 0 and r.live_s > 0 for r in runs)
     slow = Optimisation(1000, 0, 0, 0.6, 0.0)
     fast = Optimisation(1000, 0, 0, 0.4, 0.0)
-    assert length.optimum_table([fast], "").checks[0].passed
-    assert not length.optimum_table([fast, slow], "").checks[0].passed
+    assert joint_optimum.table([fast], "").checks[0].passed
+    assert not joint_optimum.table([fast, slow], "").checks[0].passed
 
 
 def test_the_command_prints_keeps_and_plots(tmp_path, capsys):
@@ -179,7 +181,7 @@ def test_the_core_is_held_to_its_promise():
 
 
 def test_a_recording_too_short_is_one_clear_line(monkeypatch, tmp_path, capsys):
-    def short(path):
+    def short(path, least):
         raise CalmEdgeError(f"{path}: 2 sub-maps")
 
     monkeypatch.setattr(stages, "read", short)

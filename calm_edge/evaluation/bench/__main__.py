@@ -12,7 +12,7 @@ from pathlib import Path
 
 import cv2
 
-from calm_edge.evaluation.bench import length, stages
+from calm_edge.evaluation.bench import joint_optimum, length, stages
 from calm_edge.evaluation.tables import OUT, publish
 from calm_edge.types import CalmEdgeError
 
@@ -37,7 +37,8 @@ def main(argv: list[str] | None = None) -> int:
             asked.plot.parent.mkdir(parents=True, exist_ok=True)
             asked.plot.write_text(length.plot(course), encoding="utf-8")
             print(f"  plot: {asked.plot}")
-            publish(length.optimum_table(length.optimisations(course), command), asked.out)
+            runs = joint_optimum.optimisations(course)
+            publish(joint_optimum.table(runs, command), asked.out)
         if asked.recording is not None:
             publish(stages.table(stages.measure(asked.recording), command), asked.out)
     except CalmEdgeError as error:

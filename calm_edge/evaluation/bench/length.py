@@ -1,4 +1,4 @@
-"""What a sub-map and a keyframe cost as a drive grows long: time, memory, pose graph."""
+"""What a sub-map costs as a drive grows long: time and memory."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from calm_edge import localizer as localizer_module
-from calm_edge import scale
-from calm_edge.atlas import Atlas
 from calm_edge.backbones.scripted import ScriptedBackbone
 from calm_edge.config import Config, merge
 from calm_edge.evaluation import curves
@@ -24,8 +22,6 @@ from calm_edge.evaluation.bench import circuit
 from calm_edge.evaluation.kilometres.dials import sized
 from calm_edge.evaluation.tables import Check, Table
 from calm_edge.localizer import Localizer
-from calm_edge.posegraph.optimiser import Snapshot, Solved
-from calm_edge.posegraph.optimum import optimum
 from calm_edge.types import CalmEdgeError, Float, Hints, KitBelief, Prediction, Submap
 
 # From here on every cap is reached: 1,000 places are thinned, 200 sub-maps tell the clock.
@@ -34,7 +30,6 @@ ENDS = 200
 # Growth of the live cost over the whole drive, of its mean, that passes for none.
 FLAT_SHARE = 0.1
 MOST_MB = 600
-PGO_MS = 0.5
 # What `bundle` knows of a kit: two eyes of four numbers, a rig of six, a clock.
 _KIT = 15
 # Landmarks a sub-map, seen by nearly every view of the room: some 7,000 observations.
@@ -96,47 +91,6 @@ class Course:
         return np.asarray(np.sum(list(self.stage_ms.values()), axis=0))
 
 
-@dataclass(frozen=True, slots=True)
-class Optimisation:
-    """One joint optimum of the first keyframes of the drive.
-
-    cpu_s: of the optimum, beside the live path. live_s: what the live path does for it, the
-    snapshot before and moving every sub-map after. believed: of the loops.
-    """
-
-    keyframes: int
-    loops: int
-    believed: int
-    cpu_s: float
-    live_s: float
-
-    @property
-    def ms_a_keyframe(self) -> float:
-        return 1e3 * self.cpu_s / self.keyframes
-
-
-class _Beside:
-    """Keeps what is asked, as an optimiser in its own process would, and solves when told."""
-
-    def __init__(self) -> None:
-        self._snapshot: Snapshot | None = None
-        self.solved: Solved | None = None
-
-    def request(self, snapshot: Snapshot) -> None:
-        self._snapshot = snapshot
-
-    def solve(self) -> None:
-        assert self._snapshot is not None
-        found = optimum(self._snapshot.problem, self._snapshot.state)
-        self.solved = Solved(self._snapshot.graph, found)
-
-    def poll(self) -> Solved | None:
-        return self.solved
-
-    def close(self) -> None:
-        self._snapshot = self.solved = None
-
-
 def rss() -> int:
     """Bytes of this process that are in memory."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
@@ -176,44 +130,6 @@ def growth(values: Float, settled: int) -> float:
     """What a straight line through values (S,) from `settled` on gains over all of S."""
     x = np.arange(settled, len(values))
     return float(np.polyfit(x, values[settled:], 1)[0] * len(values))
-
-
-def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) -> list[Optimisation]:
-    """The final graph's optimum at several lengths, without loops and with one a few sub-maps.
-
-    Sub-maps are those of the drive before correction: what the uncoupled model says of poses is
-    right, so correcting them for its focals would only bend them.
-    """
-    spacing_m = course.config.scale.spacing_m
-    plain = [replace(s, T_s_c=s.T_s_c_raw, K=s.K_raw, scale=1.0) for s in course.submaps]
-    scaled = [scale.rectify(submap, spacing_m) for submap in plain]
-    _optimise(course.config, scaled[:2], with_loops=False)  # loads what is loaded once
-    runs = []
-    for with_loops in (False, True):
-        for share in shares:
-            runs.append(_optimise(course.config, scaled[: round(share * len(scaled))], with_loops))
-    return runs
-
-
-def _optimise(config: Config, submaps: Sequence[Submap], with_loops: bool) -> Optimisation:
-    atlas = Atlas(config)
-    for submap in submaps:
-        atlas.add(submap)
-    n = submaps[-1].primary_ids[-1] + 1
-    new = config.frontend.n_max - config.frontend.n_overlap
-    loops = circuit.closures(n, circuit.CLOSURE_EVERY * new) if with_loops else []
-    for loop in loops:
-        atlas.add_loop(loop)
-    beside, start = _Beside(), time.process_time()
-    atlas.request_optimum(beside)
-    asked = time.process_time()
-    beside.solve()
-    solved = time.process_time()
-    atlas.settle(beside)
-    live_s = asked - start + time.process_time() - solved
-    assert beside.solved is not None
-    believed = int(beside.solved.optimum.loops.sum())
-    return Optimisation(n, len(loops), believed, solved - asked, live_s)
 
 
 def table(course: Course, command: str) -> Table:
@@ -267,26 +183,6 @@ def table(course: Course, command: str) -> Table:
     columns = ("", f"first {ends}", f"from {settled}", f"last {ends}", "most", f"line over {n}")
     title = "Over a long drive of the scripted model"
     return Table("bench_length", title, command, columns, tuple(rows), checks, notes)
-
-
-def optimum_table(runs: Sequence[Optimisation], command: str) -> Table:
-    """A row a length, without and with loops."""
-    rows = [
-        (run.keyframes, run.loops, run.believed, run.cpu_s, run.ms_a_keyframe, 1e3 * run.live_s)
-        for run in runs
-    ]
-    worst = max(run.ms_a_keyframe for run in runs)
-    checks = (
-        Check("joint optimum, ms a keyframe, the worst", f"<= {PGO_MS}", worst, worst <= PGO_MS),
-    )
-    notes = (
-        "processor time; the optimum is computed in a process of its own, triggers that pile up "
-        "are one",
-        "live: what the estimator does for one, a snapshot before and following it after",
-    )
-    columns = ("keyframes", "loops", "believed", "s", "ms a keyframe", "live ms")
-    title = "Joint optimum of a long drive"
-    return Table("bench_optimum", title, command, columns, tuple(rows), checks, notes)
 
 
 def plot(course: Course) -> str:

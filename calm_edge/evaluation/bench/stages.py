@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calm_edge import scale
 from calm_edge.atlas import Atlas
@@ -24,20 +21,17 @@ from calm_edge.correction.matches import PairMatches, SiftMatcher, from_landmark
 from calm_edge.correction.rectify import rectified
 from calm_edge.correction.test_bank import BankGroup, GroupBuilder
 from calm_edge.evaluation import bench_mapping
+from calm_edge.evaluation.bench.clock import Clock, Measured
+from calm_edge.evaluation.bench.pieces import Piece, read
 from calm_edge.evaluation.tables import Check, Table
 from calm_edge.loop_geometry import KnownKit
 from calm_edge.loops import PlaceLoops
 from calm_edge.offline.densify import densified
-from calm_edge.offline.submaps import gather
 from calm_edge.posegraph.optimiser import Immediate
-from calm_edge.recording.reader import Recording
-from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import (
     CalmEdgeError,
     GlobalIntrinsics,
     Keyframe,
-    Landmarks,
-    LocalizerUpdate,
     Submap,
     SubmapWindow,
 )
@@ -51,105 +45,11 @@ REPEATS = 50
 _OFF = 1.03
 # Keyframes and nanoseconds between a window and its return.
 _LATER, _LATER_NS = 10_000, 10**12
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """A sub-map of the recording, in order. window: with its pictures as recorded."""
-
-    record: WindowRecord
-    update: LocalizerUpdate
-    window: SubmapWindow
-
-    @property
-    def submap(self) -> Submap:
-        return self.update.submap
-
-    @property
-    def landmarks(self) -> Landmarks:
-        marks = self.update.prediction.landmarks
-        assert marks is not None
-        return marks
-
-    def images(self) -> list[NDArray[np.uint8]]:
-        """(H, W, 3) BGR in batch order."""
-        return [keyframe.frame.bgr() for keyframe in self.window.keyframes()]
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A stage: mean seconds of the processor and of the clock over n runs; load: the machine's.
-
-    paper_s, target_s: None where there is none. share: how often a sub-map pays for it in the
-    correction core, the test bank excluded.
-    """
-
-    name: str
-    paper_s: float | None
-    target_s: float | None
-    cpu_s: float
-    wall_s: float
-    n: int
-    load: float
-    share: float = 0.0
-
-
-class Clock:
-    """Owns the seconds of all runs of one stage."""
-
-    def __init__(self) -> None:
-        self.cpu_s = self.wall_s = 0.0
-        self._n = 0
-
-    def run(self, work: Callable[[], T]) -> T:
-        """What `work` gives; its time is added."""
-        wall, cpu = time.perf_counter(), time.process_time()
-        made = work()
-        self.add(time.process_time() - cpu, time.perf_counter() - wall)
-        return made
-
-    def add(self, cpu_s: float, wall_s: float, things: int = 1) -> None:
-        """A run that was timed elsewhere, of so many things."""
-        self.cpu_s += cpu_s
-        self.wall_s += wall_s
-        self._n += things
-
-    def measured(
-        self,
-        name: str,
-        paper_s: float | None = None,
-        target_s: float | None = None,
-        share: float = 0.0,
-    ) -> Measured:
-        """The mean of the runs."""
-        n, load = max(self._n, 1), os.getloadavg()[0]
-        cpu_s, wall_s = self.cpu_s / n, self.wall_s / n
-        return Measured(name, paper_s, target_s, cpu_s, wall_s, self._n, load, share)
-
-
-def read(path: Path) -> tuple[Config, list[Piece]]:
-    """The full sub-maps of a recording; raises CalmEdgeError where these are too few."""
-    recording = Recording(path)
-    drive = gather(recording, recording.config, lambda text: print(text, file=sys.stderr))
-    most = recording.config.frontend.n_max
-    found = [
-        Piece(record, update, recording.window(record))
-        for record, update in zip(drive.windows, drive.updates, strict=True)
-        if update.submap.n_primary == len(update.submap.assistant_ids) == most
-        and update.prediction.landmarks is not None
-    ]
-    if len(found) < BY_LANDMARKS:
-        raise CalmEdgeError(
-            f"{path}: {len(found)} sub-maps of {most} + {most} keyframes; "
-            f"{BY_LANDMARKS} are needed, record a longer drive"
-        )
-    return recording.config, found
 
 
 def measure(path: Path) -> list[Measured]:
     """Every stage; raises CalmEdgeError."""
-    config, pieces = read(path)
+    config, pieces = read(path, BY_LANDMARKS)
     chosen = pieces[:: len(pieces) // BY_LANDMARKS][:BY_LANDMARKS]
     by_sift, _ = banks(chosen[:BY_SIFT], config.correction, by_sift=True)
     by_landmarks, groups = banks(chosen, config.correction, by_sift=False)

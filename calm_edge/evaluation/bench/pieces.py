@@ -1,0 +1,58 @@
+"""The full sub-maps of a recording, with their pictures."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.config import Config
+from calm_edge.offline.submaps import gather
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.window_record import WindowRecord
+from calm_edge.types import CalmEdgeError, Landmarks, LocalizerUpdate, Submap, SubmapWindow
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A sub-map of the recording, in order. window: with its pictures as recorded."""
+
+    record: WindowRecord
+    update: LocalizerUpdate
+    window: SubmapWindow
+
+    @property
+    def submap(self) -> Submap:
+        return self.update.submap
+
+    @property
+    def landmarks(self) -> Landmarks:
+        marks = self.update.prediction.landmarks
+        assert marks is not None
+        return marks
+
+    def images(self) -> list[NDArray[np.uint8]]:
+        """(H, W, 3) BGR in batch order."""
+        return [keyframe.frame.bgr() for keyframe in self.window.keyframes()]
+
+
+def read(path: Path, least: int) -> tuple[Config, list[Piece]]:
+    """The full sub-maps of a recording; raises CalmEdgeError where these are too few."""
+    recording = Recording(path)
+    drive = gather(recording, recording.config, lambda text: print(text, file=sys.stderr))
+    most = recording.config.frontend.n_max
+    found = [
+        Piece(record, update, recording.window(record))
+        for record, update in zip(drive.windows, drive.updates, strict=True)
+        if update.submap.n_primary == len(update.submap.assistant_ids) == most
+        and update.prediction.landmarks is not None
+    ]
+    if len(found) < least:
+        raise CalmEdgeError(
+            f"{path}: {len(found)} sub-maps of {most} + {most} keyframes; "
+            f"{least} are needed, record a longer drive"
+        )
+    return recording.config, found
