@@ -120,11 +120,15 @@ def test_the_joint_optimum_is_taken_at_three_lengths_with_and_without_loops(cour
     runs = joint_optimum.optimisations(course)
     assert [r.keyframes for r in runs[:3]] == [39, 75, 147]
     assert [r.loops for r in runs] == [0, 0, 0, 0, 0, 1]
-    assert all(r.cpu_s > 0 and r.live_s > 0 for r in runs)
-    slow = Optimisation(1000, 0, 0, 0.6, 0.0)
-    fast = Optimisation(1000, 0, 0, 0.4, 0.0)
+    assert all(min(r.cpu_s, r.asked_s, r.taken_s) > 0 for r in runs)
+    slow = Optimisation(1000, 0, 0, 0.6, 0.0, 0.0)
+    fast = Optimisation(1000, 0, 0, 0.4, 0.0, 0.0)
     assert joint_optimum.table([fast], "").checks[0].passed
     assert not joint_optimum.table([fast, slow], "").checks[0].passed
+    square = replace(fast, keyframes=4000, cpu_s=16 * fast.cpu_s)
+    assert [c.passed for c in joint_optimum.table([fast, square], "").checks] == [False, False]
+    line = replace(fast, keyframes=4000, cpu_s=4 * fast.cpu_s)
+    assert [c.passed for c in joint_optimum.table([fast, line], "").checks] == [True, True]
 
 
 def test_the_command_prints_keeps_and_plots(tmp_path, capsys):

@@ -178,7 +178,8 @@ def table(course: Course, command: str) -> Table:
         f"{int(placed_anew.sum())} times every sub-map was placed anew, as the focals or the clock "
         f"became better known; the last time at sub-map "
         f"{int(np.flatnonzero(placed_anew).max(initial=0))}",
-        "no loop is closed here, so nothing asks for the joint optimum",
+        "no loop is closed here, so nothing asks for the joint optimum; "
+        f"{(course.live_ms + course.infer_ms).sum() / 1e3:.0f} s of the processor in all",
     )
     columns = ("", f"first {ends}", f"from {settled}", f"last {ends}", "most", f"line over {n}")
     title = "Over a long drive of the scripted model"
