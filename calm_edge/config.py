@@ -94,6 +94,7 @@ class CorrectionConfig:
     on the bank; off, the search chooses among the backbone's guesses by the plain mean.
     rotation, translation: the two halves of the pose correction. general_translation: the skew
     part of M; off, the simplified t = S t_est. adaptive_damping: off, damping is held at 1.
+    rigid_rig: an even turn of the assistant against the primary is taken out (past the paper).
     """
 
     apply: str = "auto"
@@ -102,7 +103,8 @@ class CorrectionConfig:
     refine: bool = True
     rotation: bool = True
     translation: bool = True
-    general_translation: bool = True
+    general_translation: bool = False
+    rigid_rig: bool = True
     adaptive_damping: bool = True
     group_every: int = 5
     n_pair: int = 10

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from calm_edge.config import CorrectionConfig
+from calm_edge.correction import spectral
 from calm_edge.correction.eye_search import EyeSearch
 from calm_edge.correction.matches import PairMatches, SiftMatcher, from_landmarks
+from calm_edge.correction.pool import pooled
 from calm_edge.correction.test_bank import GroupBuilder
 from calm_edge.types import Bytes, Float, GlobalIntrinsics, Landmarks, Submap
 from device.frame import Eye
@@ -23,7 +25,8 @@ class IntrinsicSearch:
     """Owns what is held true of both eyes; a deterministic function of its sub-maps.
 
     Its cost a sub-map does not grow: guesses are capped, pictures and landmarks let go. A group
-    is begun every `group_every` sub-maps and made in as many shares, the eyes in turn.
+    is begun every `group_every` sub-maps and made in as many shares, the eyes in turn; once the
+    bank is full, n_group times as seldom.
     """
 
     def __init__(self, config: CorrectionConfig) -> None:
@@ -32,21 +35,32 @@ class IntrinsicSearch:
         self._builders: dict[Eye, GroupBuilder] = {}
         self._sift = SiftMatcher(config.max_features)
         self._count = 0
+        self._held: GlobalIntrinsics | None = None
         self._applied: GlobalIntrinsics | None = None
 
     @property
     def intrinsics(self) -> GlobalIntrinsics | None:
         """What is held true now; None until both eyes were seen."""
-        held = [self._eyes[eye].K for eye in Eye]
+        return self._held
+
+    def _judged(self) -> GlobalIntrinsics | None:
+        eyes = [self._eyes[eye] for eye in Eye]
+        held = [eye.K for eye in eyes]
         if any(K is None for K in held):
             return None
-        eyes = self._eyes.values()
-        return GlobalIntrinsics(
-            K=np.stack([K for K in held if K is not None]),
-            damping=np.array([eye.damping for eye in eyes]),
-            focal_log_sigma=np.array([eye.log_sigma for eye in eyes]),
-            n_effective=np.array([eye.n_effective for eye in eyes]),
-        )
+        K = np.stack([K for K in held if K is not None])
+        damping = np.array([eye.damping for eye in eyes])
+        sigma = np.array([eye.asked.log_sigma for eye in eyes])
+        if self._config.weighted:
+            told = np.array([eye.asked.log_focal for eye in eyes])
+            n = min(len(eye.log_focals) for eye in eyes)
+            guesses = np.stack([eye.log_focals[-n:] for eye in eyes], 1)
+            pool = pooled(guesses, told, sigma)
+            shapes = zip(eyes, np.exp(pool.log_focal), strict=True)
+            K = np.stack([spectral.at_focal(eye.shape(), focal) for eye, focal in shapes])
+            damping = np.full(2, pool.damping if self._config.adaptive_damping else 1.0)
+            sigma = pool.log_sigma
+        return GlobalIntrinsics(K, damping, sigma, np.array([eye.n_effective for eye in eyes]))
 
     def add(
         self, submap: Submap, landmarks: Landmarks | None, images: Sequence[Bytes] | None
@@ -80,10 +94,14 @@ class IntrinsicSearch:
         return self._eyes[eye].curve(focals)
 
     def _is_due(self, eye: Eye) -> bool:
+        bank, every = self._eyes[eye].bank, self._config.group_every
         # the eyes take turns, so that no sub-map pays for the features of both
-        turn = (self._config.group_every // 2) * int(eye)
-        due = self._count % self._config.group_every == turn
-        return due and eye not in self._builders and not self._eyes[eye].bank.is_closed
+        turn = (every // 2) * int(eye)
+        if len(bank.groups) >= self._config.n_group:
+            # only a better group still gets in, and most are not
+            every *= self._config.n_group
+        due = self._count % every == turn
+        return due and eye not in self._builders and not bank.is_closed
 
     def _matches(
         self, views: Sequence[int], landmarks: Landmarks | None, images: Sequence[Bytes] | None
@@ -107,7 +125,8 @@ class IntrinsicSearch:
             self._eyes[eye].add_group(group)
 
     def _has_changed(self) -> bool:
-        now, before = self.intrinsics, self._applied
+        self._held = self._judged()
+        now, before = self._held, self._applied
         if now is None:
             return False
         if before is None:

@@ -20,6 +20,9 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, GlobalIntrinsics, Int, Submap
 from device.frame import Eye
 
+# assistant views from which a trend can be told from noise
+_LEAST_FOR_TREND = 5
+
 
 def rectified(
     submap: Submap,
@@ -46,7 +49,8 @@ def rectified(
     K = pose_model.effective_intrinsics(submap.K, S)
     T, S_p = submap.T_s_c, S[:n].mean(0)
     primary = _primary(T[:n], S[:n], config)
-    between = _bracketed(submap.t_ns[:n], submap.t_ns[n : n + m])
+    exposed = submap.exposed_ns
+    between = _bracketed(exposed[:n], exposed[n : n + m])
     joint = (S_p + S[n : n + m]) / 2
     assistant = _assistant(T[:n], primary, T[n : n + m], between, joint, config, rig_by_travel)
     loop = _loop(T[:n], primary, T[n + m :], S_p, config)
@@ -119,7 +123,26 @@ def _assistant(
     T_ref_s = se3.inverse(T_s_ref)
     travel = T_s_p[after, :3, 3] - T_s_p[before, :3, 3]
     along = (T_ref_s[:, :3, :3] @ travel[..., None])[..., 0] if rig_by_travel else None
-    return np.asarray(T_s_ref_new @ _corrected(T_ref_s @ T_s_a, S_joint, config, along))
+    T_p_a = _corrected(T_ref_s @ T_s_a, S_joint, config, along)
+    if config.rigid_rig:
+        T_p_a = without_trend(T_p_a, (before + share)[:, None])
+    return np.asarray(T_s_ref_new @ T_p_a)
+
+
+def without_trend(T_p_a: Float, t: Float) -> Float:
+    """Rig samples (M, 4, 4) at times t (M, 1), any unit, less what of them grows evenly in time.
+
+    The rig is rigid: a slow turn of the assistant against the primary is what its wrong focal left
+    over, and the joint graph would take it for motion and share it out between the eyes. The
+    primary's motion is the one that the correction is exact for.
+    """
+    if len(T_p_a) < _LEAST_FOR_TREND or np.ptp(t) == 0:
+        return T_p_a
+    middle = se3.mean(T_p_a)
+    off = se3.log(se3.inverse(middle) @ T_p_a)
+    since = t - t.mean()
+    slope = (since * off).sum(0) / (since**2).sum()
+    return np.asarray(middle @ se3.exp(off - since * slope))
 
 
 def _loop(

@@ -22,7 +22,7 @@ _SIGNIFICANT = 5.0
 _SCORE_FLOOR = 1e-4
 # Principal points are guessed at the image centre; real ones lie off it by about this share of the
 # width (one sigma, assumed: 2.6 % in the worst recording at hand).
-PRINCIPAL_POINT_SHARE = 0.01
+PRINCIPAL_POINT_SHARE = 0.007
 
 
 @dataclass(frozen=True, slots=True)

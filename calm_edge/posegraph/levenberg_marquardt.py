@@ -21,13 +21,19 @@ def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -
     """
     r = residuals(problem, state)
     current = cost(problem, r, kernel)
-    damping = _FIRST_DAMPING
+    damping = least = _FIRST_DAMPING
     layout, ordering = Layout(problem.edges, len(state.T_w_p)), None
     for iteration in range(1, MAX_ITERATIONS + 1):
         linear = LinearSystem(problem, state, r, kernel, layout, ordering)
         ordering = linear.ordering
         while True:
             steps = linear.solve(damping)
+            if steps is None and damping < _MAX_DAMPING:
+                # rounding left the weakest direction to nothing: from now on it is held by more
+                damping = least = 10 * damping
+                continue
+            if steps is None:
+                return state, iteration
             if np.abs(steps).max() < _STEP_TOLERANCE:
                 return state, iteration
             candidate = State(state.T_w_p @ se3.exp(steps[:-1]), state.T_p_a @ se3.exp(steps[-1]))
@@ -40,7 +46,7 @@ def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -
                 return state, iteration
         done = current - new <= tolerance * current
         state, r, current = candidate, r_new, new
-        damping = max(damping / 10, _FIRST_DAMPING)
+        damping = max(damping / 10, least)
         if done:
             return state, iteration
     return state, MAX_ITERATIONS

@@ -171,8 +171,12 @@ class LinearSystem:
                 empty[6 * row : 6 * row + 6] = 1.0
             self._add_rows(group, np.diag(empty), np.zeros(6 * _GROUP))
 
-    def solve(self, damping: float) -> Float:
-        """Steps (N + 1, 6) of the damped normal equations, that of T_p_a last."""
+    def solve(self, damping: float) -> Float | None:
+        """Steps (N + 1, 6) of the damped normal equations, that of T_p_a last.
+
+        None where they are not positive definite: a path of kilometres, hardly damped, can lose
+        that to rounding.
+        """
         damped = self._gtsam.GaussianFactorGraph()
         damped.push_back(self._graph)
         for keys, size in ((range(self._rig), 6 * _GROUP), ([self._rig], 6)):
@@ -180,6 +184,9 @@ class LinearSystem:
             unit = self._gtsam.noiseModel.Unit.Create(size)
             for key in keys:
                 damped.add(self._gtsam.JacobianFactor(key, root, zero, unit))
-        solution = damped.optimize(self.ordering)
+        try:
+            solution = damped.optimize(self.ordering)
+        except RuntimeError:
+            return None
         steps = np.asarray(solution.vector(list(range(self._rig + 1)))).reshape(-1, 6)
         return np.concatenate([steps[: self._layout.n], steps[-1:]])

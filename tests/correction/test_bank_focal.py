@@ -40,7 +40,7 @@ def test_straights_and_tangent_arcs_are_uninformative(kinds):
 
 def test_one_arc_ahead_of_the_axle_cannot_rule_the_principal_point_out():
     """One degree aside of an axis four degrees off the tangent: a quarter of the focal."""
-    assert searched("ahead")[1].log_sigma == np.inf
+    assert searched("ahead")[1].log_sigma > 0.05
     assert searched("ahead", off_px=12)[1].log_sigma > 0.05
 
 

@@ -8,7 +8,7 @@ from scipy.sparse import lil_matrix
 
 from calm_edge import scale
 from calm_edge.config import CorrectionConfig
-from calm_edge.correction import pose_model
+from calm_edge.correction import pose_model, rectify
 from calm_edge.correction.rectify import rectified
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import GlobalIntrinsics, Submap
@@ -19,6 +19,8 @@ PERIOD_NS = 300_000_000
 LATE_NS = 130_000_000
 T_P_A = se3.exp(np.array([0.99, 0.03, 0.1, 0.02, -0.05, 0.02]))
 CONFIG = CorrectionConfig()
+# the paper alone
+PLAIN = replace(CONFIG, general_translation=True, rigid_rig=False)
 K_TRUE = pinhole.matrix(FOCAL, FOCAL, 320, 240)
 
 
@@ -173,14 +175,14 @@ def test_a_rig_seen_while_driving_is_turned_back_along_the_travel_not_the_baseli
 def test_each_half_of_the_correction_helps_alone():
     t_ns, T_true = truth(LATE_NS)
     raw = raw_submap(estimated_under(1.15, LATE_NS), t_ns, 1.15)
-    turned = rectified(raw, held_true(), replace(CONFIG, translation=False))
-    moved = rectified(raw, held_true(), replace(CONFIG, rotation=False))
+    turned = rectified(raw, held_true(), replace(PLAIN, translation=False))
+    moved = rectified(raw, held_true(), replace(PLAIN, rotation=False))
     apart, off = placed_errors(raw, T_true)
     assert placed_errors(turned, T_true)[1].max() < 0.2 * off.max()
     assert spacings_a_path(turned) == pytest.approx(spacings_a_path(raw), rel=0.01)
     assert placed_errors(moved, T_true)[0].max() < 0.5 * apart.max()
     assert np.allclose(moved.T_s_c[:N, :3, :3], raw.T_s_c[:N, :3, :3], atol=1e-12)
-    neither = rectified(raw, held_true(), replace(CONFIG, rotation=False, translation=False))
+    neither = rectified(raw, held_true(), replace(PLAIN, rotation=False, translation=False))
     assert np.allclose(neither.T_s_c, raw.T_s_c, atol=1e-12)
     assert np.allclose(neither.K, K_TRUE)
 
@@ -216,7 +218,7 @@ def test_each_eye_has_its_own_intrinsics_and_the_loop_view_the_primarys():
 def test_an_assistant_of_another_time_is_held_against_the_nearest_end(late_ns):
     t_ns, T = truth(0)
     t_ns = t_ns + np.repeat([0, late_ns, 0], [N, N, 1])
-    out = rectified(raw_submap(T, t_ns, 1.2), held_true(), replace(CONFIG, rotation=False))
+    out = rectified(raw_submap(T, t_ns, 1.2), held_true(), replace(PLAIN, rotation=False))
     end = N - 1 if late_ns > 0 else 0
     T_ref_a = se3.inverse(T[end]) @ T[N : 2 * N]
     expected = rectified_motion(T_ref_a, 1.2)
@@ -244,6 +246,34 @@ def test_a_sub_map_of_one_primary_view(n_assistant):
         whole, primary_ids=(0,), assistant_ids=(0,) * n_assistant,
         t_ns=t_ns[few], T_s_c=T[few], K=whole.K[few],
     )  # fmt: skip
-    out = rectified(one, held_true(), replace(CONFIG, rotation=False))
+    out = rectified(one, held_true(), replace(PLAIN, rotation=False))
     assert np.array_equal(out.T_s_c[0], T[0])
     assert np.allclose(out.T_s_c[1:], rectified_motion(T[few][1:], 1.1), atol=1e-12)
+
+
+def test_an_even_turn_of_the_rig_is_taken_out_and_the_rest_left():
+    rng = np.random.default_rng(3)
+    rig = se3.exp(np.array([0.5, 0.0, 0.1, 0.0, 0.05, 0.0]))
+    t = np.arange(15.0)[:, None]
+    noise = 0.001 * rng.standard_normal((15, 6))
+    even = (t - t.mean()) * np.array([0, 0, 0, 0, 0.001, 0])
+    flat = rectify.without_trend(rig @ se3.exp(even), t)
+    assert np.allclose(flat, rig, atol=1e-9)
+    left = se3.log(se3.inverse(rig) @ rectify.without_trend(rig @ se3.exp(even + noise), t))
+    assert np.abs(left - noise).max() < 0.002
+    few = rig @ se3.exp(even[:4])
+    assert rectify.without_trend(few, t[:4]) is few
+
+
+def test_the_rigid_rig_follows_the_primary_in_a_turn():
+    t_ns, _ = truth(LATE_NS)
+    raw = raw_submap(estimated_under(1.15, LATE_NS), t_ns, 1.15)
+
+    def uneven(config):
+        out = rectified(raw, held_true(), config)
+        rig = scale.rig_samples(
+            out.t_ns[:N], out.T_s_c[:N], out.t_ns[N : 2 * N], out.T_s_c[N : 2 * N]
+        )
+        return np.degrees(se3.so3_log(rig[:, :3, :3])[:, 1]).std()
+
+    assert uneven(CONFIG) < 0.7 * uneven(replace(CONFIG, rigid_rig=False))

@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from calm_edge.correction import pool
+from calm_edge.correction.pool import BIAS_LOG_SIGMA, pooled
+
+UNTOLD = np.full(2, np.inf)
+ZERO = np.zeros(2)
+
+
+def guesses(rng, n, *, bias=0.0, spread=0.03, alike=True):
+    common = rng.standard_normal((n, 1))
+    own = common if alike else rng.standard_normal((n, 2))
+    return bias + spread * np.broadcast_to(own, (n, 2)) + 0.001 * rng.standard_normal((n, 2))
+
+
+def test_without_a_telling_bank_the_guesses_are_pooled_and_their_bias_remains():
+    rng = np.random.default_rng(0)
+    found = pooled(guesses(rng, 40, bias=0.02), ZERO, UNTOLD)
+    assert found.log_focal == pytest.approx([0.02, 0.02], abs=0.015)
+    assert (found.log_sigma > BIAS_LOG_SIGMA - 1e-9).all()
+    assert found.damping == 1.0
+
+
+def test_a_telling_bank_overrules_the_guesses():
+    rng = np.random.default_rng(1)
+    found = pooled(guesses(rng, 40, bias=0.08), np.full(2, 0.0), np.full(2, 0.005))
+    assert np.abs(found.log_focal).max() < 0.003
+    assert (found.log_sigma < 0.006).all()
+
+
+def test_one_eyes_bank_helps_the_other_where_their_guesses_vary_alike():
+    rng = np.random.default_rng(2)
+    sigma = np.array([np.inf, 0.005])
+    alike = pooled(guesses(rng, 60, bias=0.08), ZERO, sigma)
+    apart = pooled(guesses(rng, 60, bias=0.08, alike=False), ZERO, sigma)
+    assert abs(alike.log_focal[0]) < 0.03 < abs(apart.log_focal[0])
+    assert alike.log_sigma[0] < 0.6 * apart.log_sigma[0]
+
+
+def test_the_sigma_is_honest():
+    """Biased guesses and noisy banks, many drives: the error is what the sigma says."""
+    rng = np.random.default_rng(3)
+    ratio = []
+    for _ in range(400):
+        bias = BIAS_LOG_SIGMA * rng.standard_normal()
+        sigma = np.array([0.04, 0.02])
+        bank = sigma * rng.standard_normal(2)
+        found = pooled(guesses(rng, 30, bias=bias), bank, sigma)
+        ratio.append(found.log_focal / found.log_sigma)
+    assert 0.8 < np.sqrt(np.mean(np.square(ratio))) < 1.2
+
+
+@pytest.mark.parametrize(("n", "expected"), [(1, 0), (2, 0.5), (5, 0.8), (19, 0.9), (21, 1.0)])
+def test_damping_grows_with_the_guesses(n, expected):
+    assert pool.damping(n) == expected
+
+
+def test_guesses_all_equal_are_no_division_by_zero():
+    found = pooled(np.zeros((3, 2)), ZERO, UNTOLD)
+    assert np.isfinite(found.log_focal).all() and np.isfinite(found.log_sigma).all()

@@ -1,0 +1,32 @@
+import numpy as np
+
+from calm_edge.posegraph import levenberg_marquardt
+from calm_edge.posegraph.levenberg_marquardt import minimise
+from calm_edge.posegraph.linear_system import LinearSystem
+from calm_edge.posegraph.problem import cauchy
+from tests.drives import curved
+from tests.posegraph.graphs import graph_of
+
+
+def test_a_system_lost_to_rounding_is_damped_until_it_can_be_solved(monkeypatch):
+    graph = graph_of(curved(40), noise=0.02)
+    expected, _ = minimise(graph.problem(), graph.state(), cauchy, 1e-9)
+    solve, asked = LinearSystem.solve, []
+
+    def rounded(self, damping):
+        asked.append(damping)
+        return None if damping < 1e-8 else solve(self, damping)
+
+    monkeypatch.setattr(LinearSystem, "solve", rounded)
+    found, _ = minimise(graph.problem(), graph.state(), cauchy, 1e-9)
+    assert np.allclose(found.T_w_p, expected.T_w_p, atol=1e-3)
+    # what was learned of rounding is not forgotten at the next iteration
+    assert sum(damping < 1e-8 for damping in asked) <= 4
+
+
+def test_a_system_that_never_can_be_solved_leaves_the_state(monkeypatch):
+    graph = graph_of(curved(20), noise=0.02)
+    monkeypatch.setattr(LinearSystem, "solve", lambda self, damping: None)
+    monkeypatch.setattr(levenberg_marquardt, "_MAX_DAMPING", 1e-6)
+    found, _ = minimise(graph.problem(), graph.state(), cauchy, 1e-9)
+    assert np.array_equal(found.T_w_p, graph.state().T_w_p)
