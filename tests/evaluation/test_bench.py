@@ -123,12 +123,25 @@ def test_the_joint_optimum_is_taken_at_three_lengths_with_and_without_loops(cour
     assert all(min(r.cpu_s, r.asked_s, r.taken_s) > 0 for r in runs)
     slow = Optimisation(1000, 0, 0, 0.6, 0.0, 0.0)
     fast = Optimisation(1000, 0, 0, 0.4, 0.0, 0.0)
-    assert joint_optimum.table([fast], "").checks[0].passed
-    assert not joint_optimum.table([fast, slow], "").checks[0].passed
+    assert joint_optimum.table([fast], "", 1e8, 1e8).checks[0].passed
+    assert not joint_optimum.table([fast, slow], "", 1e8, 1e8).checks[0].passed
     square = replace(fast, keyframes=4000, cpu_s=16 * fast.cpu_s)
-    assert [c.passed for c in joint_optimum.table([fast, square], "").checks] == [False, False]
+    assert [c.passed for c in joint_optimum.table([fast, square], "", 1e8, 1e8).checks] == [
+        False,
+        False,
+        True,
+    ]
+    assert not joint_optimum.table([fast], "", 4e8, 3e8).checks[2].passed
     line = replace(fast, keyframes=4000, cpu_s=4 * fast.cpu_s)
-    assert [c.passed for c in joint_optimum.table([fast, line], "").checks] == [True, True]
+    assert [c.passed for c in joint_optimum.table([fast, line], "", 1e8, 1e8).checks] == [
+        True,
+        True,
+        True,
+    ]
+
+
+def test_the_optimisers_own_process_is_weighed(course):
+    assert 3e7 < joint_optimum.peak_bytes(course) < 6e8
 
 
 def test_the_command_prints_keeps_and_plots(tmp_path, capsys):

@@ -38,7 +38,9 @@ def main(argv: list[str] | None = None) -> int:
             asked.plot.write_text(length.plot(course), encoding="utf-8")
             print(f"  plot: {asked.plot}")
             runs = joint_optimum.optimisations(course)
-            publish(joint_optimum.table(runs, command), asked.out)
+            peak = joint_optimum.peak_bytes(course)
+            made = joint_optimum.table(runs, command, float(course.rss[-1]), peak)
+            publish(made, asked.out)
         if asked.recording is not None:
             publish(stages.table(stages.measure(asked.recording), command), asked.out)
     except CalmEdgeError as error:

@@ -162,7 +162,7 @@ def table(course: Course, command: str) -> Table:
             gained <= FLAT_SHARE,
         ),
         Check(
-            "memory of the process at the end, MB",
+            "memory of the estimator at the end, MB",
             f"<= {MOST_MB}",
             round(end_mb),
             end_mb <= MOST_MB,

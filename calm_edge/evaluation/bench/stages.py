@@ -234,6 +234,7 @@ def table(said: Sequence[Measured], command: str) -> Table:
         "a sub-map of 15 + 15 keyframes; the paper's are 15 on a workstation; promises are held to "
         "seconds of the processor, one thread, for the clock's include whatever else ran",
         f"the core: {', '.join(f'{m.share:g} x {m.name.strip()}' for m in said if m.share)}",
+        "a guess is only kept, not scored, while `correction.refine` is on",
     )
     columns = ("stage", "paper s", "target s", "processor s", "clock s", "runs", "load")
     title = "Stages of a sub-map, seconds"
