@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -63,16 +64,29 @@ def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) ->
         raise KitFileError(f"{path}: cannot be written ({error.strerror})") from None
 
 
-def load(path: Path, cameras: tuple[str, str], sizes: Int) -> tuple[KitBelief | None, str]:
-    """What the file knows of these cameras, faded since; else None and why, in words.
+@dataclass(frozen=True, slots=True)
+class KitFile:
+    """What a kit file holds. cameras, sizes: as of `save`, whatever the file says.
 
-    cameras, sizes: as of `save`. No file, other cameras, another size or another version's layout
-    are no error: that kit is yet to be learned. Raises KitFileError on a damaged or foreign file.
+    belief: as it was kept; None where another version, whose layout is not known here, kept it.
+    unknown: that layout, in words.
+    """
+
+    cameras: Any = None
+    sizes: Any = None
+    belief: KitBelief | None = None
+    unknown: str = ""
+
+
+def read(path: Path) -> KitFile | None:
+    """The file of whatever cameras, None where there is none yet.
+
+    Raises KitFileError on a damaged or foreign file, which must not be written over.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        return None, f"{path}: no earlier drive of this kit is known"
+        return None
     except OSError as error:
         raise KitFileError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
@@ -84,21 +98,37 @@ def load(path: Path, cameras: tuple[str, str], sizes: Int) -> tuple[KitBelief | 
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise KitFileError(f"{path}: is no kit file; name another one to keep the kit in")
     if content.get("version") != VERSION:
-        return None, f"{path}: version {content.get('version')!r}, this program reads {VERSION}"
-    if content.get("cameras") != list(cameras):
-        return None, f"{path}: of other cameras ({content.get('cameras')}, not {list(cameras)})"
-    wanted = np.asarray(sizes).tolist()
-    if content.get("sizes") != wanted:
-        return None, f"{path}: of pictures of {content.get('sizes')} px, not {wanted}"
+        return KitFile(unknown=f"version {content.get('version')!r}, this program reads {VERSION}")
     mean = _numbers(path, content, "mean", 1)
     information = _numbers(path, content, "information", 2)
     if information.shape != (len(mean), len(mean)):
         raise _damaged(path, "mean and information differ in size")
     if len(mean) != kit.SIZE:
-        return None, f"{path}: holds {len(mean)} entries of a kit, this program {kit.SIZE}"
+        return KitFile(unknown=f"holds {len(mean)} entries of a kit, this program {kit.SIZE}")
     if not _is_information(information):
         raise _damaged(path, "its information is not that of a Gaussian")
-    return faded(KitBelief(mean=mean, information=information)), ""
+    belief = KitBelief(mean=mean, information=information)
+    return KitFile(content.get("cameras"), content.get("sizes"), belief)
+
+
+def remembered(
+    path: Path, kept: KitFile | None, cameras: tuple[str, str], sizes: Int
+) -> tuple[KitBelief | None, str]:
+    """What the file `kept` of these cameras, faded since; else None and why, in words.
+
+    cameras, sizes: as of `save`. No file, other cameras, another size or another version's layout
+    are no error: that kit is yet to be learned.
+    """
+    if kept is None:
+        return None, f"{path}: no earlier drive of this kit is known"
+    if kept.belief is None:
+        return None, f"{path}: {kept.unknown}"
+    if kept.cameras != list(cameras):
+        return None, f"{path}: of other cameras ({kept.cameras}, not {list(cameras)})"
+    wanted = np.asarray(sizes).tolist()
+    if kept.sizes != wanted:
+        return None, f"{path}: of pictures of {kept.sizes} px, not {wanted}"
+    return faded(kept.belief), ""
 
 
 def _damaged(path: Path, why: str) -> KitFileError:

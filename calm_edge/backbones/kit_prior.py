@@ -14,21 +14,26 @@ log = logging.getLogger(__name__)
 
 
 class KitPrior:
-    """Owns the belief read from `backbone.kit_file`; without that key it keeps nothing."""
+    """Owns the belief read from `backbone.kit_file`; without that key it keeps nothing.
+
+    The file is read at once, so that one which cannot be understood stops the drive at its start:
+    the constructor raises KitFileError.
+    """
 
     def __init__(self, config: Config) -> None:
         name = config.backbone.kit_file
         self._path = Path(name) if name else None
         self._cameras = (config.capture.primary, config.capture.assistant)
+        self._kept = kit_file.read(self._path) if self._path is not None else None
         self._sizes: Int | None = None
         self.belief: KitBelief | None = None
 
     def open(self, sizes: Int | None) -> None:
-        """Reads the file once the pictures' sizes (2, 2) are known; raises KitFileError."""
+        """Takes what was kept once the pictures' sizes (2, 2) are known, if it is of these."""
         if self._path is None or self._sizes is not None or sizes is None:
             return
         self._sizes = sizes
-        self.belief, reason = kit_file.load(self._path, self._cameras, sizes)
+        self.belief, reason = kit_file.remembered(self._path, self._kept, self._cameras, sizes)
         if reason:
             log.info("kit memory: %s", reason)
 
@@ -48,11 +53,16 @@ class KitPrior:
         )
 
     def save(self, taught: KitBelief | None) -> None:
-        """Keeps what is now known for the next drive; a failure is logged and costs nothing."""
+        """Keeps what is now known for the next drive; a failure is logged and costs nothing.
+
+        Never over a file that is not understood.
+        """
         known = product([self.belief, taught])
         if self._path is None or self._sizes is None or known is None:
             return
         try:
+            # it may have been put there since the drive began
+            kit_file.read(self._path)
             kit_file.save(self._path, self._cameras, self._sizes, known)
         except kit_file.KitFileError as error:
             log.error("%s", error)

@@ -32,13 +32,17 @@ def saved(folder, **changed):
     return path
 
 
+def load(path, cameras, sizes):
+    return kit_file.remembered(path, kit_file.read(path), cameras, sizes)
+
+
 @settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(0, kit.SIZE))
 def test_there_and_back_is_the_belief_faded(tmp_path_factory, seed, rank):
     path = tmp_path_factory.mktemp("kit") / "kit.json"
     kept = belief(seed, rank)
     kit_file.save(path, CAMERAS, SIZES, kept)
-    back, reason = kit_file.load(path, CAMERAS, SIZES)
+    back, reason = load(path, CAMERAS, SIZES)
     assert reason == ""
     assert np.array_equal(back.mean, kept.mean)
     assert np.array_equal(back.information, faded(kept).information)
@@ -51,7 +55,7 @@ def test_the_same_belief_gives_the_same_bytes(tmp_path):
 
 
 def test_a_kit_not_driven_before_has_nothing_to_remember(tmp_path):
-    assert kit_file.load(tmp_path / "kit.json", CAMERAS, SIZES) == (
+    assert load(tmp_path / "kit.json", CAMERAS, SIZES) == (
         None,
         f"{tmp_path}/kit.json: no earlier drive of this kit is known",
     )
@@ -66,16 +70,16 @@ def test_a_kit_not_driven_before_has_nothing_to_remember(tmp_path):
     ],
 )
 def test_another_kit_is_not_this_one(tmp_path, cameras, sizes, said):
-    back, reason = kit_file.load(saved(tmp_path), cameras, sizes)
+    back, reason = load(saved(tmp_path), cameras, sizes)
     assert back is None
     assert re.search(said, reason)
 
 
 def test_another_version_is_said_and_not_used(tmp_path):
-    back, reason = kit_file.load(saved(tmp_path, version=2), CAMERAS, SIZES)
+    back, reason = load(saved(tmp_path, version=2), CAMERAS, SIZES)
     assert back is None and "version 2" in reason
     shorter = saved(tmp_path, mean=[0.0] * 12, information=np.eye(12).tolist())
-    back, reason = kit_file.load(shorter, CAMERAS, SIZES)
+    back, reason = load(shorter, CAMERAS, SIZES)
     assert back is None and "holds 12 entries" in reason
 
 
@@ -104,7 +108,7 @@ LOPSIDED = (np.eye(kit.SIZE) + np.eye(kit.SIZE, k=1)).tolist()
 def test_a_damaged_file_is_one_line_that_names_the_mend(tmp_path, changed):
     path = saved(tmp_path, **changed)
     with pytest.raises(kit_file.KitFileError) as caught:
-        kit_file.load(path, CAMERAS, SIZES)
+        load(path, CAMERAS, SIZES)
     text = str(caught.value)
     assert text.startswith(f"{path}: damaged, ") and "delete it" in text and "\n" not in text
 
@@ -115,13 +119,13 @@ def test_a_torn_file_is_damaged(tmp_path, share):
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
     with pytest.raises(kit_file.KitFileError, match="damaged, not JSON"):
-        kit_file.load(path, CAMERAS, SIZES)
+        load(path, CAMERAS, SIZES)
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(kit_file.KitFileError, match="damaged, not text"):
-        kit_file.load(path, CAMERAS, SIZES)
+        load(path, CAMERAS, SIZES)
     path.write_text("[" * 100_000)
     with pytest.raises(kit_file.KitFileError, match="damaged, not JSON"):
-        kit_file.load(path, CAMERAS, SIZES)
+        load(path, CAMERAS, SIZES)
 
 
 @pytest.mark.parametrize("text", ["[]", "3", '{"format": "other", "mean": [1]}', "{}"])
@@ -129,12 +133,12 @@ def test_a_file_of_something_else_is_left_alone(tmp_path, text):
     path = tmp_path / "settings.json"
     path.write_text(text)
     with pytest.raises(kit_file.KitFileError, match="is no kit file; name another"):
-        kit_file.load(path, CAMERAS, SIZES)
+        load(path, CAMERAS, SIZES)
 
 
 def test_a_folder_in_its_place_is_said(tmp_path):
     with pytest.raises(kit_file.KitFileError, match=f"{tmp_path}: cannot be read"):
-        kit_file.load(tmp_path, CAMERAS, SIZES)
+        load(tmp_path, CAMERAS, SIZES)
     with pytest.raises(kit_file.KitFileError, match=f"{tmp_path}: cannot be written"):
         kit_file.save(tmp_path, CAMERAS, SIZES, belief())
     below = tmp_path / "file"

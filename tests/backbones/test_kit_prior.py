@@ -54,13 +54,31 @@ def test_without_a_file_nothing_is_kept(tmp_path):
     assert prior.belief is None and not list(tmp_path.iterdir())
 
 
-def test_a_foreign_file_is_an_error_and_an_unwritable_one_a_line(tmp_path, caplog):
-    (tmp_path / "kit.json").write_text("[]")
+FOREIGN = ("[]", "not JSON", '{"format": "calm-edge kit", "version": 1, "mean": [1]}')
+
+
+@pytest.mark.parametrize("text", FOREIGN)
+def test_a_file_that_is_not_understood_stops_the_drive_at_its_start(tmp_path, text):
+    (tmp_path / "kit.json").write_text(text)
     with pytest.raises(KitFileError, match=r"kit\.json"):
-        KitPrior(config(tmp_path / "kit.json")).open(SIZES)
-    (tmp_path / "file").write_text("")
-    lost = KitPrior(config(tmp_path / "file" / "kit.json"))
+        KitPrior(config(tmp_path / "kit.json"))
+
+
+@pytest.mark.parametrize("text", FOREIGN)
+def test_a_file_that_is_not_understood_is_never_written_over(tmp_path, caplog, text):
+    prior = KitPrior(config(tmp_path / "kit.json"))
+    prior.open(SIZES)
+    (tmp_path / "kit.json").write_text(text)
     with caplog.at_level(logging.ERROR):
-        lost._sizes = SIZES
-        lost.save(taught())
-    assert "cannot be written" in caplog.text
+        prior.save(taught())
+    assert "kit.json" in caplog.text
+    assert (tmp_path / "kit.json").read_text() == text
+
+
+def test_a_file_that_cannot_be_written_costs_a_line(tmp_path, caplog):
+    prior = KitPrior(config(tmp_path / "folder" / "kit.json"))
+    prior.open(SIZES)
+    (tmp_path / "folder").write_text("")
+    with caplog.at_level(logging.ERROR):
+        prior.save(taught())
+    assert "Not a directory" in caplog.text
