@@ -6,7 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from calm_edge.types import Bytes, Float, Hints, Int, Prediction, Submap, SubmapWindow
+from calm_edge.config import Config
+from calm_edge.recording.window_record import WindowRecord
+from calm_edge.types import (
+    Bytes,
+    Float,
+    Hints,
+    Int,
+    LocalizerUpdate,
+    Prediction,
+    Submap,
+    SubmapWindow,
+)
 from device.frame import Eye
 
 
@@ -40,6 +51,11 @@ def solved_again(submap: Submap, prediction: Prediction | None) -> Submap:
         focal_log_sigma=_focal_log_sigma(submap.n_primary, prediction),
         assistant_late_ns=round(prediction.assistant_late_s * 1e9),
     )
+
+
+def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
+    """What is known of a window's batch once it has been placed."""
+    return Hints(record.eyes, record.t_ns, config.backbone.hfov_of_eye, update.kit)
 
 
 def sizes(window: SubmapWindow, images: list[Bytes]) -> Int | None:

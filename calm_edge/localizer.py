@@ -86,6 +86,8 @@ class Localizer:
         atlas, stage_ms = self._atlas, dict[str, float]()
         newest, epoch = atlas.newest_keyframe, atlas.epoch
         before = atlas.pose(newest) if newest is not None else np.eye(4)
+        if self._loops is None:
+            window = replace(window, loop_keyframe=None)
         try:
             with _timed(stage_ms, "decode"):
                 images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
@@ -135,12 +137,6 @@ class Localizer:
             loop_keyframe=window.loop_keyframe if closed is not None else None,
         )
 
-    def close_loop(self, loop: LoopClosure) -> Trajectory:
-        """Adds E_loop and optimises; KeyError where a keyframe has no pose."""
-        self._atlas.add_loop(loop)
-        self._optimise()
-        return self.trajectory()
-
     def finish(self) -> Trajectory | None:
         """Every window under the final belief, then the joint optimum; None without a sub-map."""
         self._optimiser.close()
@@ -177,7 +173,7 @@ class Localizer:
     ) -> tuple[SubmapWindow, list[Bytes], LoopCandidate | None]:
         """The window with a picture of the past in its batch, where one shows its place (IV-D).
 
-        A window that comes with one, from a recording, keeps it.
+        A window that comes with one, from a recording, keeps it, unless loops are off.
         """
         if self._loops is None:
             return window, images, None

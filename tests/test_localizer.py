@@ -9,12 +9,14 @@ from calm_edge.config import Config, merge
 from calm_edge.geometry import se3
 from calm_edge.localizer import Localizer
 from calm_edge.trajectories import folded
-from calm_edge.types import Keyframe, KitBelief, LoopClosure
+from calm_edge.types import Keyframe, KitBelief
 from device.frame import Frame
 from tests.drives import PERIOD_NS, START_NS, T_P_A, circle, curved, position_error, scene, windows
 
 SPACING_M = float(np.linalg.norm(T_P_A[:3, 3]))
-METRES = merge(Config(), {"scale": {"spacing_m": SPACING_M}})
+CORRECTED = merge(Config(), {"scale": {"spacing_m": SPACING_M}})
+# these sub-maps have true focals: what section V reads from float32 pixels moves them by 1e-5
+METRES = merge(CORRECTED, {"correction": {"apply": "never"}})
 NOISE = ScriptedErrors(scale_log_sigma=0.5, translation_sigma=0.004, rotation_sigma_rad=0.0005)
 
 
@@ -22,6 +24,10 @@ def drive(T, errors, config=METRES, **cut):
     localizer = Localizer(config, ScriptedBackbone(scene(T), errors))
     updates = [localizer.process(window) for window in windows(len(T), **cut)]
     return localizer, updates
+
+
+def with_loop_to(keyframe, window):
+    return dataclasses.replace(window, loop_keyframe=keyframe)
 
 
 def live(updates):
@@ -64,15 +70,31 @@ def test_unsynchronised_cameras_cost_little(late_ns):
 def test_optimising_a_noisy_loop_lowers_its_error(late_ns):
     T = circle(150)
     noise = dataclasses.replace(NOISE, rotation_sigma_rad=0.004)
-    localizer, updates = drive(T, noise, assistant_late_ns=late_ns)
+    cut = windows(150, assistant_late_ns=late_ns)
+    joined = [*cut[:-1], with_loop_to(cut[0].primary[0], cut[-1])]
+    localizer = Localizer(METRES, ScriptedBackbone(scene(T), noise))
+    updates = [localizer.process(window) for window in cut]
     before = position_error(live(updates).T_w_c, T)
     epoch = updates[-1].trajectory.epoch
-    after = localizer.close_loop(LoopClosure(149, 0, se3.inverse(T[0]) @ T[149]))
+    localizer = Localizer(METRES, ScriptedBackbone(scene(T), noise))
+    for window in joined:
+        after = localizer.process(window).trajectory
     error = position_error(after.T_w_c, T)
     assert error[-1] < 0.2 * before[-1]
     assert error.mean() < before.mean()
     assert after.epoch == epoch + 1
     assert np.abs(after.T_p_a - T_P_A).max() < 0.02
+
+
+def test_what_is_learned_of_the_focal_moves_every_submap_placed_before():
+    T = curved(75)
+    wrong = ScriptedErrors(coupled=True, focal_log_error=(0.08, 0.08))
+    localizer, updates = drive(T, wrong, config=CORRECTED)
+    localizer.finish()
+    focal = scene(T).K[0, 0, 0]
+    assert abs(np.log(updates[0].submap.K_raw[0, 0, 0] / focal) - 0.08) < 1e-6
+    for submap in localizer.submaps:
+        assert abs(np.log(submap.K[0, 0, 0] / focal)) < 0.04
 
 
 def test_averaged_placement_drifts_less_with_noise():
@@ -114,10 +136,6 @@ def test_same_windows_give_the_same_bytes():
     assert runs[0] == runs[1]
 
 
-def with_loop_to(keyframe, window):
-    return dataclasses.replace(window, loop_keyframe=keyframe)
-
-
 def test_the_loop_view_takes_no_part_in_scale_and_closes_a_loop():
     T = circle(150)
     cut = windows(150)
@@ -141,6 +159,24 @@ def test_a_loop_to_a_place_without_a_pose_is_no_loop():
     update = localizer.process(with_loop_to(cut[-1].primary[-1], cut[1]))
     assert update.loop is None and update.loop_keyframe is None
     assert len(update.submap.T_s_c) == len(update.prediction.T_s_c) == 30
+
+
+def test_without_loops_a_recorded_loop_keyframe_is_left_out():
+    class Counting(ScriptedBackbone):
+        views = ()
+
+        def infer(self, images, hints):
+            self.views += ((len(images), len(hints.t_ns)),)
+            return super().infer(images, hints)
+
+    T, cut = circle(60), windows(60)
+    backbone = Counting(scene(T))
+    localizer = Localizer(merge(METRES, {"loops": {"enabled": False}}), backbone)
+    localizer.process(cut[0])
+    update = localizer.process(with_loop_to(cut[0].primary[0], cut[1]))
+    assert backbone.views == ((30, 30), (30, 30))
+    assert update.loop is None and update.loop_keyframe is None
+    assert update.trajectory.epoch == 0 and len(update.submap.T_s_c) == 30
 
 
 class Failing(ScriptedBackbone):

@@ -14,11 +14,11 @@ from typing import Any
 import cv2
 
 from calm_edge.backbones.base import open_backbone
+from calm_edge.batch import window_hints
 from calm_edge.config import Config
 from calm_edge.daemon.child import serve
 from calm_edge.daemon.messages import Finish, Finished, Process, Processed, Ready, Refused, Stop
 from calm_edge.localizer import Localizer
-from calm_edge.offline.densify import window_hints
 from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
 from calm_edge.recording.window_record import of_window
 from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
@@ -53,9 +53,9 @@ class EstimatorWork:
         if update is None:
             return Processed(window.submap_id, None, self._localizer.skipped[-1].reason)
         joined = update.loop_keyframe
-        if joined is not None:
-            window = dataclasses.replace(window, loop_keyframe=joined)
-            update = dataclasses.replace(update, loop_keyframe=None)
+        # the batch as it was believed: a window may have gained a loop keyframe or lost it
+        window = dataclasses.replace(window, loop_keyframe=joined)
+        update = dataclasses.replace(update, loop_keyframe=None)
         if self._config.recording.log_depth:
             update = self._densified(window, update)
         elif update.prediction.landmarks is not None:

@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 
 from calm_edge.backbones.base import Backbone, open_backbone
+from calm_edge.batch import window_hints
 from calm_edge.config import Config
 from calm_edge.daemon.child import CHILD_ENVIRONMENT, environment
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import CalmEdgeError, Float32, Hints, LocalizerUpdate
+from calm_edge.types import CalmEdgeError, Float32, LocalizerUpdate
 
 WORKERS = 2
 # windows given out ahead of the one that is taken: bounds what waits in memory
@@ -30,11 +31,6 @@ _worker: dict[str, Any] = {}
 
 class DensifyError(CalmEdgeError):
     """A worker was killed."""
-
-
-def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
-    """What is known of a window's batch once it has been placed."""
-    return Hints(record.eyes, record.t_ns, config.backbone.hfov_of_eye, update.kit)
 
 
 def densified(

@@ -138,7 +138,9 @@ def _recompute(
             drive.unsolved.append(window.submap_id)
             continue
         light = replace(update.prediction, depth=None, confidence=None)
-        found[window.submap_id] = of_window(window), replace(update, prediction=light)
+        # the loop keyframe is the one the prediction holds, not the one that was recorded
+        solved = replace(window, loop_keyframe=update.loop_keyframe)
+        found[window.submap_id] = of_window(solved), replace(update, prediction=light)
         say(f"window {window.submap_id} computed again")
     drive.trajectory = localizer.finish()
     for submap in localizer.submaps:
