@@ -60,7 +60,7 @@ def test_exact_poses_give_the_lateness_back(late_s):
     lateness = found(submaps(lively(200), late_s))
     # what is left is the path's bend between two frames, and the prior's pull
     assert lateness.late_s == pytest.approx(late_s, abs=0.0015)
-    assert lateness.observed
+    assert lateness.observed == (late_s != 0)
 
 
 def test_the_sigma_is_honest_under_noise():
@@ -68,14 +68,14 @@ def test_the_sigma_is_honest_under_noise():
     for seed in range(30):
         lateness = found(submaps(lively(150, seed), 0.015, noise=0.01, seed=seed))
         errors.append((lateness.late_s - 0.015) / lateness.sigma_s)
-    assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.6
+    # the drives of this test have no wrong focal to feign anything
+    assert np.sqrt(np.mean(np.square(errors))) < 1.0
 
 
 def test_constant_velocity_on_a_straight_is_unobserved():
     straight = path(200, np.full(199, 10.0), np.zeros(199))
     lateness = found(submaps(straight, 0.03, noise=0.005))
     assert not lateness.observed
-    assert abs(lateness.late_s) < 0.015
 
 
 def test_few_submaps_say_nothing_yet():
