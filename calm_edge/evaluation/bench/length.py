@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import uniform_filter1d
 
 from calm_edge import localizer as localizer_module
 from calm_edge.backbones.scripted import ScriptedBackbone
@@ -187,12 +187,14 @@ def table(course: Course, command: str) -> Table:
 
 
 def plot(course: Course) -> str:
-    """SVG: cost a sub-map, its running median by stage, and memory on the right."""
+    """SVG: cost a sub-map, its running mean, that of the longest stages, and memory."""
     figure, axes = curves._figure(10, 4.2)
     live = course.live_ms
     x = np.arange(len(live))
-    axes.plot(x, live, ".", color=curves.GRID, markersize=2.5, label="a sub-map, without the model")
-    axes.plot(x, _running(live), color=curves.ESTIMATE, linewidth=1.8, label="its running median")
+    axes.plot(
+        x, live, ".", color=curves.MUTED, alpha=0.3, markersize=2, label="a sub-map, no model"
+    )
+    axes.plot(x, _running(live), color=curves.ESTIMATE, linewidth=1.8, label="mean of 51")
     longest = sorted(course.stage_ms, key=lambda stage: -course.stage_ms[stage].mean())[:3]
     for stage, style in zip(longest, ("--", "-.", ":"), strict=False):
         line = _running(course.stage_ms[stage])
@@ -203,11 +205,15 @@ def plot(course: Course) -> str:
     right = axes.twinx()
     right.plot(x, course.rss / 1e6, color=curves.TRUTH, linewidth=1.6, label="memory (right)")
     right.set_ylim(0, MOST_MB)
+    right.spines[:].set_visible(False)
+    right.tick_params(colors=curves.TRUTH, labelsize=9)
     right.set_ylabel("MB", color=curves.TRUTH)
-    figure.legend(loc="upper center", ncols=3, frameon=False, fontsize=9, labelcolor=curves.INK)
+    figure.legend(
+        loc="outside upper center", ncols=3, frameon=False, fontsize=9, labelcolor=curves.INK
+    )
     return curves._svg(figure)
 
 
 def _running(values: Float, reach: int = 25) -> Float:
-    """(S,) median of the values up to `reach` before and after each."""
-    return np.asarray(median_filter(values, 2 * reach + 1, mode="nearest"))
+    """(S,) mean of the values up to `reach` before and after each."""
+    return np.asarray(uniform_filter1d(values, 2 * reach + 1, mode="nearest"))
