@@ -6,7 +6,7 @@ import dataclasses
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from calm_edge.types import CalmEdgeError
 
@@ -54,7 +54,7 @@ class FrontendConfig:
 
 @dataclass(frozen=True, slots=True)
 class BackboneConfig:
-    """`bundle`, `scripted:FOLDER` or the name of a folder under models/.
+    """name: `bundle` or `scripted:FOLDER`.
 
     resolve_windows: how many recent windows can be solved again when the kit is known better.
     kit_file: where what a drive learns of these cameras is kept for the next one; empty for none.
@@ -77,7 +77,7 @@ class ScaleConfig:
     """spacing_m: metres between the optical centres; 0 leaves the world in spacings.
 
     average_placement: place by all common frames instead of the paper's first one.
-    rectify: off, every sub-map after the first takes the first one's factor (ablation).
+    rectify: off, every sub-map takes the factor of the first one placed, as that now is (ablation).
     """
 
     spacing_m: float = 0.0
@@ -93,12 +93,13 @@ class CorrectionConfig:
     weighted, refine: past the paper; each F weighs what it can tell, and the score is minimised
     on the bank; off, the search chooses among the backbone's guesses by the plain mean.
     rotation, translation: the two halves of the pose correction. general_translation: the skew
-    part of M; off, the simplified t = S t_est. adaptive_damping: off, damping is held at 1.
+    part of M; off, the simplified t = S t_est. adaptive_damping: off, K_global
+    is trusted wholly (damping 1) as soon as there is one.
     rigid_rig: an even turn of the assistant against the primary is taken out (past the paper).
     """
 
-    apply: str = "auto"
-    matches: str = "auto"
+    apply: Literal["auto", "always", "never"] = "auto"
+    matches: Literal["auto", "sift"] = "auto"
     weighted: bool = True
     refine: bool = True
     rotation: bool = True
@@ -192,6 +193,10 @@ class ConfigError(CalmEdgeError):
 
 
 def _coerce(where: str, kind: Any, value: Any) -> Any:
+    if get_origin(kind) is Literal:
+        if value not in get_args(kind):
+            raise ConfigError(f"{where} = {value!r}: expected one of {', '.join(get_args(kind))}")
+        return value
     if get_origin(kind) is tuple:
         if isinstance(value, int | float) and not isinstance(value, bool):
             value = [value]

@@ -1,8 +1,9 @@
 """The nouns of calm-edge. Frozen: only these cross queues and processes.
 
 Frames: w world, s sub-map, c camera, p primary, a assistant. `T_a_b` takes b to a.
-Lengths: *map units* are camera spacings; *world units* are metres when
-`scale.spacing_m` is set, else map units. Times are host-monotonic nanoseconds.
+Lengths: the *raw unit* is whatever a backbone solved a sub-map in; *map units* are camera
+spacings; *world units* are metres when `scale.spacing_m` is set, else map units. Times are
+host-monotonic nanoseconds.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ class SubmapWindow:
 
 @dataclass(frozen=True, slots=True)
 class KitBelief:
-    """A Gaussian over what stays constant in one kit: optics of both eyes and the rig.
+    """A Gaussian over what stays constant in one kit: the optics of both eyes, the rig, and how
+    late the assistant's stamps are.
 
     mean: (D,) information: (D, D). The layout is owned by `backbones/bundle/kit.py`.
     """
@@ -85,7 +87,7 @@ class Hints:
 class Landmarks:
     """Sparse points of a sub-map and the pixels that saw them: its matches.
 
-    points_s: (M, 3) map units before scale rectification, sub-map frame.
+    points_s: (M, 3) raw unit, sub-map frame.
     index: (O,) landmark of each observation. view: (O,) batch index of the image.
     uv: (O, 2) pixels of the full image.
     """

@@ -124,6 +124,14 @@ def test_an_unreadable_image_is_one_line_that_names_it(
         (["--set", "nonsense"], "section.key=value"),
         (["--config", "/nonexistent.toml"], "/nonexistent.toml"),
         (["--set", "backbone.name=nothing"], "backbone.name"),
+        (
+            ["--set", "correction.apply=allways"],
+            "correction.apply = 'allways': expected one of auto, always, never",
+        ),
+        (
+            ["--set", "correction.matches=SIFT"],
+            "correction.matches = 'SIFT': expected one of auto, sift",
+        ),
         (["--hfov-deg", "80", "80", "80"], "--hfov-deg"),
         (["--hfov-deg", "190"], "hfov_deg"),
         (["--spacing-m", "-1"], "spacing_m"),
@@ -140,6 +148,18 @@ def test_a_bad_setting_is_one_line(
     assert main(["record", "--sequence", str(drive), "--out", str(out), *extra]) == 1
     assert names in only_line(capsys)
     assert not out.exists()
+
+
+def test_a_kit_file_that_is_none_is_one_line_and_left_as_it_is(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept, out = tmp_path / "kit.json", tmp_path / "rec"
+    kept.write_text('{"precious": 1}')
+    arguments = ["record", "--sequence", str(drive), "--out", str(out), "--pace", "lockstep"]
+    arguments += ["--set", f"backbone.name=scripted:{drive}"]
+    assert main([*arguments, "--set", f"backbone.kit_file={kept}"]) == 1
+    assert "kit.json: is no kit file" in only_line(capsys)
+    assert kept.read_text() == '{"precious": 1}' and not out.exists()
 
 
 def test_a_folder_that_holds_a_recording_is_never_overwritten(
