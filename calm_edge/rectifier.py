@@ -36,7 +36,7 @@ class Rectifier:
         self._search = IntrinsicSearch(config.correction) if corrects else None
         self._clock = None if learns_kit else ClockOffset()
         self._late_s = 0.0
-        self._first_scale: float | None = None
+        self._first: tuple[int, float] | None = None
 
     @property
     def intrinsics(self) -> GlobalIntrinsics | None:
@@ -61,15 +61,23 @@ class Rectifier:
         return self._search.finish() if self._search else False
 
     def rectify(self, submap: Submap) -> Submap:
-        """The sub-map anew from its raw poses and K, in world units; raises ScaleError."""
+        """The sub-map anew from its raw poses and K, in world units; raises ScaleError.
+
+        Without `scale.rectify` the first sub-map's factor serves all, as it was when that one was
+        last rectified: where all are, it has to come first.
+        """
         raw = replace(submap, T_s_c=submap.T_s_c_raw, K=submap.K_raw, scale=1.0)
         corrected = self._corrected(raw)
-        scaled = scale.rectify(corrected, self._config.scale.spacing_m)
-        if self._config.scale.rectify or self._first_scale is None:
-            self._first_scale = scaled.scale
+        if self._config.scale.rectify or self._first is None or self._first[0] == submap.id:
+            scaled = scale.rectify(corrected, self._config.scale.spacing_m)
+            if not self._config.scale.rectify:
+                self._first = submap.id, scaled.scale
             return scaled
-        T_s_c = scale.rectified(corrected.T_s_c, self._first_scale)
-        return replace(corrected, scale=self._first_scale, T_s_c=T_s_c)
+        if not submap.assistant_ids:
+            raise scale.ScaleError("no assistant keyframe ties this sub-map to the rig")
+        _, world_units = self._first
+        T_s_c = scale.rectified(corrected.T_s_c, world_units)
+        return replace(corrected, scale=world_units, T_s_c=T_s_c)
 
     def _corrected(self, raw: Submap) -> Submap:
         """Section V with what is held true now, still in the raw unit."""
