@@ -13,17 +13,18 @@ from calm_edge.evaluation.kilometres.dials import sized
 from calm_edge.evaluation.kilometres.drives import SEQUENCES, Drive, kitti, rendered
 from calm_edge.evaluation.kilometres.loops import ScriptedLoops
 from calm_edge.evaluation.kilometres.predictions import cached
-from calm_edge.evaluation.kilometres.rivals import rival
+from calm_edge.evaluation.kilometres.rivals import HeldViews, rival
 from calm_edge.evaluation.kilometres.runs import Outcome, Variant, run
 from calm_edge.evaluation.kilometres.streams import Streams
 from calm_edge.evaluation.table import print_rows
 from calm_edge.types import CalmEdgeError
 
+_HELD = HeldViews()
 VARIANTS = {
     "ours": Variant("ours"),
     "uncorrected": Variant("uncorrected", {"correction": {"apply": "never"}}),
-    "sim3": rival("sim3"),
-    "sl4": rival("sl4"),
+    "sim3": rival("sim3", _HELD),
+    "sl4": rival("sl4", _HELD),
 }
 _COLUMNS = ("variant", "seq", "seed", "m", "sub-maps", "Sim(3) m", "SE(3) m", "%", "ms a sub-map")
 

@@ -19,16 +19,16 @@ from calm_edge.evaluation.kilometres.runs import Aligner, Variant
 from calm_edge.types import Float, Hints, Int, Prediction, Submap, SubmapWindow
 
 
-def rival(name: str) -> Variant:
-    """`sim3` or `sl4` as a row beside ours."""
-    return Variant(name, aligner=_aligner(name))
+def rival(name: str, held: HeldViews | None = None) -> Variant:
+    """`sim3` or `sl4` as a row beside ours. held: shared by both, depth is made but once."""
+    return Variant(name, aligner=_aligner(name, held or HeldViews()))
 
 
-def _aligner(name: str) -> Aligner:
+def _aligner(name: str, held: HeldViews) -> Aligner:
     def place(
         drive: Drive, backbone: CachedBackbone, config: Config, loops: ScriptedLoops | None
     ) -> tuple[Int, Float]:
-        views = _Views(drive, backbone, config.scale.spacing_m, loops)
+        views = held.of(drive, backbone, config.scale.spacing_m, loops)
         overlaps = (views.between(k - 1, k) for k in range(1, len(views.submaps)))
         found = chain(ALIGNMENTS[name], views.submaps, overlaps, views.closures())
         if found.T_w_c is None:
@@ -36,6 +36,31 @@ def _aligner(name: str) -> Aligner:
         return found.keyframe_ids, found.T_w_c
 
     return place
+
+
+class HeldViews:
+    """The views of the newest drive that was asked for: one drive's points are held, not more."""
+
+    def __init__(self) -> None:
+        self._of: tuple[Drive, ScriptedLoops | None] | None = None
+        self._views: _Views | None = None
+
+    def of(
+        self,
+        drive: Drive,
+        backbone: CachedBackbone,
+        spacing_m: float,
+        loops: ScriptedLoops | None,
+    ) -> _Views:
+        """Those held where drive and loops are the very same objects, else new ones."""
+        if (
+            self._views is None
+            or self._of is None
+            or any(a is not b for a, b in zip(self._of, (drive, loops), strict=True))
+        ):
+            self._of, self._views = (drive, loops), None
+            self._views = _Views(drive, backbone, spacing_m, loops)
+        return self._views
 
 
 class _Views:
@@ -50,6 +75,7 @@ class _Views:
     ) -> None:
         self._spacing_m = spacing_m
         self._held: dict[int, Prediction] = {}
+        self._found: dict[tuple[int, ...], Correspondences] = {}
         self._size = drive.scene.size[0]
         self._backbone = backbone
         self._hints: list[Hints] = []
@@ -102,13 +128,16 @@ class _Views:
     def _correspondences(
         self, previous: int, new: int, views_previous: Int, views_new: Int
     ) -> Correspondences:
-        return overlap.correspondences(
-            self._with_depth(previous, views_previous),
-            views_previous,
-            self._with_depth(new, views_new),
-            views_new,
-            self._size,
-        )
+        key = previous, new, *views_previous.tolist(), *views_new.tolist()
+        if key not in self._found:
+            self._found[key] = overlap.correspondences(
+                self._with_depth(previous, views_previous),
+                views_previous,
+                self._with_depth(new, views_new),
+                views_new,
+                self._size,
+            )
+        return self._found[key]
 
     def _with_depth(self, k: int, views: Int) -> Prediction:
         """The k-th prediction with depth of at least these views."""

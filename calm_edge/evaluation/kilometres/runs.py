@@ -59,15 +59,21 @@ def run(
     variant: Variant,
     config: Config | None = None,
     loops: ScriptedLoops | None = None,
+    inspect: Callable[[Localizer], None] | None = None,
 ) -> Outcome:
-    """The drive's windows through the variant, in order, to the end."""
+    """The drive's windows through the variant, in order, to the end.
+
+    inspect: is given the Localizer when it has finished, where there is one and not an aligner.
+    """
     spacing_m = float(np.linalg.norm(drive.scene.T_p_a[:3, 3]))
     known = {"scale": {"spacing_m": spacing_m}, "loops": {"enabled": loops is not None}}
     config = merge(config or Config(), known)
     config = merge(config, {section: dict(keys) for section, keys in variant.changes.items()})
     start = perf_counter()
-    place = variant.aligner or localized
-    ids, T_w_p = place(drive, backbone, config, loops)
+    if variant.aligner:
+        ids, T_w_p = variant.aligner(drive, backbone, config, loops)
+    else:
+        ids, T_w_p = _localized(drive, backbone, config, loops, inspect)
     ms = (perf_counter() - start) * 1e3 / len(drive.windows)
     truth = drive.T_w_p[ids]
     return Outcome(
@@ -82,14 +88,20 @@ def run(
     )
 
 
-def localized(
-    drive: Drive, backbone: CachedBackbone, config: Config, loops: ScriptedLoops | None
+def _localized(
+    drive: Drive,
+    backbone: CachedBackbone,
+    config: Config,
+    loops: ScriptedLoops | None,
+    inspect: Callable[[Localizer], None] | None,
 ) -> tuple[Int, Float]:
     """The product's own way: Localizer over the windows, then its final optimum."""
     localizer = Localizer(config, backbone, loops)
     for window in drive.windows:
         localizer.process(window)
     trajectory = localizer.finish()
+    if inspect is not None:
+        inspect(localizer)
     if trajectory is None:
         return np.zeros(0, np.int64), np.zeros((0, 4, 4))
     return trajectory.keyframe_ids, trajectory.T_w_c

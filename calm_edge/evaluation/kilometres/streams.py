@@ -16,12 +16,14 @@ class Streams:
     """How the frames of a path reach the two eyes, and how their stamps lie.
 
     alternate: odd frames to one eye and even ones to the other, the paper's asynchronous mode.
+    halved: every other frame to both eyes, what `alternate` is in step.
     offset_s: the assistant is exposed so much later. late_s: stamps come so much after the
     exposure, one an eye. jitter_s: sigma of both stamps. drift_ppm: of the assistant's clock.
     drop_share: of the frames of either eye.
     """
 
     alternate: bool = False
+    halved: bool = False
     offset_s: float = 0.0
     late_s: tuple[float, float] = (0.0, 0.0)
     jitter_s: float = 0.0
@@ -31,7 +33,8 @@ class Streams:
     def exposures(self, t_ns: Int, seed: int) -> tuple[Exposures, Exposures]:
         """Both eyes' frames of a path sampled at t_ns (N,)."""
         rng = np.random.default_rng(seed)
-        first, second = (t_ns[::2], t_ns[1::2]) if self.alternate else (t_ns, t_ns)
+        first = t_ns[::2] if self.alternate or self.halved else t_ns
+        second = t_ns[1::2] if self.alternate else first
         return self._eye(Eye.PRIMARY, first, rng), self._eye(Eye.ASSISTANT, second, rng)
 
     def _eye(self, eye: Eye, t_ns: Int, rng: np.random.Generator) -> Exposures:

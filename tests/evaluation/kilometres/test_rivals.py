@@ -7,7 +7,7 @@ from calm_edge.backbones.scripted import ScriptedErrors
 from calm_edge.config import Config
 from calm_edge.evaluation.kilometres import drives, predictions, runs
 from calm_edge.evaluation.kilometres.loops import ScriptedLoops
-from calm_edge.evaluation.kilometres.rivals import rival
+from calm_edge.evaluation.kilometres.rivals import HeldViews, rival
 from calm_edge.evaluation.kilometres.streams import Streams
 from tests.backbones.scripted.street_drive import street
 from tests.drives import PERIOD_NS, START_NS, circle
@@ -45,3 +45,24 @@ def test_loops_pull_a_baseline_together(tmp_path):
     loops = ScriptedLoops(drive, min_gap=60, detection=1.0)
     closed = runs.run(drive, backbone, rival("sim3"), loops=loops)
     assert closed.ate_sim3_m < 0.7 * apart.ate_sim3_m
+
+
+def test_both_baselines_share_one_drives_depth(drive, tmp_path, monkeypatch):
+    dials = ScriptedErrors(coupled=True, scale_log_sigma=0.3, depth_drift=0.05)
+    backbone = predictions.cached(drive, dials, tmp_path)
+    apart = [runs.run(drive, backbone, rival(name)) for name in ("sim3", "sl4")]
+    made = []
+    depth = predictions.CachedBackbone.depth
+
+    def counted(self, hints, views):
+        made.append(len(views))
+        return depth(self, hints, views)
+
+    monkeypatch.setattr(predictions.CachedBackbone, "depth", counted)
+    held = HeldViews()
+    shared = [runs.run(drive, backbone, rival("sim3", held))]
+    of_one = sum(made)
+    shared.append(runs.run(drive, backbone, rival("sl4", held)))
+    assert sum(made) == of_one > 0
+    for a, b in zip(apart, shared, strict=True):
+        np.testing.assert_array_equal(a.T_w_p, b.T_w_p)

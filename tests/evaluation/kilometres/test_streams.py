@@ -16,6 +16,12 @@ def test_alternate_frames_go_to_one_eye_each():
     assert np.array_equal(primary.t_ns, T_NS[::2]) and np.array_equal(assistant.t_ns, T_NS[1::2])
 
 
+def test_halved_streams_are_alternate_ones_in_step():
+    alternate, _ = Streams(alternate=True).exposures(T_NS, 0)
+    for eye in Streams(halved=True).exposures(T_NS, 0):
+        assert np.array_equal(eye.t_ns, alternate.t_ns)
+
+
 def test_stamps_lie_by_what_they_are_told():
     streams = Streams(late_s=(0.02, 0.05), jitter_s=0.005, drift_ppm=50)
     primary, assistant = streams.exposures(T_NS, 0)
