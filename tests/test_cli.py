@@ -15,6 +15,7 @@ import pytest
 
 from calm_edge.cli import COMMANDS, main
 from calm_edge.config import Config
+from calm_edge.mapping import cloud_file
 from calm_edge.recording.writer import RecordingWriter
 from tests.replay.small_drive import write_drive
 
@@ -179,11 +180,20 @@ def test_lockstep_of_live_cameras_is_refused(
 
 
 def test_map_uses_what_record_logged_and_eval_reads_all_three(
-    recorded: Path, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path,
+    drive: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "map"
+    reads: list[Path] = []
+    read_cloud = cloud_file.read_cloud
+    monkeypatch.setattr(cloud_file, "read_cloud", lambda p: (reads.append(p), read_cloud(p))[1])
     assert main(["map", str(recorded), "--out", str(out), "--truth", str(drive)]) == 0
     captured = capsys.readouterr()
+    # a long drive's cloud is large
+    assert reads == [out / "map.ply"]
     assert "computed again" not in captured.err
     for name in ("map.ply", "trajectory.tum", "trajectory.kitti", "summary.json", "report.html"):
         assert str(out / name) in captured.out or (out / name).stat().st_size > 0

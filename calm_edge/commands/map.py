@@ -16,9 +16,11 @@ from calm_edge.commands.exit_codes import LOSS, OK
 if TYPE_CHECKING:
     from calm_edge.config import Config
     from calm_edge.evaluation.estimate import Estimate
+    from calm_edge.evaluation.sequences import Truth
     from calm_edge.mapping.seams import SeamSummary
     from calm_edge.offline.submaps import Drive
     from calm_edge.recording.reader import Recording
+    from calm_edge.types import Bytes
 
 MAP, TUM, KITTI, SUMMARY, REPORT = (
     "map.ply",
@@ -44,6 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     from calm_edge.commands.record import say
     from calm_edge.config import merge, parse_assignment
     from calm_edge.evaluation.sequences import read_truth
+    from calm_edge.mapping.cloud_file import read_cloud
     from calm_edge.offline.submaps import gather
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
@@ -64,10 +67,12 @@ def run(arguments: argparse.Namespace) -> int:
     out.mkdir(parents=True, exist_ok=True)
     n_points, seams = make_cloud(arguments.recording, recording, config, drive, out)
     estimate = write_trajectory(arguments.recording, config, drive, out, seams)
+    points_w, color = read_cloud(out / MAP)
+    estimate = replace(estimate, points_w=points_w)
     losses = [*recording.losses, *drive.losses]
     recorded = arguments.recording.resolve()
     title = f"{recorded.parent.name}/{recorded.name}"
-    write_report(title, estimate, drive, truth, losses, out)
+    write_report(title, estimate, color, drive, truth, losses, out)
     print(f"map         {out / MAP} ({n_points:,} points)")
     if seams is not None:
         print(
@@ -132,8 +137,8 @@ def write_trajectory(
 ) -> Estimate:
     """trajectory.tum, trajectory.kitti and summary.json."""
     from calm_edge.evaluation.estimate import from_recording, from_updates
-    from calm_edge.evaluation.trajectory_file import write_kitti, write_tum
-    from calm_edge.mapping.cloud_file import read_cloud
+    from calm_edge.evaluation.trajectory_file import write_kitti
+    from calm_edge.trajectories import write_tum
 
     logged = from_recording(path)
     estimate = from_updates(
@@ -148,7 +153,7 @@ def write_trajectory(
     write_kitti(out / KITTI, estimate.T_w_c)
     told = summary(estimate) | {"seams": asdict(seams) if seams is not None else None}
     (out / SUMMARY).write_text(json.dumps(told, indent=2) + "\n")
-    return replace(estimate, points_w=read_cloud(out / MAP)[0])
+    return estimate
 
 
 def summary(estimate: Estimate) -> dict[str, Any]:
@@ -167,15 +172,19 @@ def summary(estimate: Estimate) -> dict[str, Any]:
 
 
 def write_report(
-    title: str, estimate: Estimate, drive: Drive, truth: Any, losses: Sequence[str], out: Path
+    title: str,
+    estimate: Estimate,
+    color: Bytes,
+    drive: Drive,
+    truth: Truth | None,
+    losses: Sequence[str],
+    out: Path,
 ) -> None:
-    """report.html, with the error where there is truth."""
+    """report.html, with the error where there is truth. color: (P, 3) RGB of estimate.points_w."""
     from calm_edge.evaluation.drive_report import report_data
     from calm_edge.evaluation.report import write_report as write
     from calm_edge.evaluation.results import compare
-    from calm_edge.mapping.cloud_file import read_cloud
 
     figures = compare(estimate, truth) if truth is not None else None
-    color = read_cloud(out / MAP)[1]
     data = report_data(title, estimate, drive.updates, color, truth, figures, losses)
     write(out / REPORT, data)

@@ -155,7 +155,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def report(result: RecordResult, out: Path) -> int:
     """Writes the trajectory, says what was made and what is missing."""
-    from calm_edge.evaluation.trajectory_file import write_tum
+    from calm_edge.trajectories import write_tum
 
     trajectory = result.trajectory
     poses = 0 if trajectory is None else len(trajectory.t_ns)

@@ -1,34 +1,34 @@
-"""What calm-edge promises, and its measuring: `python -m calm_edge.evaluation.targets`.
+"""What calm-edge promises of whole drives, and its measuring: `python -m
+calm_edge.evaluation.targets`.
 
-Every row is run the way a user would: `calm-edge record --sequence` in lockstep, `calm-edge map`,
-`calm-edge eval --json`, each a process of its own. Truth and calibration are seen by `eval` alone.
+Every row is run the way a user would (`steps`): recorded in lockstep, mapped, evaluated. Results
+are kept in build/eval/targets.json, so that a run of some rows adds to what is there.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import shutil
-import subprocess
 import sys
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from calm_edge.evaluation import steps
 from calm_edge.evaluation.drives import DATA, ROOT, Prepare, late_assistant, simulated, there
 from calm_edge.evaluation.estimate import read_estimate
 from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
-from calm_edge.evaluation.table import print_rows
-from calm_edge.evaluation.trajectory_file import tum_text
+from calm_edge.evaluation.tables import Check, Table, publish
+from calm_edge.trajectories import tum_text
 from calm_edge.types import CalmEdgeError
 
 OUT = ROOT / "build" / "eval"
+RESULTS = "targets.json"
 
 
 class TargetError(CalmEdgeError):
-    """A step of a row failed."""
+    """A promise cannot be judged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +62,12 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What came of a row. checks: (what, asked, measured, passed). skipped: why it was not run."""
+    """What came of a row. result: of `eval --json`. seconds: a step. note: why there is none."""
 
-    name: str
-    checks: tuple[tuple[str, str, Any, bool], ...] = ()
+    checks: tuple[Check, ...] = ()
     result: Mapping[str, Any] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
-    skipped: str = ""
+    note: str = ""
 
 
 KARLSRUHE, KITTI06 = DATA / "karlsruhe_town", DATA / "kitti06_straight"
@@ -153,98 +152,107 @@ def with_honesty(result: dict[str, Any]) -> dict[str, Any]:
     return {**result, "focal_error_in_sigma": ratio}
 
 
-def _calm_edge(*arguments: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "calm_edge.cli", *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        said = (done.stderr or done.stdout).strip().splitlines() or ["it said nothing"]
-        raise TargetError(f"calm-edge {arguments[0]}: exit {done.returncode}: {said[-1]}")
-    return done.stdout
-
-
-def _record(sequence: Path, out: Path, options: tuple[str, ...]) -> Path:
-    shutil.rmtree(out, ignore_errors=True)
-    sequence_options = ("--sequence", str(sequence), "--out", str(out), "--pace", "lockstep")
-    _calm_edge("record", *sequence_options, *options)
-    return out
-
-
 def _trajectory(recording: Path) -> str:
     estimate = read_estimate(recording)
     return tum_text(estimate.t_ns, estimate.T_w_c)
 
 
 def run_row(row: Row, out: Path) -> Measured:
-    """Record, map and evaluate one row under `out`; raises TargetError when a step fails."""
+    """Record, map and evaluate one row under `out`; raises CalmEdgeError when a step fails."""
     out.mkdir(parents=True, exist_ok=True)
     sequence = row.prepare(out)
     if isinstance(sequence, str):
-        return Measured(row.name, skipped=sequence)
-    seconds: dict[str, float] = {}
-
-    def timed(step: str, work: Callable[[], Any]) -> Any:
-        start = time.monotonic()
-        value = work()
-        seconds[step] = round(time.monotonic() - start, 1)
-        return value
-
-    recording = timed("record", lambda: _record(sequence, out / "recording", row.options))
+        return Measured(note=f"skipped: {sequence}")
+    recording, made = out / "recording", out / "map"
+    seconds = {"record": steps.record(sequence, recording, row.options).wall_s}
     if row.twice:
-        again = timed("record again", lambda: _record(sequence, out / "again", row.options))
+        again = out / "again"
+        seconds["record again"] = steps.record(sequence, again, row.options).wall_s
         first, second = _trajectory(recording), _trajectory(again)
         same = bool(first) and first == second
-        check = ("trajectory bytes", "identical", "identical" if same else "different", same)
-        return Measured(row.name, (check,), {}, seconds)
-    made = out / "map"
-    shutil.rmtree(made, ignore_errors=True)
-    timed("map", lambda: _calm_edge("map", str(recording), "--out", str(made)))
-    text = timed("eval", lambda: _calm_edge("eval", str(made), "--truth", str(sequence), "--json"))
-    result = with_honesty(json.loads(text))
-    checks = tuple((m.key, m.asked, *judge(m, result)) for m in row.metrics)
-    return Measured(row.name, checks, result, seconds)
+        said = "identical" if same else "different"
+        return Measured((Check("trajectory bytes", "identical", said, same),), {}, seconds)
+    seconds["map"] = steps.dense_map(recording, made).wall_s
+    result = with_honesty(steps.figures(made, sequence))
+    checks = tuple(Check(m.key, m.asked, *judge(m, result)) for m in row.metrics)
+    return Measured(checks, result, seconds)
 
 
-def _plain(measured: Measured) -> dict[str, Any]:
-    keys = ("what", "asked", "measured", "passed")
+def read_results(file: Path) -> dict[str, Measured]:
+    """What earlier runs left, by row; empty when there were none."""
+    if not file.is_file():
+        return {}
+    found = json.loads(file.read_text())
     return {
-        "name": measured.name,
-        "checks": [dict(zip(keys, check, strict=True)) for check in measured.checks],
-        "result": dict(measured.result),
-        "seconds": dict(measured.seconds),
-        "skipped": measured.skipped,
+        name: Measured(**fields | {"checks": tuple(Check(**check) for check in fields["checks"])})
+        for name, fields in found.items()
     }
 
 
+# Header and key of `eval --json`.
+FIGURES = (
+    ("SE(3) m", "ate_se3_m"),
+    ("Sim(3) m", "ate_sim3_m"),
+    ("% of path", "ate_percent"),
+    ("focal error %", "focal_error_percent"),
+    ("focal sigma %", "focal_sigma_percent"),
+    ("chamfer m", "map_chamfer_m"),
+)
+
+
+def table(results: Mapping[str, Measured]) -> Table:
+    """Every row measured so far, in the order of ROWS, with its promises."""
+    known = [(row.name, results[row.name]) for row in ROWS if row.name in results]
+    return Table(
+        "10_targets",
+        "calm-edge against its targets",
+        "python -m calm_edge.evaluation.targets",
+        ("drive", *(header for header, _ in FIGURES), "record s", "map s"),
+        tuple(
+            (
+                name,
+                *(measured.result.get(key) for _, key in FIGURES),
+                *(measured.seconds.get(step) for step in ("record", "map")),
+            )
+            for name, measured in known
+        ),
+        tuple(
+            Check(f"{name}: {check.what}", check.asked, check.measured, check.passed)
+            for name, measured in known
+            for check in measured.checks
+        ),
+        (
+            "recorded in lockstep; calibration and truth are seen by eval alone",
+            *(f"{name}: {measured.note}" for name, measured in known if measured.note),
+        ),
+    )
+
+
+def run(rows: Iterable[Row], out: Path) -> dict[str, Measured]:
+    """Runs rows, each kept as soon as it is known; a row that fails breaks its promise."""
+    done: dict[str, Measured] = {}
+    for row in rows:
+        print(f"{row.name} ...", file=sys.stderr, flush=True)
+        try:
+            done[row.name] = run_row(row, out / row.name)
+        except CalmEdgeError as error:
+            failed = Check("run", "works", str(error), False)
+            done[row.name] = Measured((failed,), note="failed")
+        results = read_results(out / RESULTS) | done
+        plain = {name: asdict(measured) for name, measured in results.items()}
+        (out / RESULTS).write_text(json.dumps(plain, indent=1) + "\n")
+    return done
+
+
 def main(argv: list[str] | None = None) -> int:
-    """Run the rows, print asked against measured, write report.json; 1 when a promise is broken."""
+    """Run the rows, print and keep the table; 1 when one of them breaks a promise."""
     parser = argparse.ArgumentParser(prog="calm_edge.evaluation.targets", description=__doc__)
     parser.add_argument("--only", action="append", metavar="NAME", choices=[r.name for r in ROWS])
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(argv)
-    done: list[Measured] = []
-    for row in ROWS:
-        if options.only and row.name not in options.only:
-            continue
-        print(f"{row.name} ...", file=sys.stderr, flush=True)
-        try:
-            measured = run_row(row, options.out / row.name)
-        except CalmEdgeError as error:
-            measured = Measured(row.name, (("run", "works", str(error), False),))
-        done.append(measured)
-        report = [_plain(m) for m in done]
-        (options.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
-    rows: list[list[Any]] = []
-    for measured in done:
-        rows += [[measured.name, *check] for check in measured.checks]
-        if measured.skipped:
-            rows.append([measured.name, "skipped", "", measured.skipped, None])
-    print_rows(("on", "what", "asked", "measured", "pass"), rows, "calm-edge against its targets")
-    return 0 if all(passed for m in done for *_, passed in m.checks) else 1
+    done = run((row for row in ROWS if row.name in (options.only or [row.name])), options.out)
+    publish(table(read_results(options.out / RESULTS)), options.out)
+    return 0 if all(check.passed for m in done.values() for check in m.checks) else 1
 
 
 if __name__ == "__main__":

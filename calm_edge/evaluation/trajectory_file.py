@@ -1,4 +1,7 @@
-"""Trajectories as text: TUM rows (`t x y z qx qy qz qw`) and KITTI rows (12 numbers of [R|t])."""
+"""Trajectories as text: TUM rows (`t x y z qx qy qz qw`) and KITTI rows (12 numbers of [R|t]).
+
+TUM is written by `trajectories`.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,6 @@ class EvaluationError(CalmEdgeError):
     """Something given to the evaluation cannot be read or compared."""
 
 
-def quaternions(R: Float) -> Float:
-    """(..., 3, 3) -> (..., 4) unit quaternions x y z w, w >= 0."""
-    half = se3.so3_log(R) / 2
-    angle = np.linalg.norm(half, axis=-1, keepdims=True)
-    # sin(a) / a, continued through 0
-    return np.concatenate([half * np.sinc(angle / np.pi), np.cos(angle)], -1)
-
-
 def rotations(q: Float) -> Float:
     """(..., 4) unit quaternions x y z w -> (..., 3, 3)."""
     v, w = q[..., :3], q[..., 3:, None]
@@ -30,27 +25,10 @@ def rotations(q: Float) -> Float:
     return np.asarray(np.eye(3) + 2 * w * V + 2 * V @ V)
 
 
-def tum_text(t_ns: Int, T_w_c: Float) -> str:
-    """t_ns (N,), T_w_c (N, 4, 4) -> TUM text, seconds exact to the nanosecond."""
-    q = quaternions(T_w_c[:, :3, :3])
-    lines = []
-    for t, p, r in zip(t_ns, T_w_c[:, :3, 3], q, strict=True):
-        seconds, rest = divmod(int(t), 1_000_000_000)
-        # adding 0.0 turns -0.0 into 0.0, so equal poses are equal bytes
-        values = " ".join(f"{v + 0.0:.9f}" for v in (*np.round(p, 9), *np.round(r, 9)))
-        lines.append(f"{seconds}.{rest:09d} {values}\n")
-    return "".join(lines)
-
-
 def kitti_text(T_w_c: Float) -> str:
     """T_w_c (N, 4, 4) -> KITTI text: the rows of [R|t], a pose a line."""
     rows = T_w_c[:, :3].reshape(-1, 12)
     return "".join(" ".join(f"{v:.9e}" for v in row) + "\n" for row in rows)
-
-
-def write_tum(path: Path, t_ns: Int, T_w_c: Float) -> None:
-    """Write t_ns (N,), T_w_c (N, 4, 4) as a TUM file."""
-    path.write_text(tum_text(t_ns, T_w_c))
 
 
 def write_kitti(path: Path, T_w_c: Float) -> None:

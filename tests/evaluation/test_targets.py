@@ -1,15 +1,18 @@
 """The runner must call a broken promise broken."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from calm_edge.evaluation import drives, targets
+from calm_edge.evaluation import drives, steps, targets
 from calm_edge.evaluation.estimate import from_updates
 from calm_edge.evaluation.results import compare
 from calm_edge.evaluation.sequences import read_truth
-from calm_edge.evaluation.trajectory_file import write_kitti
+from calm_edge.evaluation.tables import Check, kept
+from calm_edge.evaluation.trajectory_file import EvaluationError, write_kitti
 from calm_edge.frontend.sequence import SequenceError, SequenceFolder
 from tests.evaluation.worlds import curve, stamps, update
 
@@ -78,34 +81,39 @@ def test_a_shifted_drive_keeps_true_stamps(tmp_path: Path) -> None:
         SequenceFolder(folder)  # these are links to what are no pictures
 
 
-def _run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ate: float) -> targets.Measured:
+def _steps(monkeypatch: pytest.MonkeyPatch, ate: float = 0.0) -> list[tuple[str, ...]]:
     said: list[tuple[str, ...]] = []
 
-    def calm_edge(*arguments: str) -> str:
+    def calm_edge(*arguments: str, accept: Any = ()) -> tuple[str, steps.Cost]:
         said.append(arguments)
-        return json.dumps({"ate_percent": ate}) if arguments[0] == "eval" else ""
+        text = json.dumps({"ate_percent": ate}) if arguments[0] == "eval" else ""
+        return text, steps.Cost(2.0, 1.0)
 
-    monkeypatch.setattr(targets, "_calm_edge", calm_edge)
-    row = targets.Row(
+    monkeypatch.setattr(steps, "calm_edge", calm_edge)
+    return said
+
+
+def _row(tmp_path: Path) -> targets.Row:
+    return targets.Row(
         "r",
         drives.there(_drive(tmp_path / "d")),
         ("--spacing-m", "0.5"),
         (targets.Metric("ate_percent", "<= 1 %", most=1.0),),
     )
-    measured = targets.run_row(row, tmp_path / "out")
-    assert [a[0] for a in said] == ["record", "map", "eval"]
-    assert said[0][-2:] == ("--spacing-m", "0.5") and "lockstep" in said[0]
-    # truth is for eval only
-    assert [("--truth" in a) for a in said] == [False, False, True]
-    return measured
 
 
 @pytest.mark.parametrize(("ate", "passes"), [(0.5, True), (1.5, False)])
 def test_a_row_is_recorded_mapped_and_judged(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ate: float, passes: bool
 ) -> None:
-    measured = _run(monkeypatch, tmp_path, ate)
-    assert measured.checks == (("ate_percent", "<= 1 %", ate, passes),)
+    said = _steps(monkeypatch, ate)
+    measured = targets.run_row(_row(tmp_path), tmp_path / "out")
+    assert [a[0] for a in said] == ["record", "map", "eval"]
+    assert said[0][-2:] == ("--spacing-m", "0.5") and "lockstep" in said[0]
+    # truth is for eval only
+    assert [("--truth" in a) for a in said] == [False, False, True]
+    assert measured.checks == (Check("ate_percent", "<= 1 %", ate, passes),)
+    assert measured.seconds == {"record": 2.0, "map": 2.0}
 
 
 @pytest.mark.parametrize("same", [True, False])
@@ -115,35 +123,48 @@ def test_determinism_compares_bytes(
     T = [curve(5), curve(5)]
     T[1][2, 0, 3] += 0.0 if same else 1e-6
     runs = iter(T)
-    monkeypatch.setattr(targets, "_calm_edge", lambda *_: "")
+    _steps(monkeypatch)
     monkeypatch.setattr(
         targets, "read_estimate", lambda _: from_updates("r", [update(next(runs), stamps(5))])
     )
     row = targets.Row("r", drives.there(_drive(tmp_path / "d")), twice=True)
     (check,) = targets.run_row(row, tmp_path / "out").checks
-    assert check[3] is same
+    assert check.passed is same
 
 
 def test_absent_data_is_skipped_and_said(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    row = targets.Row("gone", drives.there(tmp_path / "gone"))
-    monkeypatch.setattr(targets, "ROWS", (row,))
+    monkeypatch.setattr(targets, "ROWS", (targets.Row("gone", drives.there(tmp_path / "gone")),))
     assert targets.main(["--out", str(tmp_path / "out")]) == 0
     assert "skipped" in capsys.readouterr().out
-    (written,) = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert "is not here" in written["skipped"]
+    (table,) = kept(tmp_path / "out")
+    assert table.name == "10_targets" and not table.checks
+    assert "gone: skipped" in table.notes[-1] and "is not here" in table.notes[-1]
+    # the page's own file is written by `tables` alone
+    assert not (tmp_path / "out" / "report.json").exists()
 
 
 def test_a_failing_step_breaks_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def fails(*_: str) -> str:
-        raise targets.TargetError("calm-edge record: exit 1: no")
+    def fails(*_: str, accept: Any = ()) -> tuple[str, steps.Cost]:
+        raise EvaluationError("calm-edge record: exit 1: no")
 
-    monkeypatch.setattr(targets, "_calm_edge", fails)
-    monkeypatch.setattr(targets, "ROWS", (targets.Row("r", drives.there(_drive(tmp_path / "d"))),))
+    monkeypatch.setattr(steps, "calm_edge", fails)
+    monkeypatch.setattr(targets, "ROWS", (_row(tmp_path),))
     assert targets.main(["--out", str(tmp_path / "out")]) == 1
+    (table,) = kept(tmp_path / "out")
+    assert table.checks == (Check("r: run", "works", "calm-edge record: exit 1: no", False),)
 
 
-def test_the_subprocess_tells_its_last_line() -> None:
-    with pytest.raises(targets.TargetError, match=r"calm-edge record: exit \d+: \S+"):
-        targets._calm_edge("record", "--sequence", "/nowhere/at/all", "--out", "/nowhere/out")
+def test_a_run_of_some_rows_adds_to_the_table_and_answers_for_these(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    row = _row(tmp_path)
+    monkeypatch.setattr(targets, "ROWS", (row, replace(row, name="s")))
+    out = tmp_path / "out"
+    for name, ate, code in (("s", 1.5, 1), ("r", 0.5, 0), ("s", 0.7, 0)):
+        _steps(monkeypatch, ate)
+        assert targets.main(["--out", str(out), "--only", name]) == code
+    (table,) = kept(out)
+    assert [r[0] for r in table.rows] == ["r", "s"]
+    assert [c.measured for c in table.checks] == [0.5, 0.7]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from calm_edge.daemon.result import RecordResult
-from calm_edge.evaluation.trajectory_file import tum_text
 from calm_edge.recording.reader import Recording
+from calm_edge.trajectories import tum_text
 from calm_edge.types import PoseStatus
 from device.frame import Eye
 from tests.replay.daemon_run import config_for, record

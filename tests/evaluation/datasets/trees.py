@@ -6,8 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calm_edge.evaluation.trajectory_file import quaternions, write_kitti
+from calm_edge.evaluation.trajectory_file import write_kitti
 from calm_edge.geometry import se3
+from calm_edge.trajectories import quaternions
 from tests.evaluation.worlds import curve
 
 N = 12

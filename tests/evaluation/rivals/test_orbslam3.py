@@ -11,8 +11,8 @@ from calm_edge.evaluation.rivals import orbslam3
 from calm_edge.evaluation.rivals.calibration import Calibration, true_calibration
 from calm_edge.evaluation.rivals.environment import RivalRun
 from calm_edge.evaluation.rivals.orbslam3_process import read_final
-from calm_edge.evaluation.trajectory_file import quaternions
 from calm_edge.geometry import pinhole
+from calm_edge.trajectories import quaternions
 from tests.evaluation.rivals.test_calibration import RIG, write
 
 
