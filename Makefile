@@ -40,5 +40,21 @@ bench: setup
 	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.bench build/bench
 
+# every table of the report; one that misses a target stops none of the others
 eval: setup
-	.venv/bin/python -m calm_edge.evaluation.targets
+	@failed=0; \
+	measure() { \
+		echo "eval: python -m calm_edge.evaluation.$$*" >&2; \
+		.venv/bin/python -m "calm_edge.evaluation.$$@" || failed=1; \
+	}; \
+	measure targets; \
+	measure kilometres.tables; \
+	for drive in demo=demo/drive aalborg=build/sim/aalborg; do \
+		recording=build/eval/$${drive%%=*}/recording; \
+		[ -d $$recording ] || { echo "eval: skipped, $$recording is not here" >&2; continue; }; \
+		measure mapping_quality $$recording --truth $${drive#*=}; \
+		measure mapping_quality $$recording --truth $${drive#*=} --warp 0.05; \
+	done; \
+	measure pixels; \
+	measure tables; \
+	exit $$failed
