@@ -117,10 +117,14 @@ class Measured:
 
 
 class Store:
-    """Owns the folder of outcomes; stale: what earlier code gave counts where there is no newer."""
+    """Owns the folder of outcomes; stale: what earlier code gave counts where there is no newer.
+
+    earlier: how many such were handed out.
+    """
 
     def __init__(self, folder: Path = OUTCOMES, stale: bool = False) -> None:
         self._folder, self._stale = folder, stale
+        self.earlier = 0
 
     def get(self, name: str, seed: int, setting: Setting, variant: Variant) -> Measured | None:
         """What is kept of a run, None if nothing is; raises OutcomeError."""
@@ -129,6 +133,7 @@ class Store:
             like = f"{file.stem.rsplit('_', 1)[0]}_*.json"
             older = sorted(self._folder.glob(like), key=lambda f: f.stat().st_mtime)
             file = older[-1] if older else file
+            self.earlier += bool(older)
         return _read(file) if file.is_file() else None
 
     def put(self, measured: Measured, name: str, setting: Setting, variant: Variant) -> None:

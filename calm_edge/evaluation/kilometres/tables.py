@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 
@@ -28,8 +29,8 @@ COMMAND = "python -m calm_edge.evaluation.kilometres.tables"
 TABLES: dict[str, Callable[[Results, str], Table]] = {
     "ate": rows.open_drives,
     "loops": rows.looped_drives,
-    "sync": rows.synchronisation,
-    "scale": rows.scales,
+    "sync": part_rows.synchronisation,
+    "scale": part_rows.scales,
     "focal": part_rows.focal_table,
     "ablation": part_rows.ablation,
 }
@@ -61,8 +62,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     command = " ".join([COMMAND, *(arguments if arguments is not None else sys.argv[1:])])
     results = Results(measured, names)
+    said = f"{store.earlier} of {len(measured)} runs read here were made by earlier code"
     for name in only:
-        publish(TABLES[name](results, command), asked.out)
+        table = TABLES[name](results, command)
+        if store.earlier:
+            table = replace(table, notes=(*table.notes, said))
+        publish(table, asked.out)
     return 0
 
 

@@ -35,7 +35,9 @@ def test_earlier_code_counts_only_when_asked(monkeypatch, tmp_path):
     Store(tmp_path).put(measured(), "04", OPEN, OURS)
     monkeypatch.setattr(outcomes, "_CODE", "changed since")
     assert Store(tmp_path).get("04", 1, OPEN, OURS) is None
-    assert Store(tmp_path, stale=True).get("04", 1, OPEN, OURS) == measured()
+    store = Store(tmp_path, stale=True)
+    assert store.get("04", 1, OPEN, OURS) == measured() and store.earlier == 1
+    assert store.get("03", 1, OPEN, OURS) is None and store.earlier == 1
 
 
 def test_a_broken_file_is_named(tmp_path):
