@@ -52,10 +52,13 @@ class KitMemory:
         self._limit = limit
         self.remembered: KitBelief | None = None
         self._taught: dict[int, KitBelief] = {}
+        self._together: KitBelief | None = None
         self._windows: dict[int, _Window] = {}
 
     def taught(self, without: int | None = None) -> KitBelief | None:
         """The product of what all windows taught, `without` one of them."""
+        if without is None:
+            return self._together
         return product([kit for key, kit in self._taught.items() if key != without])
 
     def belief(self, without: int | None = None) -> KitBelief | None:
@@ -66,6 +69,7 @@ class KitMemory:
         """Takes in a window just solved."""
         if prediction.kit is not None:
             self._taught[submap_id] = prediction.kit
+            self._together = product([self._together, prediction.kit])
         if not isinstance(self._backbone, ResolvingBackbone):
             return
         light = replace(prediction, depth=None, confidence=None)
@@ -118,6 +122,7 @@ class KitMemory:
         for submap_id, prediction in solved.items():
             if prediction.kit is not None:
                 self._taught[submap_id] = prediction.kit
+        self._together = product(self._taught.values())
         return solved
 
 

@@ -173,6 +173,7 @@ def mean(T: Float, iterations: int = 20) -> Float:
     for _ in range(iterations):
         step = log(inverse(average) @ T).mean(0)
         average = average @ exp(step)
-        if np.abs(step).max() < 1e-14:
+        # rounding grows with the distance from the origin: kilometres never get to 1e-14
+        if np.abs(step).max() < 1e-14 * (1 + np.abs(average[:3, 3]).max()):
             break
     return average
