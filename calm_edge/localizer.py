@@ -41,6 +41,10 @@ from device.frame import UnreadableImage
 
 log = logging.getLogger(__name__)
 
+# Placing all sub-maps anew costs their number: until there are so many times more of them than the
+# last time, only new ones follow what was learned. So a drive's cost a sub-map does not grow.
+REPLACE_GROWTH = 1.1
+
 
 class Localizer:
     """Owns the atlas and what is learned of the kit; a deterministic function of its windows.
@@ -65,6 +69,8 @@ class Localizer:
         self._optimiser = optimiser or Immediate()
         self._atlas = Atlas(config)
         self._optimised = False
+        self._stale = False
+        self._placed_anew = 0
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
@@ -115,7 +121,8 @@ class Localizer:
             self._memory.add(submap.id, prediction, hints)
             notices = self._kit_prior.contradicted(self._memory.taught())
             self._memory.remembered = self._kit_prior.belief
-            if learned:
+            self._stale |= learned
+            if self._stale and len(atlas) >= REPLACE_GROWTH * self._placed_anew:
                 self._replace_all(atlas.submaps)
             self._resolve(self._memory.outdated())
         with _timed(stage_ms, "optimise"):
@@ -143,7 +150,7 @@ class Localizer:
         if not len(self._atlas):
             return None
         self._optimised = False
-        if self._rectifier.finish():
+        if self._rectifier.finish() or self._stale:
             self._replace_all(self._atlas.submaps)
         self._resolve(self._memory.retained())
         if self._config.posegraph.optimise:
@@ -224,6 +231,7 @@ class Localizer:
 
     def _replace_all(self, submaps: Sequence[Submap]) -> None:
         """Rectifies the sub-maps from their raw poses and places all of them anew."""
+        self._stale, self._placed_anew = False, len(submaps)
         self._atlas.replace_all([self._rectified_again(submap) for submap in submaps])
         if self._optimised:
             self._request()

@@ -327,3 +327,17 @@ def test_only_so_many_windows_are_kept_for_solving_again():
     assert backbone.resolved == [12]
     localizer.finish()
     assert backbone.resolved[1:] == [48, 60]
+
+
+def test_what_is_learned_late_is_applied_to_all_at_the_end_at_latest(monkeypatch):
+    localizer = Localizer(METRES, ScriptedBackbone(scene(curved(150))))
+    moved = []
+    monkeypatch.setattr(localizer._rectifier, "learn", lambda *_: True)
+    replace_all = localizer._replace_all
+    monkeypatch.setattr(localizer, "_replace_all", lambda s: (moved.append(len(s)), replace_all(s)))
+    for window in windows(150):
+        localizer.process(window)
+    assert moved == [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13][: len(moved)]
+    placed = len(localizer.submaps)
+    localizer.finish()
+    assert moved[-1] == placed
