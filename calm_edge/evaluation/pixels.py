@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from calm_edge.evaluation.rivals import colmap, orbslam3
 from calm_edge.evaluation.rivals.calibration import Calibration, true_calibration
 from calm_edge.evaluation.rivals.environment import RivalMissing, RivalRun
 from calm_edge.evaluation.sequences import read_truth
-from calm_edge.evaluation.table import print_rows
+from calm_edge.evaluation.tables import Check, Table, publish
 from calm_edge.evaluation.targets import OUT
 from calm_edge.types import CalmEdgeError
 
@@ -192,11 +192,32 @@ def main(argv: list[str] | None = None) -> int:
                 EVERY[name], method, options.out / "pixels"
             )
             keep(file, results)
-    columns = ("drive", "method", "SE(3) m", "% of path", "Sim(3) m", "placed %", "CPU s", "note")
-    print_rows(columns, table(results), "pictures: ours beside the rivals")
     checks = keep(file, results)
-    print_rows(("what", "asked", "measured", "pass"), [list(c) for c in checks], "targets")
+    publish(as_table(results, checks), options.out)
     return 0 if all(passed is not False for *_, passed in checks) else 1
+
+
+def as_table(results: Mapping[str, Mapping[str, Any]], checks: Sequence[Verdict]) -> Table:
+    """For the page: every figure known, and the targets that could be judged."""
+    unjudged = "; ".join(what for what, _, _, passed in checks if passed is None)
+    return Table(
+        name="40_pixels",
+        title="Pictures: ours beside the rivals",
+        command="python -m calm_edge.evaluation.pixels",
+        columns=(
+            "drive",
+            "method",
+            "SE(3) m",
+            "% of path",
+            "Sim(3) m",
+            "placed %",
+            "CPU s",
+            "note",
+        ),
+        rows=tuple(tuple(row) for row in table(results)),
+        checks=tuple(Check(w, a, m, p) for w, a, m, p in checks if p is not None),
+        notes=(f"not yet judged: {unjudged}",) if unjudged else (),
+    )
 
 
 def keep(file: Path, results: Mapping[str, Mapping[str, Any]]) -> list[Verdict]:
