@@ -9,11 +9,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from calm_edge.geometry import sift
 from calm_edge.types import Bytes, Float, Float32, Int, Landmarks
-
-# Lowe's: the best descriptor must be this much nearer than the second best
-_RATIO = 0.8
-_NO_FEATURES = np.zeros((0, 128), np.float32)
 
 
 class PairMatches(Protocol):
@@ -53,54 +50,27 @@ def from_landmarks(landmarks: Landmarks, views: Sequence[int] | None = None) -> 
 
 @dataclass(frozen=True, slots=True)
 class SiftMatches:
-    """SIFT features of some views: view -> px (Q, 2) and unit descriptors (Q, 128)."""
+    """SIFT features of some views, by view."""
 
-    uv: dict[int, Float32]
-    descriptors: dict[int, Float32]
+    features: dict[int, sift.Features]
 
     def pair(self, view_a: int, view_b: int) -> tuple[Float, Float]:
-        """Pixels of mutual best matches that pass the ratio test both ways, each (M, 2)."""
-        in_a, in_b = _mutual(self.descriptors[view_a], self.descriptors[view_b])
-        return self.uv[view_a][in_a].astype(np.float64), self.uv[view_b][in_b].astype(np.float64)
+        """Pixels of mutual best matches that pass the ratio test, each (M, 2)."""
+        a, b = self.features[view_a], self.features[view_b]
+        in_a, in_b = sift.match(a, b).T
+        return a.uv[in_a].astype(np.float64), b.uv[in_b].astype(np.float64)
 
 
 class SiftMatcher:
     """Describes images by at most max_features SIFT features each."""
 
     def __init__(self, max_features: int) -> None:
-        # without the precise upscaling every feature lies a quarter of a pixel off
-        self._sift = cv2.SIFT.create(nfeatures=max_features, enable_precise_upscale=True)
         self._max_features = max_features
 
     def describe(self, images: Sequence[Bytes], views: Sequence[int]) -> SiftMatches:
         """Features of images (H, W, 3) BGR or (H, W) gray, each known by its view."""
-        uv, descriptors = dict[int, Float32](), dict[int, Float32]()
+        features = {}
         for image, view in zip(images, views, strict=True):
             gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-            points, found = self._sift.detectAndCompute(gray, None)
-            # ties of the weakest response come on top of the number asked for
-            kept = slice(None, self._max_features)
-            pixels = np.array([point.pt for point in points], np.float32).reshape(-1, 2)
-            found = _NO_FEATURES if found is None else np.asarray(found, np.float32)
-            size = np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9)
-            uv[view], descriptors[view] = pixels[kept], (found / size)[kept]
-        return SiftMatches(uv, descriptors)
-
-
-def _mutual(a: Float32, b: Float32) -> tuple[Int, Int]:
-    """Rows of unit descriptors a (Q, 128), b (R, 128) that are each other's clear best."""
-    if len(a) < 2 or len(b) < 2:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    distance2 = np.maximum(2 - 2 * (a @ b.T), 0)
-    best_b = distance2.argmin(1)
-    best_a = distance2.argmin(0)
-    rows = np.arange(len(a))
-    clear = (best_a[best_b] == rows) & _is_clear(distance2)[rows]
-    clear &= _is_clear(distance2.T)[best_b]
-    return rows[clear], best_b[clear]
-
-
-def _is_clear(distance2: Float32) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """(Q,) whether the best of each row of (Q, R) passes the ratio test."""
-    nearest = np.partition(distance2, 1, axis=1)[:, :2]
-    return np.asarray(nearest[:, 0] < _RATIO**2 * nearest[:, 1])
+            features[view] = sift.detect(np.asarray(gray, np.uint8), self._max_features)
+        return SiftMatches(features)

@@ -1,6 +1,5 @@
 import cv2
 import numpy as np
-import pytest
 
 from calm_edge.correction.matches import SiftMatcher, from_landmarks
 from calm_edge.types import Landmarks
@@ -50,14 +49,14 @@ def test_sift_features_lie_where_the_picture_has_them():
     """Without the precise upscaling they would lie a quarter of a pixel aside."""
     y, x = np.mgrid[:120, :160]
     blob = np.exp(-((x - 70.3) ** 2 + (y - 51.8) ** 2) / (2 * 5.0**2))
-    uv = SiftMatcher(20).describe([(255 * blob).astype(np.uint8)], [0]).uv[0]
+    uv = SiftMatcher(20).describe([(255 * blob).astype(np.uint8)], [0]).features[0].uv
     assert np.linalg.norm(uv - [70.3, 51.8], axis=1).min() < 0.1
 
 
 def test_at_most_the_asked_features_are_kept_and_a_blank_has_none():
     blank = np.zeros((100, 100), np.uint8)
     matches = SiftMatcher(25).describe([picture(), blank], [0, 1])
-    assert len(matches.uv[0]) == len(matches.descriptors[0]) == 25
+    assert 10 < len(matches.features[0].uv) <= 25 and len(matches.features[1].uv) == 0
     assert matches.pair(0, 1)[0].shape == (0, 2)
 
 
@@ -66,9 +65,8 @@ def test_different_pictures_hardly_match():
     assert len(matches.pair(0, 1)[0]) < 10
 
 
-@pytest.mark.parametrize("views", [(0, 1), (1, 0)])
-def test_matches_are_mutual(views):
+def test_no_feature_is_matched_twice():
     matches = SiftMatcher(200).describe([picture(), np.roll(picture(), 4, 1)], [0, 1])
-    uv_a, _ = matches.pair(*views)
-    _, back = matches.pair(*views[::-1])
-    assert {tuple(p) for p in uv_a} == {tuple(p) for p in back}
+    uv_a, uv_b = matches.pair(0, 1)
+    assert len(uv_a) > 50
+    assert len(np.unique(uv_a, axis=0)) == len(np.unique(uv_b, axis=0)) == len(uv_a)
