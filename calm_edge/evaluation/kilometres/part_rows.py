@@ -6,8 +6,18 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from calm_edge.evaluation.kilometres.outcomes import Focals, Measured
-from calm_edge.evaluation.kilometres.plan import ABLATIONS, ASYNC, HALVED, OPEN, OURS, SIM3
+from calm_edge.evaluation.kilometres.plan import (
+    ABLATIONS,
+    ASYNC,
+    HALVED,
+    OPEN,
+    OURS,
+    PAPER_SEARCH,
+    SIM3,
+)
 from calm_edge.evaluation.kilometres.rows import (
     ALIGNED,
     COMPARED,
@@ -67,7 +77,10 @@ def scales(results: Results, command: str) -> Table:
         other = [mean(m.scale_error for m in theirs), mean(m.scale_std for m in theirs)]
         rows.append((name, ours[0].path_m, len(ours), *cells, *other))
     averages = [mean(row[k] for row in rows) for k in range(3, 7)]
+    columns = [[row[k] for row in rows if row[k] is not None] for k in range(3, 7)]
     rows.append(("mean", None, None, *averages))
+    middles = (float(np.median(column)) if column else None for column in columns)
+    rows.append(("median", None, None, *middles))
     asked = zip(("mean error", "std"), averages, (SCALE_ERROR, SCALE_STD), strict=False)
     checks = tuple(
         Check(f"ours, {what}", f"<= {target}", value, value is not None and value <= target)
@@ -211,6 +224,28 @@ def ablation(results: Results, command: str) -> Table:
             ALIGNED,
             "above 1 the part is worth having; failed: of the variant / of the full model; paper:"
             " table 9, KITTI-360, ratio of averages",
+            _searches(results),
             *remarks,
         ),
     )  # fmt: skip
+
+
+def _searches(results: Results) -> str:
+    """How far off the paper's search and ours leave the primary's focal, over runs of both."""
+    off: dict[str, dict[tuple[str, int], float]] = {}
+    for variant in (OURS, PAPER_SEARCH):
+        runs = results.runs(OPEN, variant)
+        off[variant.name] = {
+            (run.drive, run.seed): 100 * abs(run.focals.held[0] / run.focals.true[0] - 1)
+            for run in runs
+            if run.focals is not None
+        }
+    ours, paper = off[OURS.name], off[PAPER_SEARCH.name]
+    both = ours.keys() & paper.keys()
+    if not both:
+        return ""
+    means = [sum(of[key] for key in both) / len(both) for of in (ours, paper)]
+    return (
+        f"primary's focal, observed or not, off by {means[0]:.2f} % in the mean of {len(both)}"
+        f" runs; by the paper's search {means[1]:.2f} %"
+    )

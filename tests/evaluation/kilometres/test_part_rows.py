@@ -1,7 +1,7 @@
 import pytest
 
 from calm_edge.evaluation.kilometres import part_rows
-from calm_edge.evaluation.kilometres.plan import ABLATIONS, ASYNC, HALVED
+from calm_edge.evaluation.kilometres.plan import ABLATIONS, ASYNC, HALVED, PAPER_SEARCH
 from calm_edge.evaluation.kilometres.rows import Results
 from tests.evaluation.kilometres.measured import focals, measured
 
@@ -25,7 +25,8 @@ def test_scale(error, kept):
     made += [measured(name, variant="sim3", error=9.0) for name in NAMES]
     table = part_rows.scales(Results(made, NAMES), "x")
     assert [check.passed for check in table.checks] == kept
-    assert table.rows[-1][3] == pytest.approx(error / 10)
+    assert [row[0] for row in table.rows[-2:]] == ["mean", "median"]
+    assert [row[3] for row in table.rows[-2:]] == pytest.approx([error / 10] * 2)
 
 
 def test_a_focal_that_was_not_observed_has_no_figure():
@@ -51,3 +52,10 @@ def test_a_part_that_shows_no_gain_is_explained():
     assert any(note.startswith(idle.title) and idle.why in note for note in table.notes)
     assert not any(note.startswith(part.title) for note in table.notes)
     assert sum("not run" in note for note in table.notes) == len(ABLATIONS) - 2
+
+
+def test_both_searches_are_compared_by_the_runs_of_both():
+    made = [measured(focals=focals(7.0)), measured("05", focals=focals(70.0))]
+    made.append(measured(variant=PAPER_SEARCH.name, focals=focals(-14.0)))
+    table = part_rows.ablation(Results(made, NAMES), "x")
+    assert any("1.00 % in the mean of 1 runs" in n and "2.00 %" in n for n in table.notes)
