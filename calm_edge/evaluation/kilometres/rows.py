@@ -156,7 +156,9 @@ def _accuracy(
         ours = results.runs(setting, OURS, drive)
         if not ours:
             continue
-        row = [drive, ours[0].path_m, len(ours), *_cells(ours), mean(m.ate_se3_m for m in ours)]
+        counts = [len(results.runs(setting, v, drive)) for v in (OURS, *RIVALS)]
+        seeds = counts[0] if len(set(counts)) == 1 else " / ".join(map(str, counts))
+        row = [drive, ours[0].path_m, seeds, *_cells(ours), mean(m.ate_se3_m for m in ours)]
         row.append(f"{sum(m.missing for m in ours)} of {sum(m.n_keyframes for m in ours)}")
         for rival in RIVALS:
             theirs = results.runs(setting, rival, drive)
@@ -183,7 +185,8 @@ def _accuracy(
         notes(
             SCRIPTED,
             ALIGNED,
-            "no pose: keyframes without one in ours; FAIL: runs that gave no trajectory",
+            "no pose: keyframes without one in ours; FAIL: runs that gave no trajectory; seeds: where"
+            " they differ, of ours / Sim(3) / SL(4)",
             *own,
             results.lacking(setting, (OURS, *RIVALS), names),
         ),

@@ -46,6 +46,12 @@ def test_a_column_with_a_hole_has_no_mean():
     assert table.rows[-1][at] is None and table.rows[0][at] == 1.0
 
 
+def test_unlike_numbers_of_seeds_are_said():
+    made = [measured("04", seed) for seed in (1, 2)]
+    made += [measured("04", variant=variant) for variant in ("sim3", "sl4")]
+    assert rows.open_drives(Results(made, ["04"]), "x").rows[0][2] == "2 / 1 / 1"
+
+
 def test_a_few_runs_keep_no_promise():
     few = _results(("ours", 1.0), ("sim3", 20.0), ("sl4", 90.0), names=NAMES[:2])
     assert not rows.open_drives(few, "x").checks[0].passed
