@@ -185,8 +185,8 @@ def _accuracy(
         notes(
             SCRIPTED,
             ALIGNED,
-            "no pose: keyframes without one in ours; FAIL: runs that gave no trajectory; seeds: where"
-            " they differ, of ours / Sim(3) / SL(4)",
+            "no pose: keyframes without one in ours; FAIL: runs that gave no trajectory; seeds:"
+            " where they differ, of ours / Sim(3) / SL(4)",
             *own,
             results.lacking(setting, (OURS, *RIVALS), names),
         ),
