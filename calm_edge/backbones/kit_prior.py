@@ -12,9 +12,14 @@ from calm_edge.types import Int, KitBelief
 
 log = logging.getLogger(__name__)
 
+TRUSTED_AFTER = 3
+
 
 class KitPrior:
     """Owns the belief read from `backbone.kit_file`; without that key it keeps nothing.
+
+    Windows solved under a wrong belief fail, or agree with it: so it is compared with what
+    TRUSTED_AFTER sub-maps teach without it, and only then is it there as `belief`.
 
     The file is read at once, so that one which cannot be understood stops the drive at its start:
     the constructor raises KitFileError.
@@ -26,14 +31,20 @@ class KitPrior:
         self._cameras = (config.capture.primary, config.capture.assistant)
         self._kept = kit_file.read(self._path) if self._path is not None else None
         self._sizes: Int | None = None
-        self.belief: KitBelief | None = None
+        self._remembered: KitBelief | None = None
+        self._compared = 0
+
+    @property
+    def belief(self) -> KitBelief | None:
+        """What is remembered, once it is trusted."""
+        return self._remembered if self._compared >= TRUSTED_AFTER else None
 
     def open(self, sizes: Int | None) -> None:
         """Takes what was kept once the pictures' sizes (2, 2) are known, if it is of these."""
         if self._path is None or self._sizes is not None or sizes is None:
             return
         self._sizes = sizes
-        self.belief, reason = kit_file.remembered(self._path, self._kept, self._cameras, sizes)
+        self._remembered, reason = kit_file.remembered(self._path, self._kept, self._cameras, sizes)
         if reason:
             log.info("kit memory: %s", reason)
 
@@ -42,11 +53,13 @@ class KitPrior:
 
         A kit that was touched in one place may have been touched in others.
         """
-        if self.belief is None or taught is None:
+        if self._remembered is None or taught is None:
             return ()
-        moved = [change for change in kit_change.changes(self.belief, taught) if change.noticed]
+        compared = kit_change.changes(self._remembered, taught)
+        moved = [change for change in compared if change.noticed]
+        self._compared += 1
         if moved:
-            self.belief = None
+            self._remembered = None
         return tuple(
             f"the kit has changed since its last drive: {change.text}; it is learned anew"
             for change in moved
@@ -57,7 +70,7 @@ class KitPrior:
 
         Never over a file that is not understood.
         """
-        known = product([self.belief, taught])
+        known = product([self._remembered, taught])
         if self._path is None or self._sizes is None or known is None:
             return
         try:
