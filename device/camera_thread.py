@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from enum import StrEnum
 
+from device import realtime
 from device.camera import Camera
 from device.errors import DeviceError
 from device.frame import Frame
@@ -27,9 +28,16 @@ class CameraThread:
     """Reads a live or paced camera into a bounded queue; its oldest frame gives way when full.
 
     For frames as fast as asked (lockstep) read the camera itself: here they would overflow.
+    realtime_priority: see `realtime.request`; a refusal is logged and changes nothing else.
     """
 
-    def __init__(self, camera: Camera, capacity: int = 64, poll_s: float = 0.1) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        capacity: int = 64,
+        poll_s: float = 0.1,
+        realtime_priority: int = 0,
+    ) -> None:
         self.camera = camera
         self.state = CameraState.STOPPED
         self.error: str | None = None
@@ -37,6 +45,7 @@ class CameraThread:
         self._queue: deque[Frame] = deque()
         self._capacity = capacity
         self._poll_s = poll_s
+        self._realtime_priority = realtime_priority
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
@@ -66,6 +75,9 @@ class CameraThread:
             self.state = CameraState.STOPPED
 
     def _run(self) -> None:
+        refused = realtime.request(self._realtime_priority)
+        if refused:
+            log.warning("%s: %s", self.camera.spec.name, refused)
         try:
             while not self._stop.is_set():
                 frame = self.camera.read(self._poll_s)

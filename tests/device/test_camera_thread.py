@@ -89,3 +89,14 @@ def test_stop_is_quick_closes_the_camera_and_may_be_repeated() -> None:
     assert time.monotonic() - began < 1
     assert thread.state is CameraState.STOPPED
     assert not thread.camera.connected
+
+
+def test_a_refused_priority_is_said_and_frames_come_all_the_same(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("device.realtime.request", lambda priority: f"{priority} not granted")
+    thread = threaded(frames(5), realtime_priority=7)
+    thread.start()
+    until(lambda: thread.state is CameraState.FINISHED)
+    assert len(thread.drain()) == 5
+    assert "7 not granted" in caplog.text

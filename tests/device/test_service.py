@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import sys
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from device.service import NullNotifier, SystemdNotifier, open_notifier
+from device.service import NullNotifier, SystemdNotifier, log_handler, open_notifier
 
 
 @pytest.fixture
@@ -78,3 +79,41 @@ def test_a_missing_systemd_python_is_said_once_and_tolerated(
     monkeypatch.setitem(sys.modules, "systemd", None)
     assert isinstance(open_notifier(), NullNotifier)
     assert "systemd-python is not installed" in caplog.text
+
+
+def test_a_new_state_goes_into_the_journal_once() -> None:
+    entries: list[tuple[str, dict[str, object]]] = []
+    notifier = SystemdNotifier(lambda _: None, None, lambda text, **f: entries.append((text, f)))
+    notifier.status("RUNNING: 3 frames", "RUNNING")
+    notifier.status("RUNNING: 9 frames", "RUNNING")
+    notifier.status("LOST: no texture", "LOST")
+    assert [(text, f["CALM_EDGE_STATE"]) for text, f in entries] == [
+        ("RUNNING: 3 frames", "RUNNING"),
+        ("LOST: no texture", "LOST"),
+    ]
+    assert {f["SYSLOG_IDENTIFIER"] for _, f in entries} == {"calm-edge"}
+
+
+def test_a_journal_that_went_away_is_no_error() -> None:
+    def gone(*_: object, **__: object) -> None:
+        raise OSError
+
+    SystemdNotifier(lambda _: None, None, gone).status("x", "RUNNING")
+
+
+def test_log_lines_go_to_the_journal_only_when_it_holds_our_stderr(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    journal = pytest.importorskip("systemd.journal")
+    monkeypatch.setenv("JOURNAL_STREAM", "1:1")
+    assert type(log_handler()) is logging.StreamHandler
+    stream = os.fstat(2)
+    monkeypatch.setenv("JOURNAL_STREAM", f"{stream.st_dev}:{stream.st_ino}")
+    sent: list[dict[str, object]] = []
+    monkeypatch.setattr(journal, "send", lambda _, **fields: sent.append(fields))
+    handler = log_handler()
+    assert isinstance(handler, journal.JournalHandler)
+    handler.send = journal.send
+    handler.handle(logging.LogRecord("device.stream", logging.ERROR, "f", 1, "gone", None, None))
+    assert sent[0]["CALM_EDGE_LOGGER"] == "device.stream" and sent[0]["PRIORITY"] == "3"
+    assert sent[0]["SYSLOG_IDENTIFIER"] == "calm-edge"

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import errno
+import os
+import threading
+
+import pytest
+
+from device import realtime
+
+
+def test_nothing_asked_is_nothing_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *_: pytest.fail("must not be called"))
+    assert realtime.request(0) is None
+
+
+def test_only_the_calling_thread_is_raised() -> None:
+    outcome: list[object] = []
+
+    def ask() -> None:
+        refused = realtime.request(3)
+        outcome.extend([refused, os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK])
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    refused, policy = outcome
+    # an ordinary user is refused, root is not: either way it is known which
+    assert policy == (os.SCHED_OTHER if refused else os.SCHED_FIFO)
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+
+
+def test_a_refusal_names_the_mend(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert "LimitRTPRIO" in str(realtime.request(5))
+
+
+def test_an_impossible_priority_is_said() -> None:
+    assert "from 1 to 99" in str(realtime.request(100))
