@@ -13,7 +13,10 @@ from calm_edge.types import CalmEdgeError
 
 @dataclass(frozen=True, slots=True)
 class CaptureConfig:
-    """device/ and the fixed-rate loop. primary / assistant: `driver:address`."""
+    """device/ and the fixed-rate loop. primary / assistant: `driver:address`.
+
+    realtime_priority: SCHED_FIFO of the capture threads, 1 to 99; 0 leaves them ordinary.
+    """
 
     primary: str = "v4l2:"
     assistant: str = "v4l2:"
@@ -21,6 +24,7 @@ class CaptureConfig:
     width_px: int = 1280
     height_px: int = 720
     stale_after_ms: float = 500.0
+    realtime_priority: int = 0
 
 
 @dataclass(frozen=True, slots=True)
