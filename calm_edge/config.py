@@ -29,11 +29,34 @@ class CaptureConfig:
 
 @dataclass(frozen=True, slots=True)
 class RecordingConfig:
+    """keep_free_gib, keep_free_percent: the larger of the two stays free on the disk.
+
+    remove_old: under `record --root`, the oldest drives not kept make room before recording stops.
+    """
+
     segment_s: float = 300.0
     chunk_bytes: int = 1 << 20
     flush_s: float = 1.0
     jpeg_quality: int = 92
     log_depth: bool = False
+    keep_free_gib: float = 1.0
+    keep_free_percent: float = 2.0
+    remove_old: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class DegradeConfig:
+    """Work is shed in the order depth, half the keyframes, all windows; frames never.
+
+    hot_c: from here on, or with more than behind_windows waiting, a step each step_s; back below
+    cool_c and caught up. thermal_root: where the kernel's thermal zones are.
+    """
+
+    hot_c: float = 85.0
+    cool_c: float = 75.0
+    behind_windows: int = 4
+    step_s: float = 10.0
+    thermal_root: str = "/sys/class/thermal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +201,7 @@ class PoseOutputConfig:
 class Config:
     capture: CaptureConfig = field(default_factory=CaptureConfig)
     recording: RecordingConfig = field(default_factory=RecordingConfig)
+    degrade: DegradeConfig = field(default_factory=DegradeConfig)
     frontend: FrontendConfig = field(default_factory=FrontendConfig)
     backbone: BackboneConfig = field(default_factory=BackboneConfig)
     correction: CorrectionConfig = field(default_factory=CorrectionConfig)

@@ -1,0 +1,49 @@
+"""The thermal reader on fake trees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from device.thermal import Thermal, ThermalReader
+
+
+def entry(root: Path, name: str, **files: str) -> None:
+    folder = root / name
+    folder.mkdir(parents=True)
+    for file, text in files.items():
+        (folder / file).write_text(text + "\n")
+
+
+def test_the_hottest_plausible_zone_counts(tmp_path: Path) -> None:
+    entry(tmp_path, "thermal_zone0", type="cpu-thermal", temp="61234")
+    entry(tmp_path, "thermal_zone1", type="gpu", temp="70500")
+    entry(tmp_path, "thermal_zone2", type="unconnected", temp="-274000")
+    entry(tmp_path, "thermal_zone3", type="bogus", temp="999000")
+    entry(tmp_path, "thermal_zone4", type="broken", temp="n/a")
+    entry(tmp_path, "thermal_zone5", type="silent")
+    assert ThermalReader(tmp_path).read() == Thermal(70.5, "gpu", False)
+
+
+@pytest.mark.parametrize(
+    ("kind", "level", "throttled"),
+    [
+        ("Processor", "3", True),
+        ("thermal-cpufreq-0", "1", True),
+        ("cpu-isolation", "2", True),
+        ("Processor", "0", False),
+        ("intel_powerclamp", "-1", False),
+        ("pwm-fan", "4", False),
+        ("Processor", "?", False),
+    ],
+)
+def test_only_what_slows_the_processor_is_throttling(
+    tmp_path: Path, kind: str, level: str, throttled: bool
+) -> None:
+    entry(tmp_path, "cooling_device0", type=kind, cur_state=level)
+    assert ThermalReader(tmp_path).read() == Thermal(None, "", throttled)
+
+
+def test_a_machine_without_sensors_is_neither_hot_nor_cold(tmp_path: Path) -> None:
+    assert ThermalReader(tmp_path / "none").read() == Thermal()
