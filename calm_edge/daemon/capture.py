@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from calm_edge.daemon import finale
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.switchboard import Switchboard
+from device import realtime
 from device.camera import Camera
 from device.camera_thread import CameraState, CameraThread
 from device.clock import RateKeeper, SystemClock
@@ -42,7 +43,6 @@ class Capture:
         try:
             self._desk.start()
             self._cameras = self._source.open()
-            self._notifier.ready()
             if self._lockstep:
                 self._run_lockstep()
             else:
@@ -58,6 +58,7 @@ class Capture:
         """Every frame is tracked, and every window solved, before the next frame is read."""
         for camera in self._cameras:
             camera.start()
+        self._notifier.ready()
         for frame in merged(self._cameras):
             self._desk.frame(frame)
             self._desk.until(self._desk.quiet, None)
@@ -68,9 +69,15 @@ class Capture:
             camera.stop()
 
     def _run_realtime(self) -> None:
-        threads = [CameraThread(camera) for camera in self._cameras]
+        priority = self._desk.config.capture.realtime_priority
+        threads = [CameraThread(camera, realtime_priority=priority) for camera in self._cameras]
         for thread in threads:
             thread.start()
+        # the watchdog runs from here on, and opening a camera may take longer than it waits
+        self._notifier.ready()
+        refused = realtime.request(priority)
+        if refused:
+            self._desk.say(refused)
         said: set[str] = set()
         keeper = RateKeeper(SystemClock(), TICK_HZ)
         while not self._stop_requests:
