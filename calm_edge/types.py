@@ -228,6 +228,8 @@ class PoseSample:
 
     T_w_c: (4, 4) primary camera->world, world units. velocity_c: (3,) world units/s, camera
     axes. covariance: (6, 6) of (translation, rotation) in camera axes, world units and rad.
+    turn_rate_c: (3,) rad/s. twist_covariance: (6, 6) of (velocity_c, turn_rate_c). Camera axes;
+    NaN where unknown.
     """
 
     t_ns: int
@@ -236,6 +238,8 @@ class PoseSample:
     covariance: Float
     epoch: int
     status: PoseStatus
+    turn_rate_c: Float = field(default_factory=lambda: np.full(3, np.nan))
+    twist_covariance: Float = field(default_factory=lambda: np.full((6, 6), np.nan))
 
 
 @dataclass(frozen=True, slots=True)

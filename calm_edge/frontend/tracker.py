@@ -17,7 +17,7 @@ from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
 from calm_edge.frontend.pnp import PoseFit, locate, reprojection
 from calm_edge.frontend.remembered import Past, Tracks
-from calm_edge.frontend.velocity import velocity_now
+from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
 from calm_edge.geometry.flow import follow
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
@@ -29,7 +29,6 @@ HOP = 4
 # Remembered frames tracked again with each new one: bounds what a late sub-map adds to latency.
 # Without a pose there is nothing to be late.
 CATCH_UP_FRAMES, CATCH_UP_FRAMES_LOST = 2, 3
-VELOCITY_WINDOW_NS = 400_000_000
 INLIER_PX = 3.0
 # of the logarithm of a length: beyond it the old track is not worth keeping
 MAX_DISAGREEMENT = 0.2
@@ -47,7 +46,7 @@ class Tracker:
         self._candidates = Candidates.none()
         self._unripe: tuple[Bytes, Float] | None = None
         self._past: deque[Past] = deque(maxlen=REMEMBERED)
-        self._path: deque[tuple[int, Float]] = deque()
+        self._path = RecentPath()
         self._ever_tracked = False
         self._follower: Tracker | None = None
         self._followed_ns = 0
@@ -60,16 +59,26 @@ class Tracker:
         self._past.append(Past(t_ns, gray, None, T_m_c))
         if fit is None:
             # a blurred frame or two may be bridged; after that the track is gone
-            if self._path and t_ns - self._path[-1][0] > self.config.lost_after_ms * 1e6:
+            if self._path and t_ns - self._path.newest_ns > self.config.lost_after_ms * 1e6:
                 self._tracks = None
                 self._candidates = Candidates.none()
                 self._path.clear()
             nothing = np.full((4, 4), np.nan), np.full(3, np.nan), np.full((6, 6), np.nan)
             return PoseSample(t_ns, *nothing, self.epoch, PoseStatus.LOST)
         T_o_c = se3.inverse(self.T_map_odom) @ fit.T_w_c
-        velocity = self._velocity(t_ns, T_o_c)
+        self._path.add(t_ns, T_o_c, fit.covariance)
+        twist, twist_covariance = self._path.twist()
         status = PoseStatus.LAGGING if self.lagging else PoseStatus.LIVE
-        return PoseSample(t_ns, T_o_c, velocity, fit.covariance, self.epoch, status)
+        return PoseSample(
+            t_ns,
+            T_o_c,
+            twist[:3],
+            fit.covariance,
+            self.epoch,
+            status,
+            turn_rate_c=twist[3:],
+            twist_covariance=twist_covariance,
+        )
 
     def prepare(self, keyframe_id: int | None = None) -> None:
         """What the next frame needs and this one's pose did not: call it when the pose has left.
@@ -129,7 +138,7 @@ class Tracker:
         first = self._past[keyframe]
         self._follower = Tracker(self.config)
         self._follower._tracks = replace(start, seen_in=first.gray)
-        self._follower._path.append((first.t_ns, known[keyframe]))
+        self._follower._path.add(first.t_ns, known[keyframe])
         self._followed_ns = first.t_ns
         return True
 
@@ -201,7 +210,7 @@ class Tracker:
 
     def _guess(self, T_predicted: Float) -> Float32 | None:
         """Where the tracks should be: their shift under the predicted motion, (M, 2) px."""
-        tracks, last = self._tracks, self._path[-1][1] if self._path else None
+        tracks, last = self._tracks, self._path.newest if self._path else None
         if tracks is None or last is None:
             return None
         there, _ = reprojection(tracks.K, tracks.p_m, T_predicted)
@@ -213,21 +222,8 @@ class Tracker:
 
     def _predict(self, t_ns: int) -> Float | None:
         """The pose at t_ns at constant velocity, map frame."""
-        if not self._path:
-            return None
-        t_1, T_1 = self._path[-1]
-        if len(self._path) > 1:
-            t_0, T_0 = self._path[-2]
-            T_1 = se3.interpolate(T_0, T_1, (t_ns - t_0) / (t_1 - t_0))
-        return np.asarray(self.T_map_odom @ T_1)
-
-    def _velocity(self, t_ns: int, T_o_c: Float) -> Float:
-        """(3,) world units/s, camera axes, over the velocity window."""
-        self._path.append((t_ns, T_o_c))
-        while len(self._path) > 2 and t_ns - self._path[1][0] >= VELOCITY_WINDOW_NS:
-            self._path.popleft()
-        stamps = np.array([t for t, _ in self._path], np.int64)
-        return velocity_now(stamps, np.stack([T for _, T in self._path]))
+        T_o_c = self._path.predict(t_ns)
+        return None if T_o_c is None else np.asarray(self.T_map_odom @ T_o_c)
 
     def _switch(self, T_w_c: Float) -> Float | None:
         """The newest frame has a pose in the new map: carry the odometry over to it.
@@ -236,7 +232,7 @@ class Tracker:
         """
         newest, T_new_old = self._past[-1], None
         if newest.T_m_c is not None:
-            T_o_c = self._path[-1][1]
+            T_o_c = self._path.newest
             self.T_map_odom = T_w_c @ se3.inverse(T_o_c)
             T_new_old = T_w_c @ se3.inverse(newest.T_m_c)
             self._candidates = self._candidates.moved_to(T_new_old)
@@ -249,7 +245,7 @@ class Tracker:
             for past in self._past:
                 past.T_m_c = None
             self._path.clear()
-            self._path.append((newest.t_ns, se3.inverse(self.T_map_odom) @ T_w_c))
+            self._path.add(newest.t_ns, se3.inverse(self.T_map_odom) @ T_w_c)
         newest.T_m_c = T_w_c
         self._ever_tracked = True
         return T_new_old

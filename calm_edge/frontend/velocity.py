@@ -1,20 +1,75 @@
-"""How fast a camera moves now, from where it was."""
+"""How fast a camera moves and turns now, from where it was, and how surely that is known."""
 
 from __future__ import annotations
+
+from collections import deque
 
 import numpy as np
 
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
+WINDOW_NS = 400_000_000
+_UNKNOWN = np.full((6, 6), np.nan)
 
-def velocity_now(t_ns: Int, T_o_c: Float) -> Float:
-    """(3,) units/s in the last camera's axes, from stamps (N,) and poses (N, 4, 4); NaN for one.
 
-    The slope of a parabola at its end: a mean over the window would be half a window old.
+def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]:
+    """(6,) units/s and rad/s, and its covariance (6, 6), in the last camera's axes; NaN for one.
+
+    From stamps (N,), poses (N, 4, 4) and their covariances (N, 6, 6) of (translation, rotation) in
+    their cameras' axes, held to be independent of each other. The slope of a parabola at its end:
+    a mean over the window would be half a window old. How far the motion is from a parabola is
+    not in the covariance.
     """
     if len(t_ns) < 2:
-        return np.full(3, np.nan)
+        return np.full(6, np.nan), np.full((6, 6), np.nan)
     powers = np.vander((t_ns - t_ns[-1]) * 1e-9, min(3, len(t_ns)), increasing=True)
-    moved = se3.transform(se3.inverse(T_o_c[-1]), T_o_c[:, :3, 3])
-    return np.asarray(np.linalg.lstsq(powers, moved, rcond=None)[0][1])
+    weight = np.linalg.pinv(powers)[1]
+    T_last_c = se3.inverse(T_o_c[-1]) @ T_o_c
+    moved = np.concatenate([T_last_c[:, :3, 3], se3.so3_log(T_last_c[:, :3, :3])], -1)
+    twist = weight @ moved
+    J = np.zeros((len(t_ns), 6, 6))
+    J[:, :3, :3] = J[:, 3:, 3:] = weight[:, None, None] * T_last_c[:, :3, :3]
+    # the velocity is told in the axes of a camera whose own rotation is uncertain
+    J[-1, :3, 3:] += se3.hat(twist[:3])
+    return twist, np.asarray(np.einsum("nij,njk,nlk->il", J, covariance, J))
+
+
+class RecentPath:
+    """Owner of a camera's poses of the last moments, T_o_c (4, 4) each."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[int, Float, Float]] = deque()
+
+    def __bool__(self) -> bool:
+        return bool(self._rows)
+
+    @property
+    def newest_ns(self) -> int:
+        return self._rows[-1][0]
+
+    @property
+    def newest(self) -> Float:
+        return self._rows[-1][1]
+
+    def add(self, t_ns: int, T_o_c: Float, covariance: Float = _UNKNOWN) -> None:
+        """A pose, with its covariance (6, 6) where it was measured; old ones are forgotten."""
+        self._rows.append((t_ns, T_o_c, covariance))
+        while len(self._rows) > 2 and t_ns - self._rows[1][0] >= WINDOW_NS:
+            self._rows.popleft()
+
+    def clear(self) -> None:
+        """Whatever was before has nothing to do with what comes."""
+        self._rows.clear()
+
+    def predict(self, t_ns: int) -> Float | None:
+        """(4, 4) at t_ns if the motion between the last two goes on; None without a pose."""
+        if len(self._rows) < 2:
+            return self.newest if self._rows else None
+        (t_0, T_0, _), (t_1, T_1, _) = self._rows[-2], self._rows[-1]
+        return se3.interpolate(T_0, T_1, (t_ns - t_0) / (t_1 - t_0))
+
+    def twist(self) -> tuple[Float, Float]:
+        """`twist_now` of these poses."""
+        stamps, poses, covariances = zip(*self._rows, strict=True)
+        return twist_now(np.array(stamps, np.int64), np.stack(poses), np.stack(covariances))

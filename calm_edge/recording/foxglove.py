@@ -76,9 +76,12 @@ def odometry(sample: PoseSample) -> Odometry:
         body_frame_id=camera_frame(Eye.PRIMARY),
         pose=poses(sample.T_w_c[None])[0],
         pose_covariance=sample.covariance.ravel().tolist(),
+        # zeros say unknown
+        velocity_covariance=np.nan_to_num(sample.twist_covariance).ravel().tolist(),
     )
-    v = message.linear_velocity
+    v, w = message.linear_velocity, message.angular_velocity
     v.x, v.y, v.z = sample.velocity_c.tolist()
+    w.x, w.y, w.z = sample.turn_rate_c.tolist()
     return message
 
 
