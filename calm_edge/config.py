@@ -6,8 +6,9 @@ import dataclasses
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_type_hints
 
+from calm_edge.typed import coerce
 from calm_edge.types import CalmEdgeError
 
 
@@ -81,13 +82,15 @@ class FrontendConfig:
 
 @dataclass(frozen=True, slots=True)
 class BackboneConfig:
-    """name: `bundle` or `scripted:FOLDER`.
+    """name: `bundle`, `scripted:FOLDER`, or a model: `feedforward:NAME_OR_FOLDER`, or its NAME.
 
+    precision: of a model's graphs; auto is what `model check` found best here, fp32 in lockstep.
     resolve_windows: how many recent windows can be solved again when the kit is known better.
     kit_file: where what a drive learns of these cameras is kept for the next one; empty for none.
     """
 
     name: str = "bundle"
+    precision: Literal["auto", "fp32", "fp16", "int8"] = "auto"
     hfov_deg: tuple[float, ...] = ()
     seed: int = 0
     resolve_windows: int = 400
@@ -220,24 +223,6 @@ class ConfigError(CalmEdgeError):
     """An unknown key or a value of the wrong kind."""
 
 
-def _coerce(where: str, kind: Any, value: Any) -> Any:
-    if get_origin(kind) is Literal:
-        if value not in get_args(kind):
-            raise ConfigError(f"{where} = {value!r}: expected one of {', '.join(get_args(kind))}")
-        return value
-    if get_origin(kind) is tuple:
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            value = [value]
-        if not isinstance(value, list | tuple):
-            raise ConfigError(f"{where}: expected a list, got {value!r}")
-        return tuple(_coerce(where, get_args(kind)[0], v) for v in value)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if type(value) is not kind:
-        raise ConfigError(f"{where}: expected {kind.__name__}, got {value!r}")
-    return value
-
-
 def merge(config: Config, changes: dict[str, Any]) -> Config:
     """A config with nested `changes` applied; raises ConfigError on unknown keys or kinds."""
     sections = {f.name: getattr(config, f.name) for f in dataclasses.fields(Config)}
@@ -250,7 +235,7 @@ def merge(config: Config, changes: dict[str, Any]) -> Config:
         for key, value in values.items():
             if key not in kinds:
                 raise ConfigError(f"{section}.{key}: no such key; known: {', '.join(kinds)}")
-            value = _coerce(f"{section}.{key}", kinds[key], value)
+            value = coerce(f"{section}.{key}", kinds[key], value, ConfigError)
             sections[section] = dataclasses.replace(sections[section], **{key: value})
     return Config(**sections)
 

@@ -1,0 +1,64 @@
+"""Tables of a TOML file as typed dataclasses: unknown keys and wrong kinds are errors."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import NoneType, UnionType
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from calm_edge.types import CalmEdgeError
+
+
+def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any:
+    """`value`, read from TOML, as a `kind`; `where` names it in the one line of `error` raised.
+
+    Known kinds: str, bool, int, float, Any, Literal, tuple[X, ...] (a lone number is a tuple of
+    one), dict[str, X], X | None, and dataclasses of these.
+    """
+    origin = get_origin(kind)
+    if kind is Any:
+        return value
+    if origin is UnionType:
+        return coerce(where, next(k for k in get_args(kind) if k is not NoneType), value, error)
+    if origin is Literal:
+        if value not in get_args(kind):
+            raise error(f"{where} = {value!r}: expected one of {', '.join(get_args(kind))}")
+        return value
+    if origin is tuple:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            value = [value]
+        if not isinstance(value, list | tuple):
+            raise error(f"{where}: expected a list, got {value!r}")
+        return tuple(coerce(where, get_args(kind)[0], v, error) for v in value)
+    if origin is dict:
+        item = get_args(kind)[1]
+        table = _table(where, value, error)
+        return {k: coerce(f"{where}.{k}", item, v, error) for k, v in table.items()}
+    if dataclasses.is_dataclass(kind):
+        return record(where, kind, value, error)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if type(value) is not kind:
+        raise error(f"{where}: expected {kind.__name__}, got {value!r}")
+    return value
+
+
+def record(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any:
+    """A dataclass `kind` of a table; keys without a default are required. Raises `error`."""
+    table = _table(where, value, error)
+    kinds = get_type_hints(kind)
+    before = f"{where}." if where else ""
+    for key in table:
+        if key not in kinds:
+            raise error(f"{before}{key}: no such key; known: {', '.join(kinds)}")
+    for field in dataclasses.fields(kind):
+        absent = field.default is field.default_factory is dataclasses.MISSING
+        if absent and field.name not in table:
+            raise error(f"{before}{field.name}: missing")
+    return kind(**{k: coerce(f"{before}{k}", kinds[k], v, error) for k, v in table.items()})
+
+
+def _table(where: str, value: Any, error: type[CalmEdgeError]) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise error(f"{where}: expected a table of keys")
+    return value
