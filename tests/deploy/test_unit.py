@@ -1,0 +1,113 @@
+"""The unit is one that systemd accepts, shuts in, and that says what the daemon needs."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+from calm_edge.commands.exit_codes import LOSS
+from calm_edge.config import CaptureConfig, load
+from calm_edge.daemon import finale
+
+DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
+UNIT = DEPLOY / "calm-edge.service"
+EXPOSURE = 3.0
+
+needs_systemd = pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed"
+)
+
+
+def settings() -> dict[str, list[str]]:
+    """Every value of each key, in order."""
+    found: dict[str, list[str]] = defaultdict(list)
+    for line in UNIT.read_text().splitlines():
+        key, equals, value = line.partition("=")
+        if equals and not line.startswith("#"):
+            found[key].append(value)
+    return found
+
+
+def seconds(key: str) -> float:
+    return float(settings()[key][0])
+
+
+@needs_systemd
+def test_systemd_has_nothing_to_say_against_it(tmp_path: Path) -> None:
+    # the program itself is only there where the package is installed
+    text = UNIT.read_text().replace("/opt/calm-edge/bin/calm-edge", "/bin/true")
+    unit = tmp_path / UNIT.name
+    unit.write_text(text)
+    command = ["systemd-analyze", "verify", str(unit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    # unknown keys leave the exit status at 0: only silence is consent
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_systemd
+def test_it_is_shut_in() -> None:
+    limit = f"--threshold={EXPOSURE * 10:.0f}"
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", limit, str(UNIT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout.splitlines()[-1]
+
+
+def test_it_has_no_network() -> None:
+    families = settings()["RestrictAddressFamilies"]
+    assert [set(value.split()) for value in families] == [{"AF_UNIX", "AF_NETLINK"}]
+
+
+def test_a_device_class_is_only_allowed_with_its_driver_loaded_before() -> None:
+    allowed = {value.split()[0] for value in settings()["DeviceAllow"]}
+    loaded = (DEPLOY / "calm-edge.modules-load.conf").read_text().split("\n")
+    for device, driver in {
+        "char-video4linux": "videodev",
+        "char-ttyUSB": "usbserial",
+        "char-ttyACM": "cdc_acm",
+    }.items():
+        assert device in allowed and driver in loaded
+
+
+def test_a_stop_has_the_time_that_the_last_windows_may_take() -> None:
+    # tracker, its last window, the backlog, the joint optimum: each may wait for its limit
+    assert seconds("TimeoutStopSec") > 4 * finale.LIVE_LIMIT_S
+    assert settings()["KillMode"] == ["mixed"]
+    assert settings()["SuccessExitStatus"] == [str(LOSS)]
+
+
+def test_a_hang_is_ended_in_time_to_be_back_within_ten_seconds() -> None:
+    assert seconds("WatchdogSec") + seconds("RestartSec") < 10
+    stale_s = CaptureConfig().stale_after_ms / 1000
+    assert seconds("WatchdogSec") > 2 * stale_s
+
+
+def test_the_default_config_is_one_and_so_is_all_it_suggests(tmp_path: Path) -> None:
+    default = DEPLOY / "calm-edge.toml"
+    assert load(default).backbone.kit_file.startswith("/var/lib/calm-edge/")
+    lines = all_switched_on(default.read_text())
+    (tmp_path / "all.toml").write_text("\n".join(lines))
+    config = load(tmp_path / "all.toml")
+    assert len(lines) > 12
+    assert config.capture.realtime_priority == 10 and config.scale.spacing_m == 0.52
+
+
+def all_switched_on(text: str) -> list[str]:
+    """The file with every suggested key switched on in place of the one it stands for."""
+    switched: dict[str, dict[str, str]] = {}
+    section: dict[str, str] = {}
+    for line in text.splitlines():
+        if line.startswith("["):
+            section = switched.setdefault(line, {})
+            continue
+        key, equals, value = line.removeprefix("#").partition(" = ")
+        if equals and key.isidentifier():
+            section[key] = value
+    return [
+        line
+        for name, keys in switched.items()
+        for line in (name, *(f"{key} = {value}" for key, value in keys.items()))
+    ]
