@@ -21,7 +21,7 @@ class Lateness:
 
 
 class LatenessMeter:
-    """Owner of the ticks since the last `take`, and of a histogram of all: steps of 0.05 ms, 2 s."""
+    """Owner of the ticks since the last `take`, and of a histogram of all: 2 s."""
 
     def __init__(self) -> None:
         self._recent: list[float] = []

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from calm_edge.recording.space import Space
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
@@ -14,6 +16,7 @@ class WriterHealth:
 
     written: messages kept so far. dropped_*: lost to a full mailbox. unwritable: items that
     could not be encoded. queue_fill: 0 ... 1 of the mailbox. sync_ms: the last flush to disk.
+    space: the disk as it was then.
     """
 
     error: str
@@ -23,6 +26,7 @@ class WriterHealth:
     unwritable: int
     queue_fill: float
     sync_ms: float
+    space: Space = field(default_factory=Space)
 
     @property
     def ok(self) -> bool:

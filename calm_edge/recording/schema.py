@@ -9,7 +9,7 @@
 | /tf | foxglove.FrameTransform: `primary` and `submap` in `world` | as its pose |
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
 | /window | calm_edge.Window: which frames the window held | its newest keyframe |
-| /clock, /status | JSON | time of writing |
+| /clock, /status, /health | JSON | time of writing |
 | /log | foxglove.Log | when it was said |
 
 Everything of an update is exact but depth (fp16; beyond its range: 0, unknown) and
@@ -42,6 +42,7 @@ from device.frame import Eye, Frame
 IMAGE_TOPICS = {Eye.PRIMARY: "/primary/image", Eye.ASSISTANT: "/assistant/image"}
 POSE_LIVE, POSE_SAMPLE, POSE_KEYFRAMES = "/pose/live", "/pose/sample", "/pose/keyframes"
 TF, SUBMAP, WINDOW, CLOCK, STATUS, LOG = "/tf", "/submap", "/window", "/clock", "/status", "/log"
+HEALTH = "/health"
 
 CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
@@ -56,7 +57,7 @@ _PROTOBUF: dict[str, Any] = {
     WINDOW: record.message_class("Window"),
     LOG: Log,
 }
-_JSON = {CLOCK: "calm_edge.Clock", STATUS: "calm_edge.Status"}
+_JSON = {CLOCK: "calm_edge.Clock", STATUS: "calm_edge.Status", HEALTH: "calm_edge.Health"}
 TOPICS = (*_PROTOBUF, *_JSON)
 
 
@@ -192,7 +193,7 @@ def clock_message(log_time: int, realtime_ns: int, monotonic_ns: int) -> LogMess
 
 
 def json_message(topic: str, log_time: int, value: Mapping[str, Any]) -> LogMessage:
-    """A JSON object on /clock or /status; what JSON does not know is written as text."""
+    """A JSON object on /clock, /status or /health; what JSON does not know is written as text."""
     return LogMessage(topic, log_time, json.dumps(value, default=str).encode())
 
 

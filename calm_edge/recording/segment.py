@@ -43,15 +43,6 @@ def recording_files(path: Path) -> list[Path]:
     return files
 
 
-def free_bytes(folder: Path) -> int:
-    """What an ordinary user may still write to the folder's disk; 0 when it cannot be told."""
-    try:
-        disk = os.statvfs(folder)
-    except OSError:
-        return 0
-    return disk.f_bavail * disk.f_frsize
-
-
 class _Sink:
     """An unbuffered file that writes everything or raises, and knows how far it came."""
 
@@ -132,6 +123,11 @@ class Segment:
         self._writer.flush()
         self._keep()
         os.fdatasync(self._fd)
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._sink.position
 
     def finish(self) -> Path:
         """Close the file whole and give it its final name; returns it."""

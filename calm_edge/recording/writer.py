@@ -18,18 +18,17 @@ from typing import Any
 import calm_edge
 from calm_edge.config import Config
 from calm_edge.recording import schema
+from calm_edge.recording.chain import SegmentChain
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.health import WriterHealth, boot_id
 from calm_edge.recording.mailbox import Mailbox
 from calm_edge.recording.record import flatten
 from calm_edge.recording.schema import LogMessage
-from calm_edge.recording.segment import Segment, Write, free_bytes, segment_files
+from calm_edge.recording.segment import Write, segment_files
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import LocalizerUpdate, PoseSample
 from device.frame import Frame
 
-# below this the segment is closed while its summary still fits, and the system keeps breathing
-RESERVE_BYTES = 8 << 20
 RETRY_S = 1.0
 
 _Encode = Callable[[], list[LogMessage]]
@@ -41,7 +40,8 @@ class RecordingWriter:
 
     metadata: text about this session (backbone, camera identities ...). now_ns: the clock of
     the frames. lossless: `write_*` waits for room instead of dropping, and raises RecordingError
-    when the disk fails. What is handed over must not be changed afterwards.
+    when the disk fails. root: the folder of all drives, whose oldest ones make room for this one.
+    What is handed over must not be changed afterwards.
     Raises RecordingError when the folder already holds a recording or cannot be written.
     """
 
@@ -52,12 +52,13 @@ class RecordingWriter:
         metadata: Mapping[str, str] | None = None,
         *,
         lossless: bool = False,
+        root: Path | None = None,
         queue_bytes: int = 128 << 20,
         now_ns: Callable[[], int] = time.monotonic_ns,
         write: Write = os.write,
     ) -> None:
-        self._folder, self._config, self._now_ns, self._write = folder, config, now_ns, write
-        self._metadata = {
+        self._config, self._now_ns = config, now_ns
+        session = {
             schema.CONFIG_METADATA: {"json": json.dumps(config.to_dict())},
             schema.SESSION_METADATA: {
                 "version": calm_edge.__version__,
@@ -67,19 +68,23 @@ class RecordingWriter:
             },
         }
         self._mailbox: Mailbox[_Encode] = Mailbox(queue_bytes, lossless)
-        self._number = 0
-        self._written = self._unwritable = 0
-        self._said_dropped = 0
-        self._error = ""
-        self._sync_ms = 0.0
-        self._carried: list[LogMessage] = []
+        self._unwritable = self._said_dropped = 0
+        self._chain = SegmentChain(
+            folder,
+            config.recording,
+            session,
+            now_ns,
+            write,
+            self._mailbox.set_broken,
+            root,
+        )
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if segment_files(folder):
                 raise RecordingError(
                     f"{folder}: already holds a recording; choose another output folder"
                 )
-            self._segment: Segment | None = self._open_segment()
+            self._chain.open()
         except OSError as error:
             raise RecordingError(
                 f"{folder}: cannot be written ({error.strerror}); choose another output folder"
@@ -97,16 +102,16 @@ class RecordingWriter:
     def health(self) -> WriterHealth:
         """A snapshot, from any thread."""
         others, images = self._mailbox.dropped
-        segment = self._segment
-        kept = segment.kept_messages if segment is not None else 0
+        chain = self._chain
         return WriterHealth(
-            self._error,
-            self._written + kept,
+            chain.error,
+            chain.kept,
             images,
             others,
             self._unwritable,
             self._mailbox.fill,
-            self._sync_ms,
+            chain.sync_ms,
+            chain.space,
         )
 
     def write_frame(self, frame: Frame) -> None:
@@ -134,10 +139,10 @@ class RecordingWriter:
         now = self._now_ns()
         self._mailbox.put(lambda: [schema.log_message(now, level, message, name)], 512, False)
 
-    def write_status(self, status: Mapping[str, Any]) -> None:
-        """A JSON object on /status."""
+    def write_status(self, status: Mapping[str, Any], topic: str = schema.STATUS) -> None:
+        """A JSON object on /status, or on /health."""
         now, copy = self._now_ns(), dict(status)
-        self._mailbox.put(lambda: [schema.json_message(schema.STATUS, now, copy)], 512, False)
+        self._mailbox.put(lambda: [schema.json_message(topic, now, copy)], 2048, False)
 
     def close(self) -> WriterHealth:
         """Write what is queued, finish the segment; returns the last health. Idempotent."""
@@ -145,19 +150,7 @@ class RecordingWriter:
         self._thread.join()
         return self.health
 
-    # everything below runs on the writer's thread, but for the first _open_segment
-
-    def _open_segment(self) -> Segment:
-        segment = Segment(
-            self._folder,
-            self._number,
-            self._config.recording.chunk_bytes,
-            self._metadata,
-            self._write,
-        )
-        self._number += 1
-        self._opened_at = time.monotonic()
-        return segment
+    # everything below runs on the writer's thread
 
     def _run(self) -> None:
         while True:
@@ -168,9 +161,8 @@ class RecordingWriter:
                 # a thread that died in silence would look like a recording; what tripped it
                 # is not carried on, or it would trip the next segment too
                 _log.exception("recording thread")
-                self._fail(f"writer stumbled: {error!r}")
-                self._unwritable += len(self._carried)
-                self._carried = []
+                self._chain.fail(f"writer stumbled: {error!r}")
+                self._unwritable += self._chain.drop_carried()
                 if self._mailbox.wait_closed(RETRY_S):
                     self._give_up()
                     return
@@ -178,7 +170,7 @@ class RecordingWriter:
     def _loop(self) -> None:
         next_tick = time.monotonic()
         while True:
-            if self._segment is None and not self._try_again():
+            if not self._chain.is_open and not self._chain.try_again():
                 if self._mailbox.wait_closed(RETRY_S):
                     self._give_up()
                     return
@@ -191,7 +183,7 @@ class RecordingWriter:
             if time.monotonic() >= next_tick:
                 next_tick = time.monotonic() + self._config.recording.flush_s
                 self._tick()
-        self._finish_segment()
+        self._chain.finish()
         self._give_up()
 
     def _write_item(self, encode: _Encode) -> None:
@@ -204,17 +196,7 @@ class RecordingWriter:
             text = f"one item could not be recorded: {error}"
             messages = [schema.log_message(now, logging.ERROR, text, "recording")]
             _log.error("%s", text)
-        self._put(messages)
-
-    def _put(self, messages: list[LogMessage]) -> None:
-        for i, message in enumerate(messages):
-            if self._segment is None:
-                self._carried += messages[i:]
-                return
-            try:
-                self._segment.write(message, time.monotonic_ns())
-            except OSError as error:
-                self._fail(_reason(error))
+        self._chain.put(messages)
 
     def _tick(self) -> None:
         """Once a flush_s: clock pair, drops, the disk."""
@@ -226,74 +208,10 @@ class RecordingWriter:
             messages.append(schema.log_message(now, logging.WARNING, text, "recording"))
             _log.warning("%s", text)
             self._said_dropped = dropped
-        self._put(messages)
-        if self._segment is None:
-            return
-        try:
-            started = time.monotonic()
-            self._segment.sync()
-            self._sync_ms = 1e3 * (time.monotonic() - started)
-        except OSError as error:
-            self._fail(_reason(error))
-            return
-        if free_bytes(self._folder) < RESERVE_BYTES:
-            self._finish_segment()
-            self._report("No space left on device")
-        elif time.monotonic() - self._opened_at >= self._config.recording.segment_s:
-            self._finish_segment()
-
-    def _finish_segment(self) -> None:
-        if self._segment is None:
-            return
-        try:
-            self._segment.finish()
-            self._written += self._segment.kept_messages
-            self._segment = None
-        except OSError as error:
-            self._fail(_reason(error))
-
-    def _fail(self, reason: str) -> None:
-        if self._segment is not None:
-            self._carried += self._segment.abandon()
-            self._written += self._segment.kept_messages
-            self._segment = None
-        self._report(reason)
-
-    def _report(self, reason: str) -> None:
-        self._error = f"{self._folder}: {reason}; free space or mend the disk, it is tried again"
-        self._mailbox.set_broken(self._error)
-        _log.error("%s", self._error)
-
-    def _try_again(self) -> bool:
-        if self._error and free_bytes(self._folder) < 2 * RESERVE_BYTES:
-            return False
-        try:
-            segment = self._open_segment()
-        except OSError as error:
-            self._report(_reason(error))
-            return False
-        try:
-            for message in self._carried:
-                segment.write(message, time.monotonic_ns())
-            segment.sync()
-        except OSError as error:
-            segment.discard()
-            self._report(_reason(error))
-            return False
-        self._carried = []
-        self._segment = segment
-        if self._error:
-            _log.warning("%s: recording again", self._folder)
-        self._error = ""
-        self._mailbox.set_broken("")
-        return True
+        self._chain.put(messages)
+        self._chain.settle()
 
     def _give_up(self) -> None:
         """Closed: what the disk did not take until now is counted as lost."""
-        self._unwritable += len(self._carried)
-        self._carried = []
+        self._unwritable += self._chain.drop_carried()
         self._mailbox.clear()
-
-
-def _reason(error: OSError) -> str:
-    return error.strerror or str(error)

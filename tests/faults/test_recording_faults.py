@@ -24,6 +24,9 @@ from calm_edge.recording.writer import RecordingWriter
 from device.frame import Eye
 from tests.recording import samples
 
+# the floors of the configuration are more than the whole small disk
+NO_FLOOR = {"keep_free_gib": 0.0, "keep_free_percent": 0.0}
+
 CHILD = """
 import sys, time
 from pathlib import Path
@@ -207,7 +210,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 def test_a_really_full_disk_closes_the_segment_whole(small_disk: Path) -> None:
-    writer = RecordingWriter(small_disk / "rec", samples.config(flush_s=0.02))
+    writer = RecordingWriter(small_disk / "rec", samples.config(flush_s=0.02, **NO_FLOOR))
     image = samples.jpeg(0, 320)
     stop = threading.Event()
     k = 0

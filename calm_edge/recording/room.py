@@ -1,0 +1,99 @@
+"""How much disk is left, for how long it lasts, and what has to stay free."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from pathlib import Path
+
+from calm_edge.config import ConfigError, RecordingConfig
+from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.retention import remove_oldest
+from calm_edge.recording.space import Space
+
+# whatever the floor: the segment is closed while its summary still fits, and the system breathes
+RESERVE_BYTES = 8 << 20
+# recording is taken up again with this much more than the floor, or it would stop at once
+HEADROOM_BYTES = 2 * RESERVE_BYTES
+_RATE_LOOKS = 60
+
+
+class Room:
+    """Owner of what is known of the disk under one recording; used by the writing thread.
+
+    root: the folder of all drives, the oldest of which go at the floor; None removes nothing.
+    """
+
+    def __init__(self, folder: Path, config: RecordingConfig, root: Path | None = None) -> None:
+        self._folder, self._config = folder, config
+        self._root = root if config.remove_old else None
+        self._looks: deque[tuple[float, int]] = deque(maxlen=_RATE_LOOKS)
+        self.space = Space(removes_old=self._root is not None)
+        self._removed: list[Path] = []
+
+    def look(self, now_s: float, written_bytes: int) -> bool:
+        """Measures, makes room where it may; False when recording has to stop.
+
+        written_bytes: so far. Where the disk does not say what is free, nothing is removed.
+        """
+        self._looks.append((now_s, written_bytes))
+        elapsed_s = now_s - self._looks[0][0]
+        rate = (written_bytes - self._looks[0][1]) / elapsed_s if elapsed_s > 0 else 0.0
+        free, floor = self._make_room()
+        self.space = Space(free, floor, rate, self._root is not None)
+        return free is None or free >= floor
+
+    def has_come_back(self) -> bool:
+        """There is enough to begin a segment after recording had to stop."""
+        free, floor = self._make_room()
+        return free is not None and free >= floor + HEADROOM_BYTES
+
+    def take_removed(self) -> list[Path]:
+        """What was removed since the last call."""
+        removed, self._removed = self._removed, []
+        return removed
+
+    def _make_room(self) -> tuple[int | None, int]:
+        free, floor = measure(self._folder, self._config)
+        while self._root is not None and free is not None and free < floor + HEADROOM_BYTES:
+            gone = remove_oldest(self._root, self._folder)
+            if gone is None:
+                break
+            self._removed.append(gone)
+            free, floor = measure(self._folder, self._config)
+        return free, floor
+
+
+def measure(folder: Path, config: RecordingConfig) -> tuple[int | None, int]:
+    """(free bytes, None where the disk does not say; bytes that have to stay free)."""
+    try:
+        disk = os.statvfs(folder)
+    except OSError:
+        return None, RESERVE_BYTES
+    percent = disk.f_blocks * disk.f_frsize * config.keep_free_percent / 100
+    floor = max(int(config.keep_free_gib * (1 << 30)), int(percent), RESERVE_BYTES)
+    return disk.f_bavail * disk.f_frsize, floor
+
+
+def check_floors(config: RecordingConfig) -> None:
+    """Raises ConfigError for floors that no disk can keep."""
+    if config.keep_free_gib < 0 or not 0 <= config.keep_free_percent < 100:
+        raise ConfigError(
+            f"recording.keep_free_gib = {config.keep_free_gib:g}, keep_free_percent = "
+            f"{config.keep_free_percent:g}: must not be negative, percent below 100"
+        )
+
+
+def check_room(folder: Path, config: RecordingConfig, root: Path | None = None) -> None:
+    """Before a recording into `folder`, which need not exist; raises RecordingError."""
+    check_floors(config)
+    above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
+    room = Room(above, config, root)
+    if room.look(0.0, 0):
+        return
+    free, floor = room.space.free_bytes or 0, room.space.floor_bytes
+    kept = ", or release a kept drive (calm-edge keep --release)" if root is not None else ""
+    raise RecordingError(
+        f"{above}: {free / (1 << 30):.2f} GiB free, and {floor / (1 << 30):.2f} GiB have to stay "
+        f"free (recording.keep_free_gib, keep_free_percent); free space{kept}"
+    )
