@@ -140,8 +140,8 @@ def unpack_commit(stage: Path, target: Target) -> None:
     (stage / target.site / "calm-edge.pth").write_text("../../../app\n")
     deploy = kept / "deploy"
     for source, place in {
-        "calm-edge.service": "lib/systemd/system/calm-edge.service",
-        "99-calm-edge.rules": "lib/udev/rules.d/99-calm-edge.rules",
+        "calm-edge.service": "usr/lib/systemd/system/calm-edge.service",
+        "99-calm-edge.rules": "usr/lib/udev/rules.d/99-calm-edge.rules",
         "calm-edge.modules-load.conf": "usr/lib/modules-load.d/calm-edge.conf",
         "calm-edge.toml": "etc/calm-edge/calm-edge.toml",
         "debian/copyright": "usr/share/doc/calm-edge/copyright",
