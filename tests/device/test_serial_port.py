@@ -156,3 +156,67 @@ def test_what_was_written_before_stop_can_still_be_read(line: Line, port: Serial
     until(lambda: port.stats().written == 1)
     port.stop()
     assert line.read() == b"last words"
+
+
+def test_what_comes_in_is_handed_over_at_once_and_may_be_answered(line: Line) -> None:
+    port = SerialPort(str(line.name), 115_200, retry_s=0.02)
+    heard: list[bytes] = []
+
+    def answer(data: bytes) -> None:
+        heard.append(data)
+        port.write(b"<" + data + b">")
+
+    port.start(answer)
+    try:
+        until(lambda: port.connected)
+        # nothing is to be sent: only what comes in can wake it
+        os.write(line.master, b"\x00\x03\x11\x13\xff\r\n")
+        received = b""
+
+        def answered() -> bool:
+            nonlocal received
+            received += line.read()
+            return received == b"<\x00\x03\x11\x13\xff\r\n>"
+
+        until(answered)
+    finally:
+        port.stop()
+    assert b"".join(heard) == b"\x00\x03\x11\x13\xff\r\n"
+    assert port.stats().read == 7
+
+
+def test_a_chatterer_that_never_reads_costs_no_time_and_no_memory(line: Line) -> None:
+    port = SerialPort(str(line.name), 115_200, buffer_bytes=1000, retry_s=0.02)
+    port.start(lambda data: port.write(data[:200]))
+    try:
+        until(lambda: port.connected)
+        sent = 0
+        while port.stats().dropped < 20:
+            with contextlib.suppress(BlockingIOError):
+                sent += os.write(line.master, b"blah" * 100)
+            assert port._queued_bytes <= 1000
+        until(lambda: port.stats().read == sent)
+    finally:
+        port.stop()
+
+
+def test_a_port_that_vanishes_is_noticed_without_a_word_to_send(line: Line) -> None:
+    port = SerialPort(str(line.name), 115_200, retry_s=0.02)
+    port.start()
+    try:
+        until(lambda: port.connected)
+        line.unplug()
+        until(lambda: not port.connected)
+        line.plug()
+        until(lambda: port.connected)
+        assert port.stats().reconnects == 1
+    finally:
+        port.stop()
+
+
+def test_last_words_leave_before_the_end(line: Line, port: SerialPort) -> None:
+    until(lambda: port.connected)
+    for k in range(9):
+        port.write(b"%d" % k * 100)
+    port.stop()
+    assert line.read() == b"".join(b"%d" % k * 100 for k in range(9))
