@@ -1,4 +1,4 @@
-"""Builds calm-edge_VERSION_ARCH.deb and calm-edge-oak_VERSION_ARCH.deb out of the last commit.
+"""Builds calm-edge_VERSION_ARCH.deb and calm-edge-oak_VERSION_ARCH.deb out of one commit.
 
 The packages hold a virtual environment with every wheel they need under /opt/calm-edge: nothing is
 downloaded when they are installed. They fit the release and the machine that they are built on,
@@ -87,7 +87,7 @@ def target_of(python: Path) -> Target:
     return Target(real, (int(major), int(minor)), architecture, libc)
 
 
-def requirements() -> tuple[list[str], list[str]]:
+def requirements(commit: str) -> tuple[list[str], list[str]]:
     """Pinned lines for the main package and for the OAK one."""
     text = "\n".join(
         (ROOT / n).read_text() for n in ("requirements.txt", "requirements-systemd.txt")
@@ -124,10 +124,10 @@ def install_wheels(target: Target, site: Path, lines: list[str]) -> None:
             (info / name).unlink(missing_ok=True)
 
 
-def unpack_commit(stage: Path, target: Target) -> None:
+def unpack_commit(stage: Path, target: Target, commit: str) -> None:
     """Our own files, as committed, to where each belongs."""
     kept = stage.parent / "commit"
-    with tarfile.open(fileobj=io.BytesIO(archive())) as tar:
+    with tarfile.open(fileobj=io.BytesIO(archive(commit))) as tar:
         tar.extractall(kept, filter="data")
     app = stage / PREFIX / "app"
     for name in ("calm_edge", "device"):
@@ -154,10 +154,10 @@ def unpack_commit(stage: Path, target: Target) -> None:
         shutil.copy(deploy / "debian" / script, control_folder(stage) / script)
 
 
-def archive() -> bytes:
-    """The last commit as a tar file."""
+def archive(commit: str) -> bytes:
+    """What is packed of a commit, as a tar file."""
     parts = ["calm_edge", "device", "models", "deploy", "docs/deploy.md", "README.md"]
-    command = ["git", "archive", "HEAD", *parts]
+    command = ["git", "archive", commit, *parts]
     done = subprocess.run(command, check=False, capture_output=True, cwd=ROOT)
     if done.returncode:
         sys.exit(f"deb: git archive: {done.stderr.decode().strip()}")
@@ -195,24 +195,24 @@ def compile_modules(stage: Path, target: Target) -> None:
     )
 
 
-def build(out: Path, version: str, python: Path, with_oak: bool) -> list[Path]:
+def build(out: Path, version: str, python: Path, with_oak: bool, commit: str) -> list[Path]:
     """Both packages, or the main one alone."""
     target = target_of(python)
     epoch = (
-        os.environ.get("SOURCE_DATE_EPOCH") or output("git", "log", "-1", "--format=%ct").strip()
+        os.environ.get("SOURCE_DATE_EPOCH")
+        or output("git", "log", "-1", "--format=%ct", commit).strip()
     )
-    commit = output("git", "rev-parse", "--short", "HEAD").strip()
-    say(f"calm-edge {version} for {target.name} on {target.architecture}, of commit {commit}")
+    say(f"calm-edge {version} for {target.name} on {target.architecture}, of commit {commit[:10]}")
     work = out / "stage"
     shutil.rmtree(work, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     main, oak = work / "main", work / "oak"
     (main / target.site).mkdir(parents=True)
     control_folder(main)
-    lines, oak_lines = requirements()
+    lines, oak_lines = requirements(commit)
     install_wheels(target, main / target.site, lines)
     make_environment(main, target)
-    unpack_commit(main, target)
+    unpack_commit(main, target, commit)
     compile_modules(main, target)
     following = f"{target.version[0]}.{target.version[1] + 1}"
     python_version = ".".join(map(str, target.version))
@@ -248,11 +248,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "deb")
     parser.add_argument("--version", default="", help="default: that of calm_edge/__init__.py")
     parser.add_argument("--python", type=Path, default=Path("/usr/bin/python3"))
+    parser.add_argument("--commit", default="HEAD")
     parser.add_argument("--no-oak", action="store_true", help="the main package alone")
     arguments = parser.parse_args()
-    text = output("git", "show", "HEAD:calm_edge/__init__.py")
+    commit = output("git", "rev-parse", arguments.commit).strip()
+    text = output("git", "show", f"{commit}:calm_edge/__init__.py")
     version = arguments.version or text.split('__version__ = "')[1].split('"')[0]
-    for deb in build(arguments.out.resolve(), version, arguments.python, not arguments.no_oak):
+    out, python = arguments.out.resolve(), arguments.python
+    for deb in build(out, version, python, not arguments.no_oak, commit):
         print(deb)
 
 

@@ -67,10 +67,11 @@ def make_tree() -> str:
 def build_twice() -> str:
     """Both packages, and the same bytes from a second build."""
     debs = []
+    commit = run("git", "rev-parse", "HEAD").strip()
+    builder = [sys.executable, ROOT / "deploy" / "build_deb.py", "--commit", commit]
     for name in ("first", "second"):
         shutil.rmtree(WORK / name, ignore_errors=True)
-        command = [sys.executable, ROOT / "deploy" / "build_deb.py", "--out", WORK / name]
-        run(*command)
+        run(*builder, "--out", WORK / name)
         debs.append({p.name: p for p in sorted((WORK / name).glob("*.deb"))})
     expect(len(debs[0]) == 2 and debs[0].keys() == debs[1].keys(), f"built {list(debs[0])}")
     for name, path in debs[0].items():
