@@ -58,6 +58,12 @@ class CameraThread:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
+    @property
+    def waiting(self) -> int:
+        """Frames collected and not yet drained."""
+        with self._lock:
+            return len(self._queue)
+
     def drain(self) -> list[Frame]:
         """Every frame since the last drain, in order."""
         with self._lock:

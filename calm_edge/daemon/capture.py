@@ -5,10 +5,12 @@ It never imports gtsam and never runs a solver: tracker and estimator are proces
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 
 from calm_edge.daemon import finale
+from calm_edge.daemon.monitor import Monitor, SerialLine
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.switchboard import Switchboard
 from device import realtime
@@ -20,18 +22,19 @@ from device.service import Notifier
 
 # a pose waits half a tick on its way in and half a tick on its way out
 TICK_HZ = 100.0
-STATUS_PERIOD_S = 1.0
 
 
 class Capture:
     """Owner of one run of `record`."""
 
-    def __init__(self, desk: Switchboard, notifier: Notifier) -> None:
+    def __init__(
+        self, desk: Switchboard, notifier: Notifier, serial: SerialLine | None = None
+    ) -> None:
         self._desk, self._notifier = desk, notifier
         self._source, self._lockstep = desk.source, desk.lockstep
         self._cameras: tuple[Camera, ...] = ()
         self._stop_requests = 0
-        self._last_status_s = 0.0
+        self._monitor = Monitor(desk, notifier, serial)
 
     def request_stop(self) -> None:
         """From a signal handler: finish soon; a second time: at once."""
@@ -47,7 +50,7 @@ class Capture:
                 self._run_lockstep()
             else:
                 self._run_realtime()
-            self._notifier.stopping()
+            self._monitor.stop()
             self._finish()
         finally:
             self._desk.stop()
@@ -61,8 +64,7 @@ class Capture:
         self._notifier.ready()
         for frame in merged(self._cameras):
             self._desk.frame(frame)
-            self._desk.until(self._desk.quiet, None)
-            self._tick_status()
+            self._desk.until(self._desk.quiet, math.inf)
             if self._stop_requests:
                 break
         for camera in self._cameras:
@@ -73,6 +75,7 @@ class Capture:
         threads = [CameraThread(camera, realtime_priority=priority) for camera in self._cameras]
         for thread in threads:
             thread.start()
+        self._monitor.watch(threads)
         # the watchdog runs from here on, and opening a camera may take longer than it waits
         self._notifier.ready()
         refused = realtime.request(priority)
@@ -83,10 +86,11 @@ class Capture:
         while not self._stop_requests:
             # asked before draining: what a finished thread left behind is drained below
             running = [t.state is CameraState.RUNNING for t in threads]
-            frames = sorted((f for t in threads for f in t.drain()), key=lambda f: (f.t_ns, f.eye))
-            for frame in frames:
-                self._desk.frame(frame)
-            if self._desk.pump() + len(frames):
+            with self._monitor.timed("frames"):
+                frames = self._drain(threads)
+            with self._monitor.timed("poses"):
+                poses = self._desk.pump()
+            if poses + frames:
                 self._notifier.watchdog()
             for thread in threads:
                 if thread.error is not None and thread.error not in said:
@@ -95,30 +99,44 @@ class Capture:
                         self._desk.result.error = thread.error
                     else:
                         self._desk.say(thread.error)
-            self._tick_status()
+            self._monitor.look(keeper.lagging, keeper.skipped)
             if not any(running) or self._desk.result.error:
                 break
-            keeper.wait()
+            self._monitor.lateness.note(keeper.wait())
         for thread in threads:
             thread.stop()
+        self._drain(threads)
         self._desk.result.overflowed = sum(t.overflow for t in threads)
         self._desk.result.late_ticks = keeper.skipped
+        self._desk.result.tick = self._monitor.lateness.overall()
+
+    def _drain(self, threads: list[CameraThread]) -> int:
+        """Every frame that came since the last time, in order; how many."""
+        frames = sorted((f for t in threads for f in t.drain()), key=lambda f: (f.t_ns, f.eye))
+        for frame in frames:
+            self._desk.frame(frame)
+        return len(frames)
 
     def _finish(self) -> None:
         """The last windows, the backlog, the joint optimum."""
-        limit_s = finale.REPLAY_LIMIT_S if self._source.is_replay else finale.LIVE_LIMIT_S
-        if self._stop_requests:
+        if self._lockstep:
+            limit_s = math.inf
+        elif self._source.is_replay and not self._stop_requests:
+            limit_s = finale.REPLAY_LIMIT_S
+        else:
             limit_s = finale.LIVE_LIMIT_S
+        # one limit for all of it: whoever stopped us waits only so long before it kills
+        end_s = time.monotonic() + limit_s
         tracker = self._desk.tracker
-        self._desk.until(lambda: not tracker.in_flight, limit_s)
+        self._desk.until(lambda: not tracker.in_flight, end_s)
         tracker.flush()
-        self._desk.until(lambda: tracker.flushed, limit_s)
-        self._desk.until(self._desk.quiet, None if self._lockstep else limit_s, "finishing")
+        self._desk.until(lambda: tracker.flushed, end_s)
+        self._desk.until(self._desk.quiet, end_s, "finishing")
         if self._desk.estimator.given_up or self._desk.estimator.waiting:
             return
         self._desk.estimator.finish()
         link = self._desk.estimator
-        self._desk.until(lambda: link.finished is not None or link.given_up, limit_s, "optimising")
+        self._desk.until(lambda: link.finished is not None or link.given_up, end_s, "optimising")
         if link.finished is not None:
             self._desk.result.trajectory = link.finished.trajectory
             for update in finale.final_updates(link.finished, self._desk.kit):
@@ -141,23 +159,6 @@ class Capture:
         result.unrecorded = health.dropped_images + health.dropped_others + health.unwritable
         if health.error:
             result.error = result.error or health.error
-
-    def _tick_status(self) -> None:
-        now = time.monotonic()
-        if now - self._last_status_s < STATUS_PERIOD_S:
-            return
-        self._last_status_s = now
-        health, result = self._desk.recording.health, self._desk.result
-        state = "LAGGING" if self._desk.lagging else "ok"
-        line = (
-            f"{state}: {result.frames[0]}+{result.frames[1]} frames, {result.submaps} of "
-            f"{result.windows} sub-maps, pose {'LOST' if result.pose_lost else 'LIVE'}"
-        )
-        self._notifier.status(line if health.ok else f"{line}; {health.error}")
-        if not self._lockstep:
-            self._desk.recording.write_status(
-                {**result.summary(), "waiting": self._desk.estimator.waiting}
-            )
 
 
 def merged(cameras: tuple[Camera, ...]) -> Iterator[Frame]:

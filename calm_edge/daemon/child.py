@@ -77,13 +77,17 @@ class Child:
         """Queues a message; a dead child's messages vanish, its death is seen by `alive`."""
         self._outbox.put(message)
 
+    def kill(self) -> None:
+        """Ends it at once; it is then no longer `alive`."""
+        self._process.kill()
+        self._process.join()
+
     def stop(self, message: Any, timeout_s: float) -> None:
         """Asks it to end, waits, then ends it."""
         self.send(message)
         self._process.join(timeout_s)
         if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+            self.kill()
         self._outbox.put(None)
 
     def _send_all(self) -> None:

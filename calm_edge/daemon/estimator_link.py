@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,7 @@ from calm_edge.daemon.estimator_process_entry import run_estimator
 from calm_edge.daemon.messages import (
     Finish,
     Finished,
+    MakeDepth,
     Process,
     Processed,
     Ready,
@@ -25,6 +27,8 @@ from calm_edge.types import SubmapWindow
 INBOX_WINDOWS = 32
 LAGGING_WINDOWS = 2
 MAX_DEATHS_IN_A_ROW = 3
+# the slowest models take a minute or two; a window that takes this long will never end
+HUNG_S = 300.0
 
 
 class EstimatorLink:
@@ -47,6 +51,8 @@ class EstimatorLink:
         self._ready = False
         self._deaths_in_a_row = 0
         self._finishing = False
+        self._make_depth = True
+        self._handed_s = 0.0
         self._died_finishing = False
         self.refusal = ""
         self.lost: list[int] = []
@@ -84,14 +90,28 @@ class EstimatorLink:
         self.pump()
         return True
 
+    def leave(self, window: SubmapWindow) -> None:
+        """A window that only `map` will see, for the machine has no time for it now."""
+        self.left_to_map.append(window.submap_id)
+
+    def make_depth(self, on: bool) -> None:
+        """Depth where the configuration asks for it, or left to `map`."""
+        if on != self._make_depth:
+            self._make_depth = on
+            self.child.send(MakeDepth(on))
+
     def pump(self) -> None:
-        """Restarts a dead process, hands the next window to an idle one."""
+        """Restarts a dead process, ends a hung one, hands the next window to an idle one."""
         if self.given_up:
             return
+        hung = self._in_hand is not None and time.monotonic() - self._handed_s > HUNG_S
+        if hung and not self._lockstep:
+            self._say(f"estimator has not answered for {HUNG_S:.0f} s; ended")
+            self.child.kill()
         if not self.child.alive:
             self._bury()
         elif self._ready and self._in_hand is None and self._inbox:
-            self._in_hand = self._inbox.popleft()
+            self._in_hand, self._handed_s = self._inbox.popleft(), time.monotonic()
             self.child.send(Process(self._in_hand))
 
     def accept(self, message: Any) -> None:
@@ -142,3 +162,5 @@ class EstimatorLink:
         self._say(f"{what}; restarted, recording goes on")
         self.restarts += 1
         self.child = self._spawn()
+        if not self._make_depth:
+            self.child.send(MakeDepth(False))

@@ -17,7 +17,16 @@ from calm_edge.backbones.base import open_backbone
 from calm_edge.batch import window_hints
 from calm_edge.config import Config
 from calm_edge.daemon.child import serve
-from calm_edge.daemon.messages import Finish, Finished, Process, Processed, Ready, Refused, Stop
+from calm_edge.daemon.messages import (
+    Finish,
+    Finished,
+    MakeDepth,
+    Process,
+    Processed,
+    Ready,
+    Refused,
+    Stop,
+)
 from calm_edge.localizer import Localizer
 from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
 from calm_edge.recording.window_record import of_window
@@ -29,6 +38,7 @@ class EstimatorWork:
 
     def __init__(self, config: Config, optimiser: Optimiser) -> None:
         self._config = config
+        self._make_depth = config.recording.log_depth
         self._backbone = open_backbone(config)
         self._localizer = Localizer(config, self._backbone, optimiser=optimiser)
 
@@ -39,6 +49,8 @@ class EstimatorWork:
         if isinstance(message, Finish):
             trajectory = self._localizer.finish()
             return Finished(self._localizer.submaps, trajectory)
+        if isinstance(message, MakeDepth):
+            self._make_depth = message.on and self._config.recording.log_depth
         return None
 
     def _process(self, window: SubmapWindow) -> Processed:
@@ -56,7 +68,7 @@ class EstimatorWork:
         # the batch as it was believed: a window may have gained a loop keyframe or lost it
         window = dataclasses.replace(window, loop_keyframe=joined)
         update = dataclasses.replace(update, loop_keyframe=None)
-        if self._config.recording.log_depth:
+        if self._make_depth:
             update = self._densified(window, update)
         elif update.prediction.landmarks is not None:
             # depth that nobody will write need not cross the pipe

@@ -96,6 +96,20 @@ class Lagging:
 
 
 @dataclass(frozen=True, slots=True)
+class Sparse:
+    """Half as many keyframes from now on, or all again."""
+
+    sparse: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MakeDepth:
+    """Depth is made where the configuration asks for it, or left to `map`."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Flush:
     """No more frames: give the windows that remain."""
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from calm_edge.daemon.lateness import Lateness
 from calm_edge.types import Trajectory
 
 # ages kept for the percentiles: an hour at ten poses a second
@@ -30,6 +31,7 @@ class RecordResult:
     unreadable: int = 0
     overflowed: int = 0
     late_ticks: int = 0
+    tick: Lateness = field(default_factory=Lateness)
     camera_drops: int = 0
     clamped_stamps: int = 0
     unrecorded: int = 0
@@ -41,6 +43,8 @@ class RecordResult:
     poses: int = 0
     lost_poses: int = 0
     pose_lost: bool = True
+    # the oldest pose since it was last asked for
+    worst_age_ms: float | None = None
     trajectory: Trajectory | None = None
     error: str = ""
     _ages_ms: deque[float] = field(default_factory=lambda: deque(maxlen=AGES))
@@ -54,6 +58,7 @@ class RecordResult:
             self.poses += 1
             if age_ms is not None:
                 self._ages_ms.append(age_ms)
+                self.worst_age_ms = max(age_ms, self.worst_age_ms or 0.0)
 
     def pose_age_ms(self) -> dict[str, float] | None:
         """{p50, p99} ms from exposure to publishing; None without a pose."""
@@ -74,7 +79,9 @@ class RecordResult:
                 f"windows {self.lost_windows} were lost with the estimator; map computes them again"
             )
         if self.windows_left_to_map:
-            lines.append(f"windows {self.windows_left_to_map} came too fast and are left to map")
+            lines.append(
+                f"{len(self.windows_left_to_map)} windows came too fast and are left to map"
+            )
         if self.unrecorded:
             lines.append(f"{self.unrecorded} items could not be recorded")
         if self.untracked:
@@ -86,7 +93,7 @@ class RecordResult:
         return lines
 
     def summary(self) -> dict[str, Any]:
-        """Plain values for /status."""
+        """Plain values for /status, once, at the end."""
         return {
             "frames": list(self.frames),
             "keyframes": self.keyframes,
@@ -99,6 +106,7 @@ class RecordResult:
             "camera_drops": self.camera_drops,
             "clamped_stamps": self.clamped_stamps,
             "late_ticks": self.late_ticks,
+            "tick_p99_ms": self.tick.p99_ms,
             "estimator_restarts": self.estimator_restarts,
             "tracker_restarts": self.tracker_restarts,
             "lost_windows": list(self.lost_windows),

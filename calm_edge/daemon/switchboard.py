@@ -15,6 +15,7 @@ import numpy as np
 from calm_edge.config import Config
 from calm_edge.daemon.child import Child
 from calm_edge.daemon.estimator_link import EstimatorLink
+from calm_edge.daemon.ladder import Shed
 from calm_edge.daemon.messages import Attached, Posed, Tracked
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.source import Source
@@ -56,6 +57,11 @@ class Switchboard:
         self.kit: KitBelief | None = None
         self.impatient = False
         self.lagging = False
+        self.shed = Shed.NOTHING
+        self.stage_ms: dict[str, float] = {}
+        now_ns = source.clock.now_ns()
+        # when each eye last gave a frame, and the tracker a live pose
+        self.frame_ns, self.live_ns = [now_ns, now_ns], now_ns
         self.say_to_user = say
         self._open_writer, self._publisher = open_writer, publisher
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
@@ -70,7 +76,7 @@ class Switchboard:
                 or self.estimator.given_up
                 or self.tracker.given_up
             ),
-            START_LIMIT_S,
+            time.monotonic() + START_LIMIT_S,
         )
         if not (self.tracker.ready and self.estimator.ready):
             raise DaemonError("the tracker or the estimator did not start; see the lines above")
@@ -96,14 +102,19 @@ class Switchboard:
         assert isinstance(frame.image, bytes)
         self.recording.write_frame(frame)
         self.result.frames[frame.eye] += 1
+        self.frame_ns[frame.eye] = self.source.clock.now_ns()
         if not self.tracker.offer(frame):
             self.result.untracked += 1
+
+    def leave_out(self, shed: Shed) -> None:
+        """From now on works no more than this step allows; frames are always recorded."""
+        self.shed = shed
+        self.estimator.make_depth(shed < Shed.DEPTH)
+        self.tracker.thin_out(shed >= Shed.HALF_THE_WINDOWS)
 
     def pump(self, wait_s: float = 0.0) -> int:
         """Handles what the children said; how many poses came."""
         poses = 0
-        self.estimator.pump()
-        self.tracker.pump()
         while True:
             try:
                 child, message = self._events.get(timeout=wait_s) if wait_s else self._next()
@@ -114,6 +125,9 @@ class Switchboard:
                 self._from_estimator(message)
             elif child is self.tracker.child:
                 poses += self._from_tracker(message)
+        # after what they said was heard, or a capture that slept would take them for hung
+        self.estimator.pump()
+        self.tracker.pump()
         if self.estimator.lagging != self.lagging:
             self.lagging = self.estimator.lagging
             self.tracker.lag(self.lagging and not self.lockstep)
@@ -152,6 +166,8 @@ class Switchboard:
             self._publisher.publish(sample, now_ns)
         age_ms = None if self.lockstep else (now_ns - sample.t_ns) / 1e6
         self.result.note_pose(sample.status is PoseStatus.LOST, age_ms)
+        if sample.status is not PoseStatus.LOST:
+            self.live_ns = now_ns
 
     def _from_estimator(self, message: Any) -> None:
         self.estimator.accept(message)
@@ -162,7 +178,7 @@ class Switchboard:
             self.say(f"window {message.submap_id}: {problem}")
         update = getattr(message, "update", None)
         if update is not None:
-            self.kit = update.kit
+            self.kit, self.stage_ms = update.kit, update.stage_ms
             for notice in update.notices:
                 self.say(notice)
             if message.window is not None:
@@ -177,7 +193,9 @@ class Switchboard:
         self.recording.write_window(of_window(window))
         if is_thin(window):
             self.say(f"window {window.submap_id}: only {len(window.assistant)} assistant frames")
-        if not self.estimator.offer(window):
+        if self.shed >= Shed.ALL_WINDOWS:
+            self.estimator.leave(window)
+        elif not self.estimator.offer(window):
             self.say(f"window {window.submap_id}: estimator too far behind; left to map")
 
     def _unreadable(self, problem: str) -> None:
@@ -190,13 +208,15 @@ class Switchboard:
         """Nothing is under way anywhere."""
         return not (self.tracker.in_flight or self.tracker.attaching or self.estimator.waiting)
 
-    def until(self, done: Callable[[], bool], limit_s: float | None, progress: str = "") -> bool:
-        """Handles messages until done; False when the limit, or an impatient user, ended it."""
-        started = said = time.monotonic()
+    def until(self, done: Callable[[], bool], end_s: float, progress: str = "") -> bool:
+        """Handles messages until done; False when end_s (of time.monotonic), or an impatient user,
+        ended it.
+        """
+        said = time.monotonic()
         while not done():
             self.pump(0.05)
             now = time.monotonic()
-            if (limit_s is not None and now - started > limit_s) or self.impatient:
+            if now > end_s or self.impatient:
                 return False
             if progress and now - said > 5.0:
                 said = now

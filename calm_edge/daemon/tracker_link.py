@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +20,7 @@ from calm_edge.daemon.messages import (
     Posed,
     Ready,
     Refused,
+    Sparse,
     Stop,
     Tracked,
 )
@@ -30,6 +32,8 @@ from device.frame import Frame
 RING_SLOTS = 24
 SLOT_BYTES = 4 << 20
 MAX_DEATHS_IN_A_ROW = 3
+# a frame takes tens of milliseconds; one that takes this long will never end
+HUNG_S = 20.0
 
 
 class TrackerLink:
@@ -45,7 +49,8 @@ class TrackerLink:
         self._config, self._events, self._say = config, events, say
         self._counters = Counters()
         self._deaths_in_a_row = 0
-        self._flushing = self._lagging = False
+        self._flushing = self._lagging = self._sparse = False
+        self._heard_s = time.monotonic()
         self.ready = self.flushed = False
         self.refusal = ""
         self.restarts = 0
@@ -64,6 +69,8 @@ class TrackerLink:
         slot = self._ring.put(frame.image) if self.child.alive else None
         if slot is None:
             return False
+        if not self.in_flight:
+            self._heard_s = time.monotonic()
         self.in_flight += 1
         size = len(frame.image)
         self.child.send(FrameIn(frame.eye, frame.sequence, frame.t_ns, slot, size))
@@ -80,6 +87,12 @@ class TrackerLink:
         self._lagging = lagging
         self.child.send(Lagging(lagging))
 
+    def thin_out(self, sparse: bool) -> None:
+        """Half as many keyframes from now on, or all again."""
+        if sparse != self._sparse:
+            self._sparse = sparse
+            self.child.send(Sparse(sparse))
+
     def flush(self) -> None:
         """No more frames; `flushed` once the last windows are here."""
         self._flushing = True
@@ -87,12 +100,17 @@ class TrackerLink:
         self.flushed |= self.given_up
 
     def pump(self) -> None:
-        """Restarts a dead process."""
+        """Restarts a dead process, ends a hung one."""
+        if self.in_flight and time.monotonic() - self._heard_s > HUNG_S:
+            self._say(f"tracker has said nothing for {HUNG_S:.0f} s; ended")
+            self._heard_s = time.monotonic()
+            self.child.kill()
         if not self.given_up and not self.child.alive:
             self._bury()
 
     def accept(self, message: Any) -> tuple[SubmapWindow, ...]:
         """A message of the present process; the windows in it."""
+        self._heard_s = time.monotonic()
         match message:
             case Ready():
                 self.ready = True
@@ -144,3 +162,5 @@ class TrackerLink:
         self._counters = self._counters.after_death()
         self._ring, self.child = self._spawn()
         self.lag(self._lagging)
+        if self._sparse:
+            self.child.send(Sparse(True))

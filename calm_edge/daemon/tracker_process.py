@@ -22,6 +22,7 @@ from calm_edge.daemon.messages import (
     Posed,
     Ready,
     Refused,
+    Sparse,
     Stop,
     Tracked,
 )
@@ -64,6 +65,8 @@ class TrackerWork:
                 return Attached(message.update.submap.id, taken, self._tracker.T_map_odom)
             case Lagging():
                 self._tracker.lagging = message.lagging
+            case Sparse():
+                self._selector.sparse = message.sparse
             case Flush():
                 return Flushed(self._builder.flush())
         return None

@@ -16,6 +16,8 @@ from device.frame import Frame
 MOVING_HALF = (0.5, 0.9)
 MOVING_QUANTILE = 0.75
 MOVING_SHARE = 0.2
+# When the machine cannot follow, keyframes lie this many times as far apart.
+SPARSE_STRETCH = 2.0
 # Below this share of surviving tracks the scene has changed: a turn, or near ground rushing by.
 SURVIVING_SHARE = 0.5
 MIN_TRACKS = 20
@@ -35,11 +37,13 @@ class KeyframeSelector:
 
     Tracks run frame to frame, so a motion larger than Lucas-Kanade's reach still accumulates. While
     nothing moves the reference image stays the same one, so that noise cannot add up to motion.
+    sparse: keyframes come SPARSE_STRETCH times as far apart.
     """
 
     def __init__(self, config: FrontendConfig, first_id: int = 0) -> None:
         self.config = config
         self.count = first_id
+        self.sparse = False
         self._reference: Bytes | None = None
         self._keyframe_t_ns = 0
         self._n_detected = 0
@@ -55,14 +59,18 @@ class KeyframeSelector:
             self._detect(gray)
             return None
         moved, good = follow(self._reference, gray, self._uv)
-        threshold = self.config.flow_px * gray.shape[1] / self.config.flow_reference_width_px
+        stretch = SPARSE_STRETCH if self.sparse else 1.0
+        flow_px, max_gap_s = (
+            stretch * v for v in (self.config.flow_px, self.config.max_keyframe_gap_s)
+        )
+        threshold = flow_px * gray.shape[1] / self.config.flow_reference_width_px
         disparity = np.linalg.norm(moved - self._at_keyframe, axis=1)[good]
         alive = int(good.sum())
         if alive < max(MIN_TRACKS, SURVIVING_SHARE * self._n_detected):
             return self._accept(frame, gray)
         mean = robust_mean(disparity)
         moving = float(np.quantile(disparity, MOVING_QUANTILE)) > MOVING_SHARE * threshold
-        overdue = frame.t_ns - self._keyframe_t_ns > self.config.max_keyframe_gap_s * 1e9
+        overdue = frame.t_ns - self._keyframe_t_ns > max_gap_s * 1e9
         if moving and (mean > threshold or overdue):
             return self._accept(frame, gray)
         step = np.linalg.norm(moved - self._uv, axis=1)[good]
