@@ -192,12 +192,17 @@ class MappingConfig:
 
 @dataclass(frozen=True, slots=True)
 class PoseOutputConfig:
-    """port: a serial device, empty for none. mounting_rpy_deg: body(FRD)<-camera."""
+    """port: a serial device, empty for none. rate_hz: at most; no pose is sent twice.
+
+    mounting_rpy_deg, mounting_xyz_m: body(FRD)<-primary camera. system_id: the autopilot's own.
+    """
 
     port: str = ""
     baud: int = 115_200
-    rate_hz: float = 20.0
+    rate_hz: float = 30.0
+    system_id: int = 1
     mounting_rpy_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
+    mounting_xyz_m: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,9 +18,12 @@ ESTIMATOR_VISION = 2
 TYPE_ONBOARD_CONTROLLER = 18
 AUTOPILOT_INVALID = 8
 COMPONENT_VISUAL_ODOMETRY = 197
+# around a payload: the header of 10 and the checksum of 2
+FRAME_BYTES = 12
+STATUS_TEXT_BYTES, MAX_STATUS_TEXTS = 50, 4
 
 NAN = math.nan
-UNKNOWN_COVARIANCE = (NAN,) + (0.0,) * 20
+UNKNOWN_COVARIANCE: tuple[float, ...] = (NAN,) + (0.0,) * 20
 
 
 class Severity(IntEnum):
@@ -32,11 +35,12 @@ class Severity(IntEnum):
 
 
 class SystemState(IntEnum):
-    """MAV_STATE, as far as we have it. BOOT: no pose yet. CRITICAL: lost."""
+    """MAV_STATE, as far as we have it. BOOT: no pose yet. CRITICAL: lost. POWEROFF: stopping."""
 
     BOOT = 1
     ACTIVE = 4
     CRITICAL = 5
+    POWEROFF = 7
 
 
 class Message(Protocol):
@@ -44,6 +48,7 @@ class Message(Protocol):
 
     ID: ClassVar[int]
     CRC_EXTRA: ClassVar[int]
+    FORMAT: ClassVar[str]
 
     def payload(self) -> bytes:
         """The whole payload, zeros at its end included."""
@@ -58,40 +63,75 @@ class Heartbeat:
 
     ID: ClassVar[int] = 0
     CRC_EXTRA: ClassVar[int] = 50
+    FORMAT: ClassVar[str] = "<IBBBBB"
 
     def payload(self) -> bytes:
         fields = (0, TYPE_ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, self.system_state, 3)
-        return struct.pack("<IBBBBB", *fields)
+        return struct.pack(self.FORMAT, *fields)
 
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """STATUSTEXT: text is cut at 50 bytes of UTF-8."""
+    """STATUSTEXT, or a chunk of one: text is at most 50 bytes of UTF-8.
+
+    text_id: shared by the chunks of one text, 0 for a text of one piece. chunk: counts from 0.
+    """
 
     severity: Severity
-    text: str
+    text: bytes
+    text_id: int = 0
+    chunk: int = 0
 
     ID: ClassVar[int] = 253
     CRC_EXTRA: ClassVar[int] = 83
+    FORMAT: ClassVar[str] = "<B50sHB"
 
     def payload(self) -> bytes:
-        # cut between characters, never within one
-        text = self.text.encode()[:50].decode(errors="ignore").encode()
-        return struct.pack("<B50sHB", self.severity, text, 0, 0)
+        return struct.pack(self.FORMAT, self.severity, self.text, self.text_id, self.chunk)
+
+
+def status_texts(severity: Severity, text: str, text_id: int) -> tuple[StatusText, ...]:
+    """A text as one message, or as up to MAX_STATUS_TEXTS chunks that bear text_id, 1 to 65535.
+
+    A zero byte ends a text, so that all chunks but the last are full; what has no end by itself
+    gets an empty one. In chunks a character of several bytes could be torn: it becomes "?".
+    """
+    text = text.replace("\0", " ")
+    whole = text.encode(errors="replace")
+    if len(whole) > STATUS_TEXT_BYTES:
+        whole = text.encode("ascii", "replace")
+    if len(whole) <= STATUS_TEXT_BYTES:
+        return (StatusText(severity, whole),)
+    limit = MAX_STATUS_TEXTS * STATUS_TEXT_BYTES - 1
+    if len(whole) > limit:
+        whole = whole[: limit - 3] + b"..."
+    pieces = [whole[k : k + STATUS_TEXT_BYTES] for k in range(0, len(whole) + 1, STATUS_TEXT_BYTES)]
+    return tuple(StatusText(severity, piece, text_id, k) for k, piece in enumerate(pieces))
 
 
 @dataclass(frozen=True, slots=True)
 class Timesync:
-    """TIMESYNC. A reply has its sender's own time in tc1_ns and the request's ts1 in ts1_ns."""
+    """TIMESYNC. A request has a tc1_ns of 0; a reply has its sender's own time there, and the
+    request's ts1_ns. target: system and component meant, (0, 0) for anyone; of a reply, who asked.
+    """
 
     tc1_ns: int
     ts1_ns: int
+    target: tuple[int, int] = (0, 0)
 
     ID: ClassVar[int] = 111
     CRC_EXTRA: ClassVar[int] = 34
+    FORMAT: ClassVar[str] = "<qqBB"
 
     def payload(self) -> bytes:
-        return struct.pack("<qq", self.tc1_ns, self.ts1_ns)
+        return struct.pack(self.FORMAT, self.tc1_ns, self.ts1_ns, *self.target)
+
+    @classmethod
+    def from_payload(cls, payload: bytes) -> Timesync:
+        """From a payload of any length: zeros at its end may be missing."""
+        size = struct.calcsize(cls.FORMAT)
+        tc1_ns, ts1_ns, *target = struct.unpack(cls.FORMAT, payload[:size].ljust(size, b"\0"))
+        return cls(tc1_ns, ts1_ns, (target[0], target[1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,38 +139,46 @@ class Odometry:
     """ODOMETRY, local FRD <- body FRD.
 
     position: m, local. quaternion: (w, x, y, z), local <- body. velocity: m/s, body.
-    pose_covariance: 21 values, the upper triangle by rows of (x, y, z, roll, pitch, yaw),
-    m and rad; its first is NaN if unknown. quality: -1 failed, 0 unknown, 1 worst, 100 best.
+    turn_rate: rad/s, body. pose_covariance: 21 values, the upper triangle by rows of (x, y, z,
+    roll, pitch, yaw), m and rad. velocity_covariance: the same of (velocity, turn_rate), m/s and
+    rad/s. The first of either is NaN if unknown. quality: -1 failed, 0 unknown, 1 worst, 100 best.
     """
 
     time_usec: int
     position: tuple[float, ...]
     quaternion: tuple[float, ...]
     velocity: tuple[float, ...]
+    turn_rate: tuple[float, ...]
     pose_covariance: tuple[float, ...]
+    velocity_covariance: tuple[float, ...]
     reset_counter: int
     quality: int
 
     ID: ClassVar[int] = 331
     CRC_EXTRA: ClassVar[int] = 91
+    FORMAT: ClassVar[str] = "<Q3f4f3f3f21f21fBBBBb"
 
     def payload(self) -> bytes:
         return struct.pack(
-            "<Q3f4f3f3f21f21fBBBBb",
+            self.FORMAT,
             self.time_usec,
             *self.position,
             *self.quaternion,
             *self.velocity,
-            # we have no angular velocity and no covariance of the velocity
-            *(NAN, NAN, NAN),
+            *self.turn_rate,
             *self.pose_covariance,
-            *UNKNOWN_COVARIANCE,
+            *self.velocity_covariance,
             FRAME_LOCAL_FRD,
             FRAME_BODY_FRD,
             self.reset_counter % 256,
             ESTIMATOR_VISION,
             self.quality,
         )
+
+
+def wire_bytes(kind: type[Message]) -> int:
+    """Bytes a message of a kind takes on the line at most."""
+    return FRAME_BYTES + struct.calcsize(kind.FORMAT)
 
 
 def _crc_table() -> tuple[int, ...]:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import logging
+import threading
+import time
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 
 from calm_edge.config import ConfigError, PoseOutputConfig
-from calm_edge.pose_output.body_frame import (
-    body_pose,
-    local_covariance,
-    mounting_rotation,
-    quaternion,
-)
+from calm_edge.pose_output import body_frame
+from calm_edge.pose_output.jump import jumped
+from calm_edge.pose_output.line_budget import ANSWERS_HZ, check_rate
 from calm_edge.pose_output.mavlink import (
+    COMPONENT_VISUAL_ODOMETRY,
     NAN,
     UNKNOWN_COVARIANCE,
     Encoder,
@@ -22,25 +23,29 @@ from calm_edge.pose_output.mavlink import (
     Message,
     Odometry,
     Severity,
-    StatusText,
     SystemState,
+    Timesync,
+    status_texts,
 )
+from calm_edge.pose_output.mavlink_parser import MavlinkParser
+from calm_edge.pose_output.quality import FAILED, quality
 from calm_edge.types import PoseSample, PoseStatus
 
 log = logging.getLogger(__name__)
 
 NS_PER_S = 1_000_000_000
-# bytes on the wire, at most
-_ODOMETRY_BYTES, _HEARTBEAT_BYTES, _STATUS_TEXT_BYTES = 245, 21, 66
-# a byte is ten bits with its start and stop; a tenth of the line stays free
-_BITS_A_BYTE, _LINE_SHARE = 10, 0.9
+# what else but the state's name changes is news of less weight
+_TEXT_PERIOD_NS, _REASONS_PERIOD_NS = NS_PER_S, 10 * NS_PER_S
 
-_QUALITY = {PoseStatus.LIVE: 100, PoseStatus.LAGGING: 50, PoseStatus.LOST: -1}
-_SEVERITY = {
-    PoseStatus.LIVE: Severity.INFO,
-    PoseStatus.LAGGING: Severity.NOTICE,
-    PoseStatus.LOST: Severity.WARNING,
+_STATES = {
+    "STARTING": (SystemState.BOOT, Severity.INFO),
+    "RUNNING": (SystemState.ACTIVE, Severity.INFO),
+    "LAGGING": (SystemState.ACTIVE, Severity.NOTICE),
+    "DEGRADED": (SystemState.ACTIVE, Severity.WARNING),
+    "LOST": (SystemState.CRITICAL, Severity.WARNING),
+    "STOPPING": (SystemState.POWEROFF, Severity.NOTICE),
 }
+_OF_POSE = {PoseStatus.LIVE: "RUNNING", PoseStatus.LAGGING: "LAGGING", PoseStatus.LOST: "LOST"}
 
 
 class Port(Protocol):
@@ -51,26 +56,13 @@ class Port(Protocol):
         ...
 
 
-def check_rate(config: PoseOutputConfig) -> None:
-    """Raises ConfigError when the line cannot carry the rate."""
-    if not config.rate_hz > 0:
-        raise ConfigError(f"pose_output.rate_hz = {config.rate_hz:g}: must be above 0")
-    each_second = _HEARTBEAT_BYTES + _STATUS_TEXT_BYTES
-    capacity = config.baud / _BITS_A_BYTE * _LINE_SHARE
-    if config.rate_hz * _ODOMETRY_BYTES + each_second > capacity:
-        most = max(0, int((capacity - each_second) / _ODOMETRY_BYTES))
-        raise ConfigError(
-            f"pose_output.baud = {config.baud}: carries {most} poses a second, but "
-            f"pose_output.rate_hz = {config.rate_hz:g}; raise baud or lower rate_hz"
-        )
-
-
 class PosePublisher:
     """Owner of what the consumer was told.
 
     spacing_known: the world is in metres. Without it every pose is sent with quality -1, for a
     consumer that took spacings for metres would be misled, and a warning says why.
-    lost_after_ms: without a new sample for so long the pose is lost.
+    lost_after_ms: without a new sample for so long the pose is lost. now_ns: the clock of the
+    samples' stamps, which TIMESYNC is answered by. Its `receive` may be called by another thread.
     """
 
     def __init__(
@@ -80,31 +72,38 @@ class PosePublisher:
         *,
         spacing_known: bool,
         lost_after_ms: float = 300.0,
+        now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         check_rate(config)
-        if len(config.mounting_rpy_deg) != 3:
-            raise ConfigError(
-                f"pose_output.mounting_rpy_deg = {list(config.mounting_rpy_deg)}: "
-                "expected roll, pitch and yaw"
-            )
-        roll, pitch, yaw = config.mounting_rpy_deg
-        self._R_b_c = mounting_rotation((roll, pitch, yaw))
+        self._T_b_c = _mounting(config)
+        self._address = config.system_id, COMPONENT_VISUAL_ODOMETRY
         self._port = port
-        self._encoder = Encoder()
+        self._sending = threading.Lock()
+        self._encoder = Encoder(*self._address)
+        self._parser = MavlinkParser((Timesync,))
+        self._clock = now_ns
         self._spacing_known = spacing_known
         self._lost_after_ns = round(lost_after_ms * 1e6)
         self._period_ns = round(NS_PER_S / config.rate_hz)
-        self._next_pose_ns = self._next_heartbeat_ns = self._next_text_ns = 0
+        self._next_pose_ns = self._next_heartbeat_ns = self._next_answer_ns = 0
         self._newest: PoseSample | None = None
+        self._newest_pose: PoseSample | None = None
         self._sent_t_ns = -1
         self._heard_ns = 0
         self._reset_counter = 1
-        self._told: PoseStatus | None = None
+        self._reported: tuple[str, tuple[str, ...]] | None = None
+        self._told: tuple[str, tuple[str, ...]] = ("", ())
+        self._told_ns = -_REASONS_PERIOD_NS
+        self._texts = 0
 
     @property
     def reset_counter(self) -> int:
         """How often the published pose has jumped, plus one."""
         return self._reset_counter
+
+    def report(self, state: str, reasons: tuple[str, ...] = ()) -> None:
+        """What the daemon is doing and why; until it is said, the pose's own state is told."""
+        self._reported = state, reasons
 
     def publish(self, sample: PoseSample | None, now_ns: int) -> None:
         """To be called every tick, with a sample if there is a new one; sends what is due."""
@@ -112,82 +111,135 @@ class PosePublisher:
             self._take(sample, now_ns)
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = _following(self._next_heartbeat_ns, NS_PER_S, now_ns)
-            self._send(Heartbeat(self._state(now_ns)))
-        if self._newest is None:
+            self._send(Heartbeat(self._system_state(now_ns)))
+        self._tell(now_ns)
+        if self._newest is None or now_ns < self._next_pose_ns:
             return
-        status = self._status(self._newest, now_ns)
-        self._tell(status, now_ns)
-        if now_ns < self._next_pose_ns:
-            return
-        message = self._odometry(self._newest, status, now_ns)
+        message = self._odometry(self._newest, self._status(self._newest, now_ns), now_ns)
         if message is not None:
             self._next_pose_ns = _following(self._next_pose_ns, self._period_ns, now_ns)
             self._send(message)
 
+    def receive(self, data: bytes) -> None:
+        """Bytes that came in; a request for our time is answered at once."""
+        # before anything else: what passes until then makes the clocks look apart
+        now_ns = self._clock()
+        for message in self._parser.feed(data):
+            asked = Timesync.from_payload(message.payload)
+            system, component = asked.target
+            meant = system in (0, self._address[0]) and component in (0, self._address[1])
+            if asked.tc1_ns == 0 and meant and now_ns >= self._next_answer_ns:
+                self._next_answer_ns = now_ns + NS_PER_S // ANSWERS_HZ
+                sender = message.system_id, message.component_id
+                self._send(Timesync(now_ns, asked.ts1_ns, sender))
+
     def _take(self, sample: PoseSample, now_ns: int) -> None:
-        if self._newest is not None:
-            if sample.t_ns <= self._newest.t_ns:
-                return
+        if self._newest is not None and sample.t_ns <= self._newest.t_ns:
+            return
+        self._heard_ns, self._newest = now_ns, sample
+        if sample.status is PoseStatus.LOST:
+            return
+        before, self._newest_pose = self._newest_pose, sample
+        if before is not None:
             # one jump, however many corrections it took
-            self._reset_counter += sample.epoch != self._newest.epoch
-        self._newest, self._heard_ns = sample, now_ns
+            moved = self._spacing_known and jumped(before, sample)
+            self._reset_counter += moved or sample.epoch != before.epoch
 
     def _status(self, newest: PoseSample, now_ns: int) -> PoseStatus:
         silent = now_ns - self._heard_ns > self._lost_after_ns
         return PoseStatus.LOST if silent else newest.status
 
-    def _state(self, now_ns: int) -> SystemState:
+    def _state(self, now_ns: int) -> tuple[str, tuple[str, ...]]:
+        if self._reported is not None:
+            return self._reported
         if self._newest is None:
-            return SystemState.BOOT
-        lost = self._status(self._newest, now_ns) is PoseStatus.LOST
-        return SystemState.CRITICAL if lost else SystemState.ACTIVE
+            return "STARTING", ()
+        return _OF_POSE[self._status(self._newest, now_ns)], ()
 
-    def _tell(self, status: PoseStatus, now_ns: int) -> None:
-        """A status text when the state has changed, at most one a second."""
-        if status is self._told or now_ns < self._next_text_ns:
+    def _system_state(self, now_ns: int) -> SystemState:
+        state = _STATES.get(self._state(now_ns)[0], (SystemState.ACTIVE,))[0]
+        newest = self._newest
+        if state is not SystemState.ACTIVE or newest is None:
+            return state
+        lost = self._status(newest, now_ns) is PoseStatus.LOST
+        return SystemState.CRITICAL if lost else state
+
+    def _tell(self, now_ns: int) -> None:
+        """A status text when the state has changed, at most one a second, but for the last."""
+        state, reasons = news = self._state(now_ns)
+        period = _TEXT_PERIOD_NS if state != self._told[0] else _REASONS_PERIOD_NS
+        too_soon = now_ns < self._told_ns + period and state != "STOPPING"
+        if news == self._told or too_soon:
             return
-        self._next_text_ns = now_ns + NS_PER_S
-        self._told = status
-        severity, text = _SEVERITY[status], f"calm-edge: pose {status.value}"
+        self._told, self._told_ns = news, now_ns
+        _, severity = _STATES.get(state, (SystemState.ACTIVE, Severity.NOTICE))
         if not self._spacing_known:
-            severity, text = Severity.WARNING, f"{text}, set scale.spacing_m"
+            severity, reasons = Severity.WARNING, ("set scale.spacing_m", *reasons)
+        text = f"calm-edge {state.lower()}" + (f": {'; '.join(reasons)}" if reasons else "")
         log.info("%s", text)
-        self._send(StatusText(severity, text))
+        self._texts = self._texts % 0xFFFF + 1
+        for message in status_texts(severity, text, self._texts):
+            self._send(message)
 
     def _odometry(self, newest: PoseSample, status: PoseStatus, now_ns: int) -> Odometry | None:
         if status is PoseStatus.LOST:
             # the moment of the loss, and no pose: an old one must not look new. Nor may the line's
             # time run backwards: a pose exposed before this moment is not sent after it
             self._sent_t_ns = max(self._sent_t_ns, now_ns)
-            nothing = (NAN, NAN, NAN)
-            return Odometry(
-                time_usec=now_ns // 1000,
-                position=nothing,
-                quaternion=(NAN, *nothing),
-                velocity=nothing,
-                pose_covariance=UNKNOWN_COVARIANCE,
-                reset_counter=self._reset_counter,
-                quality=_QUALITY[status],
-            )
+            return _no_pose(now_ns, self._reset_counter)
         if newest.t_ns <= self._sent_t_ns:
             return None
         self._sent_t_ns = newest.t_ns
-        position, R_l_b = body_pose(self._R_b_c, newest.T_w_c)
-        known = bool(np.isfinite(newest.covariance).all())
+        T_b_c = self._T_b_c
+        T_l_b = body_frame.body_pose(T_b_c, newest.T_w_c)
+        twist = body_frame.body_twist(T_b_c, newest.velocity_c, newest.turn_rate_c)
+        pose_covariance = velocity_covariance = UNKNOWN_COVARIANCE
+        if np.isfinite(newest.covariance).all():
+            pose_covariance = body_frame.local_covariance(T_b_c, T_l_b, newest.covariance)
+        if np.isfinite(newest.twist_covariance).all():
+            velocity_covariance = body_frame.body_covariance(T_b_c, newest.twist_covariance)
         return Odometry(
             time_usec=newest.t_ns // 1000,
-            position=tuple(position.tolist()),
-            quaternion=quaternion(R_l_b),
-            velocity=tuple((self._R_b_c @ newest.velocity_c).tolist()),
-            pose_covariance=local_covariance(self._R_b_c, newest.T_w_c, newest.covariance)
-            if known
-            else UNKNOWN_COVARIANCE,
+            position=tuple(T_l_b[:3, 3].tolist()),
+            quaternion=body_frame.quaternion(T_l_b[:3, :3]),
+            velocity=tuple(twist[0].tolist()),
+            turn_rate=tuple(twist[1].tolist()),
+            pose_covariance=pose_covariance,
+            velocity_covariance=velocity_covariance,
             reset_counter=self._reset_counter,
-            quality=_QUALITY[status] if self._spacing_known else -1,
+            quality=quality(newest.covariance, status) if self._spacing_known else FAILED,
         )
 
     def _send(self, message: Message) -> None:
-        self._port.write(self._encoder.encode(message))
+        # numbered in the order they leave in, whichever thread sends
+        with self._sending:
+            self._port.write(self._encoder.encode(message))
+
+
+def _mounting(config: PoseOutputConfig) -> np.ndarray:
+    """T_b_c (4, 4); raises ConfigError."""
+    for key, what in (("mounting_rpy_deg", "roll, pitch and yaw"), ("mounting_xyz_m", "x, y, z")):
+        values = getattr(config, key)
+        if len(values) != 3 or not np.isfinite(values).all():
+            raise ConfigError(f"pose_output.{key} = {list(values)}: expected {what}")
+    if not 1 <= config.system_id <= 255:
+        raise ConfigError(f"pose_output.system_id = {config.system_id}: expected 1 to 255")
+    return body_frame.mounting(config.mounting_rpy_deg, config.mounting_xyz_m)
+
+
+def _no_pose(now_ns: int, reset_counter: int) -> Odometry:
+    nothing = (NAN, NAN, NAN)
+    return Odometry(
+        time_usec=now_ns // 1000,
+        position=nothing,
+        quaternion=(NAN, *nothing),
+        velocity=nothing,
+        turn_rate=nothing,
+        pose_covariance=UNKNOWN_COVARIANCE,
+        velocity_covariance=UNKNOWN_COVARIANCE,
+        reset_counter=reset_counter,
+        quality=FAILED,
+    )
 
 
 def _following(due_ns: int, period_ns: int, now_ns: int) -> int:

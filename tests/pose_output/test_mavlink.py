@@ -19,9 +19,12 @@ from calm_edge.pose_output.mavlink import (
     SystemState,
     Timesync,
     checksum,
+    status_texts,
+    wire_bytes,
 )
 
 COVARIANCE = tuple(0.5 + k for k in range(21))
+VELOCITY_COVARIANCE = tuple(100.25 + k for k in range(21))
 
 
 def odometry(**changes: Any) -> Odometry:
@@ -30,7 +33,9 @@ def odometry(**changes: Any) -> Odometry:
         "position": (1.5, -2.25, 3.125),
         "quaternion": (0.5, -0.5, 0.5, 0.5),
         "velocity": (10.0, 0.25, -0.75),
+        "turn_rate": (0.125, -0.5, 0.0625),
         "pose_covariance": COVARIANCE,
+        "velocity_covariance": VELOCITY_COVARIANCE,
         "reset_counter": 3,
         "quality": 100,
     }
@@ -56,14 +61,13 @@ def test_odometry_field_by_field() -> None:
     assert (got.x, got.y, got.z) == (1.5, -2.25, 3.125)
     assert tuple(got.q) == (0.5, -0.5, 0.5, 0.5)
     assert (got.vx, got.vy, got.vz) == (10.0, 0.25, -0.75)
-    assert all(math.isnan(v) for v in (got.rollspeed, got.pitchspeed, got.yawspeed))
+    assert (got.rollspeed, got.pitchspeed, got.yawspeed) == (0.125, -0.5, 0.0625)
     assert tuple(got.pose_covariance) == COVARIANCE
-    assert math.isnan(got.velocity_covariance[0])
-    assert tuple(got.velocity_covariance[1:]) == (0.0,) * 20
+    assert tuple(got.velocity_covariance) == VELOCITY_COVARIANCE
     assert got.reset_counter == 3
     assert got.estimator_type == peer.MAV_ESTIMATOR_TYPE_VISION
     assert got.quality == 100
-    assert len(data) == 245
+    assert len(data) == wire_bytes(Odometry) == 245
 
 
 @pytest.mark.parametrize("quality", [-1, 0, 1, 100])
@@ -76,9 +80,11 @@ def test_the_reset_counter_wraps_as_a_byte() -> None:
 
 
 def test_unknown_covariance_begins_with_nan() -> None:
-    got = decode(Encoder().encode(odometry(pose_covariance=UNKNOWN_COVARIANCE)))
-    assert math.isnan(got.pose_covariance[0])
-    assert len(got.pose_covariance) == 21
+    unknown = odometry(pose_covariance=UNKNOWN_COVARIANCE, velocity_covariance=UNKNOWN_COVARIANCE)
+    got = decode(Encoder().encode(unknown))
+    for covariance in (got.pose_covariance, got.velocity_covariance):
+        assert math.isnan(covariance[0])
+        assert len(covariance) == 21
 
 
 def test_heartbeat_field_by_field() -> None:
@@ -101,21 +107,47 @@ def test_the_enums_are_the_standards() -> None:
     }
 
 
-@pytest.mark.parametrize(("text", "received"), [("pose lost", "pose lost"), ("x" * 60, "x" * 50)])
-def test_status_text_is_cut_at_its_fifty_bytes(text: str, received: str) -> None:
-    got = decode(Encoder().encode(StatusText(Severity.WARNING, text)))
-    assert got.get_type() == "STATUSTEXT" and got.severity == 4
-    assert got.text == received
+def reassembled(messages: tuple[StatusText, ...]) -> tuple[str, list[tuple[int, int]]]:
+    """What a receiver makes of the texts: chunks are joined until one has a zero byte."""
+    parts = [decode(Encoder().encode(m)) for m in messages]
+    fields = [m.payload()[1:51] for m in messages]
+    assert all(b"\0" not in field for field in fields[:-1])
+    assert len(parts) == 1 or b"\0" in fields[-1]
+    assert {p.severity for p in parts} == {4}
+    text = b"".join(fields).rstrip(b"\0").decode()
+    # the peer reads ASCII only
+    assert "".join(p.text for p in parts) == text or not text.isascii()
+    return text, [(p.id, p.chunk_seq) for p in parts]
 
 
-def test_status_text_is_cut_between_characters() -> None:
-    field = StatusText(Severity.INFO, "a" + "é" * 30).payload()[1:51]
-    assert field.rstrip(b"\0").decode() == "a" + "é" * 24
+@pytest.mark.parametrize(
+    ("text", "received", "ids"),
+    [
+        ("pose lost", "pose lost", [(0, 0)]),
+        ("", "", [(0, 0)]),
+        ("x" * 50, "x" * 50, [(0, 0)]),
+        ("é" * 25, "é" * 25, [(0, 0)]),
+        ("x" * 49 + "yz", "x" * 49 + "yz", [(7, 0), (7, 1)]),
+        # the end of a text whose last chunk is full is told by an empty one
+        ("x" * 100, "x" * 100, [(7, 0), (7, 1), (7, 2)]),
+        ("é" * 26, "?" * 26, [(0, 0)]),
+        ("né" * 40, "n?" * 40, [(7, 0), (7, 1)]),
+        ("a\0b", "a b", [(0, 0)]),
+        ("x" * 199, "x" * 199, [(7, k) for k in range(4)]),
+        ("x" * 5000, "x" * 196 + "...", [(7, k) for k in range(4)]),
+    ],
+)
+def test_a_text_of_any_length_arrives(text: str, received: str, ids: list[tuple[int, int]]) -> None:
+    assert reassembled(status_texts(Severity.WARNING, text, 7)) == (received, ids)
 
 
 def test_timesync_reply() -> None:
-    got = decode(Encoder().encode(Timesync(tc1_ns=-5, ts1_ns=2**40)))
+    data = Encoder().encode(Timesync(tc1_ns=-5, ts1_ns=2**40, target=(3, 1)))
+    got = decode(data)
     assert (got.tc1, got.ts1) == (-5, 2**40)
+    # the peer's dialect is from before the target
+    assert data[-4:-2] == bytes([3, 1])
+    assert Timesync.from_payload(data[10:-2]) == Timesync(-5, 2**40, (3, 1))
 
 
 @pytest.mark.parametrize(
@@ -123,8 +155,8 @@ def test_timesync_reply() -> None:
     [
         (Heartbeat(SystemState.BOOT), peer.MAVLink_heartbeat_message(18, 8, 0, 0, 1, 3)),
         (
-            StatusText(Severity.INFO, "hello"),
-            peer.MAVLink_statustext_message(6, b"hello"),
+            StatusText(Severity.INFO, b"hello", 258, 3),
+            peer.MAVLink_statustext_message(6, b"hello", 258, 3),
         ),
         (Timesync(0, 0), peer.MAVLink_timesync_message(0, 0)),
         (Timesync(9, 0), peer.MAVLink_timesync_message(9, 0)),
@@ -132,8 +164,8 @@ def test_timesync_reply() -> None:
             odometry(quality=0),
             peer.MAVLink_odometry_message(
                 *(123_456_789_012, 20, 12, 1.5, -2.25, 3.125, (0.5, -0.5, 0.5, 0.5)),
-                *(10.0, 0.25, -0.75, math.nan, math.nan, math.nan),
-                *(COVARIANCE, UNKNOWN_COVARIANCE, 3, 2, 0),
+                *(10.0, 0.25, -0.75, 0.125, -0.5, 0.0625),
+                *(COVARIANCE, VELOCITY_COVARIANCE, 3, 2, 0),
             ),
         ),
     ],

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as peer
 
-from calm_edge.config import Config, ConfigError, PoseOutputConfig
+from calm_edge.config import ConfigError, PoseOutputConfig
 from calm_edge.geometry.se3 import compose, so3_exp
-from calm_edge.pose_output.publisher import PosePublisher, check_rate
+from calm_edge.pose_output.line_budget import bytes_a_second
+from calm_edge.pose_output.mavlink import Encoder, Timesync
+from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.types import PoseSample, PoseStatus
 from device.serial_port import SerialPort
 
@@ -42,13 +44,18 @@ class Recorder:
 class Bench:
     def __init__(self, spacing_known: bool = True, **changes: Any) -> None:
         self.port = Recorder()
+        self.now_ns = START
         self.publisher = PosePublisher(
-            self.port, PoseOutputConfig(**changes), spacing_known=spacing_known
+            self.port,
+            PoseOutputConfig(**{"rate_hz": 20.0, **changes}),
+            spacing_known=spacing_known,
+            now_ns=lambda: self.now_ns,
         )
 
     def at(self, ms: float, given: PoseSample | None) -> list[Any]:
         """One tick; the odometry it sent."""
-        self.publisher.publish(given, START + round(ms * MS))
+        self.now_ns = START + round(ms * MS)
+        self.publisher.publish(given, self.now_ns)
         return self.port.take("ODOMETRY")
 
 
@@ -56,8 +63,11 @@ def sample(ms: float, **changes: Any) -> PoseSample:
     fields: dict[str, Any] = {
         "t_ns": START + round(ms * MS),
         "T_w_c": compose(so3_exp(np.array([0.0, 0.5, 0.0])), np.array([2.0, 0.25, 7.0])),
-        "velocity_c": np.array([0.5, 0.25, 9.0]),
-        "covariance": np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]),
+        # it stands, and says it moves a little
+        "velocity_c": np.array([0.5, 0.25, 2.0]),
+        "turn_rate_c": np.array([0.125, 0.5, 0.25]),
+        "covariance": np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]) * 1e-7,
+        "twist_covariance": np.diag([4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
         "epoch": 0,
         "status": PoseStatus.LIVE,
     }
@@ -69,19 +79,41 @@ def test_a_pose_arrives_in_the_local_frame_with_its_own_stamp() -> None:
     assert got.time_usec == START // 1000
     assert (got.x, got.y, got.z) == (7.0, 2.0, 0.25)
     assert np.allclose(got.q, [math.cos(0.25), 0, 0, math.sin(0.25)])
-    assert (got.vx, got.vy, got.vz) == (9.0, 0.5, 0.25)
+    assert (got.vx, got.vy, got.vz) == (2.0, 0.5, 0.25)
+    assert (got.rollspeed, got.pitchspeed, got.yawspeed) == (0.25, 0.125, 0.5)
     assert got.quality == 100 and got.reset_counter == 1
+    diagonal = [0, 6, 11, 15, 18, 20]
+    # forward, right, down of the camera's right, down, forward
+    assert np.allclose(np.array(got.velocity_covariance)[diagonal], [6, 4, 5, 9, 7, 8])
+    assert got.pose_covariance[20] * 1e7 == pytest.approx(0.2)
+    assert got.pose_covariance[0] < 3e-7
 
 
 def test_the_mounting_turns_velocity_and_pose() -> None:
     (got,) = Bench(mounting_rpy_deg=(0.0, 0.0, 90.0)).at(0, sample(0, T_w_c=np.eye(4)))
-    assert np.allclose((got.vx, got.vy, got.vz), (-0.5, 9.0, 0.25))
+    assert np.allclose((got.vx, got.vy, got.vz), (-0.5, 2.0, 0.25))
     assert np.allclose(got.q, [1, 0, 0, 0], atol=1e-7)
 
 
-def test_an_unknown_covariance_is_said_to_be_unknown() -> None:
-    (got,) = Bench().at(0, sample(0, covariance=np.full((6, 6), np.nan)))
-    assert math.isnan(got.pose_covariance[0]) and got.pose_covariance[1] == 0
+def test_a_lever_moves_pose_and_velocity_to_the_body() -> None:
+    bench = Bench(mounting_xyz_m=(2.0, 0.0, -1.0))
+    # the car has turned right by half a radian about its own origin
+    turned = so3_exp(np.array([0.0, 0.5, 0.0]))
+    T_w_c = compose(turned, turned @ [0, 0, 2.0] - [0, 0, 2.0])
+    spin = {"velocity_c": np.array([0.6, 0, 0]), "turn_rate_c": np.array([0, 0.3, 0])}
+    (got,) = bench.at(0, sample(0, T_w_c=T_w_c, **spin))
+    assert np.allclose((got.x, got.y, got.z, got.vx, got.vy, got.vz), 0, atol=1e-6)
+    assert got.yawspeed == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("name", ["covariance", "twist_covariance"])
+def test_an_unknown_covariance_is_said_to_be_unknown(name: str) -> None:
+    (got,) = Bench().at(0, sample(0, **{name: np.full((6, 6), np.nan)}))
+    told = {"covariance": got.pose_covariance, "twist_covariance": got.velocity_covariance}
+    unknown = told.pop(name)
+    assert math.isnan(unknown[0]) and unknown[1] == 0
+    assert all(np.isfinite(other).all() for other in told.values())
+    assert got.quality == (0 if name == "covariance" else 100)
 
 
 def test_the_reset_counter_starts_at_one_and_grows_with_each_jump() -> None:
@@ -92,6 +124,24 @@ def test_the_reset_counter_starts_at_one_and_grows_with_each_jump() -> None:
         counters += [m.reset_counter for m in bench.at(100 * k, sample(100 * k, epoch=epoch))]
     assert counters == [1, 4]
     assert bench.publisher.reset_counter == 4
+
+
+def test_a_leap_of_the_pose_is_a_reset_though_nobody_said_so() -> None:
+    bench = Bench()
+    leap = compose(so3_exp(np.array([0.0, 0.5, 0.0])), np.array([2.0, 0.25, 8.5]))
+    ticks = [sample(0), sample(100), sample(200, T_w_c=leap), sample(300, T_w_c=leap)]
+    told = [m.reset_counter for k, s in enumerate(ticks) for m in bench.at(100 * k, s)]
+    assert told == [1, 1, 2, 2]
+
+
+def test_a_leap_over_a_loss_and_a_new_epoch_are_one_reset() -> None:
+    bench = Bench()
+    leap = compose(np.eye(3), np.array([90.0, 0, 8.5]))
+    lost = {"T_w_c": np.full((4, 4), np.nan), "status": PoseStatus.LOST}
+    ticks = [sample(0), sample(100, **lost), sample(200, epoch=1, **lost)]
+    ticks += [sample(300, T_w_c=leap, epoch=1), sample(400, T_w_c=leap, epoch=1)]
+    told = [m.reset_counter for k, s in enumerate(ticks) for m in bench.at(100 * k, s)]
+    assert told[0] == 1 and told[-2:] == [2, 2]
 
 
 def test_lost_has_no_pose_and_no_quality() -> None:
@@ -177,12 +227,104 @@ def test_changes_of_state_are_said_at_most_once_a_second() -> None:
     for k, status in enumerate(states):
         bench.at(100 * k, sample(100 * k, status=status))
     said = [(m.severity, m.text) for m in bench.port.take("STATUSTEXT")]
-    assert said[0] == (peer.MAV_SEVERITY_INFO, "calm-edge: pose live")
+    assert said[0] == (peer.MAV_SEVERITY_INFO, "calm-edge running")
     assert 2 <= len(said) <= 4
     assert set(said[1:]) <= {
-        (peer.MAV_SEVERITY_WARNING, "calm-edge: pose lost"),
-        (peer.MAV_SEVERITY_NOTICE, "calm-edge: pose lagging"),
+        (peer.MAV_SEVERITY_WARNING, "calm-edge lost"),
+        (peer.MAV_SEVERITY_NOTICE, "calm-edge lagging"),
     }
+
+
+def test_what_the_daemon_reports_goes_before_what_the_pose_shows() -> None:
+    bench = Bench()
+    reports = {
+        0: ("STARTING", ()),
+        2_000: ("RUNNING", ()),
+        4_000: ("DEGRADED", ("assistant camera silent for 3 s", "recording stopped: disk full")),
+        # other reasons are news of less weight
+        5_000: ("DEGRADED", ("recording stopped: disk full",)),
+        20_000: ("STOPPING", ()),
+    }
+    for ms in range(0, 20_100, 100):
+        if ms in reports:
+            bench.publisher.report(*reports[ms])
+        bench.at(ms, sample(ms) if ms > 1_000 else None)
+    said = [(m.severity, m.text, m.id, m.chunk_seq) for m in bench.port.take("STATUSTEXT")]
+    long = "calm-edge degraded: assistant camera silent for 3 s; recording stopped: disk full"
+    assert said == [
+        (peer.MAV_SEVERITY_INFO, "calm-edge starting", 0, 0),
+        (peer.MAV_SEVERITY_INFO, "calm-edge running", 0, 0),
+        (peer.MAV_SEVERITY_WARNING, long[:50], 3, 0),
+        (peer.MAV_SEVERITY_WARNING, long[50:], 3, 1),
+        (peer.MAV_SEVERITY_WARNING, "calm-edge degraded: recording stopped: disk full", 0, 0),
+        (peer.MAV_SEVERITY_NOTICE, "calm-edge stopping", 0, 0),
+    ]
+    beats = [m.system_status for m in bench.port.take("HEARTBEAT")]
+    assert beats[0] == peer.MAV_STATE_BOOT and beats[10] == peer.MAV_STATE_ACTIVE
+    assert beats[-1] == peer.MAV_STATE_POWEROFF and len(beats) == 21
+
+
+def test_a_lost_pose_is_critical_whatever_the_daemon_says() -> None:
+    bench = Bench()
+    bench.publisher.report("RUNNING")
+    for k in range(20):
+        bench.at(100 * k, sample(100 * k) if k < 3 else None)
+    assert bench.port.take("HEARTBEAT")[-1].system_status == peer.MAV_STATE_CRITICAL
+
+
+def test_the_last_word_does_not_wait_its_turn() -> None:
+    bench = Bench()
+    bench.at(0, sample(0))
+    bench.publisher.report("STOPPING")
+    bench.at(10, None)
+    assert [m.text for m in bench.port.take("STATUSTEXT")] == [
+        "calm-edge running",
+        "calm-edge stopping",
+    ]
+
+
+def asked(ts1: int, **changes: Any) -> bytes:
+    """A request of an autopilot, as the wire has it."""
+    request = Timesync(**{"tc1_ns": 0, "ts1_ns": ts1, **changes})
+    return Encoder(system_id=1, component_id=1).encode(request)
+
+
+def test_a_request_for_our_time_is_answered_by_the_clock_of_the_poses() -> None:
+    bench = Bench()
+    (pose,) = bench.at(40, sample(40))
+    bench.publisher.receive(asked(987)[:9])
+    assert bench.port.take("TIMESYNC") == []
+    bench.publisher.receive(asked(987)[9:])
+    (answer,) = bench.port.take("TIMESYNC")
+    assert (answer.tc1 // 1000, answer.ts1) == (pose.time_usec, 987)
+    target = answer.get_msgbuf()[-4:-2]
+    assert bytes(target) == bytes([1, 1])
+
+
+@pytest.mark.parametrize(
+    ("request_", "answers"),
+    [
+        (asked(5, target=(1, 197)), 1),
+        (asked(5, target=(1, 0)), 1),
+        (asked(5, target=(2, 197)), 0),
+        (asked(5, target=(1, 100)), 0),
+        # somebody's answer to somebody
+        (asked(5, tc1_ns=77), 0),
+        (b"\xfd" * 300 + asked(5), 1),
+    ],
+)
+def test_only_what_is_asked_of_us_is_answered(request_: bytes, answers: int) -> None:
+    bench = Bench()
+    bench.publisher.receive(request_)
+    assert len(bench.port.take("TIMESYNC")) == answers
+
+
+def test_a_flood_of_requests_does_not_fill_the_line() -> None:
+    bench = Bench()
+    for ms in range(1000):
+        bench.now_ns = START + ms * MS
+        bench.publisher.receive(asked(ms))
+    assert len(bench.port.take("TIMESYNC")) == 20
 
 
 def test_a_state_that_stays_is_said_once() -> None:
@@ -200,26 +342,26 @@ def test_without_metres_no_pose_is_trusted_and_the_mend_is_said() -> None:
     assert said.severity == peer.MAV_SEVERITY_WARNING and "scale.spacing_m" in said.text
 
 
-def test_a_line_too_slow_for_the_rate_is_a_config_error() -> None:
-    check_rate(PoseOutputConfig(baud=115_200, rate_hz=30.0))
-    check_rate(Config().pose_output)
-    with pytest.raises(ConfigError, match=r"baud = 57600: carries 20 poses.*rate_hz = 30"):
-        check_rate(PoseOutputConfig(baud=57_600, rate_hz=30.0))
-    with pytest.raises(ConfigError, match="carries 0 poses"):
-        PosePublisher(Recorder(), PoseOutputConfig(baud=300), spacing_known=True)
-
-
-def test_the_rate_that_just_fits_leaves_a_tenth_of_the_line_free() -> None:
-    bench = Bench(baud=57_600, rate_hz=20.0)
+def test_a_busy_second_on_the_fastest_line_leaves_a_tenth_of_it_free() -> None:
+    bench = Bench(baud=57_600, rate_hz=17.0)
     for k in range(1000):
         status = PoseStatus.LOST if k // 40 % 2 else PoseStatus.LIVE
+        bench.publisher.report("LOST" if k // 100 % 2 else "DEGRADED", ("x" * 300,))
         bench.at(10 * k, sample(10 * k, status=status))
-    assert bench.port.bytes / 10 <= 0.9 * 57_600 / 10
+        bench.publisher.receive(asked(k))
+    sent = bench.port.bytes / 10
+    assert 0.8 * bytes_a_second(17.0) < sent <= bytes_a_second(17.0) <= 0.9 * 57_600 / 10
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    [({"rate_hz": 0.0}, "rate_hz = 0"), ({"mounting_rpy_deg": (0.0, 1.0)}, "mounting_rpy_deg")],
+    [
+        ({"rate_hz": 0.0}, "rate_hz = 0"),
+        ({"mounting_rpy_deg": (0.0, 1.0)}, "mounting_rpy_deg"),
+        ({"mounting_xyz_m": (0.0, 1.0, math.inf)}, "mounting_xyz_m"),
+        ({"system_id": 256}, "system_id"),
+        ({"baud": 57_600, "rate_hz": 30.0}, "carries 17 poses"),
+    ],
 )
 def test_nonsense_is_a_config_error(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
@@ -229,22 +371,34 @@ def test_nonsense_is_a_config_error(changes: dict[str, Any], words: str) -> None
 def test_over_a_real_line() -> None:
     master, slave = os.openpty()
     port = SerialPort(os.ttyname(slave), 115_200)
-    port.start()
+    publisher = PosePublisher(port, PoseOutputConfig(), spacing_known=True)
+    port.start(publisher.receive)
+    autopilot = peer.MAVLink(None, srcSystem=1, srcComponent=1)
+    received: list[Any] = []
+
+    def hear(count: int) -> None:
+        limit = time.monotonic() + 5
+        while len(received) < count and time.monotonic() < limit:
+            received.extend(autopilot.parse_buffer(os.read(master, 4096)) or [])
+
     try:
-        publisher = PosePublisher(port, PoseOutputConfig(), spacing_known=True)
         for k in range(5):
             publisher.publish(sample(50 * k), START + 50 * k * MS)
-        received: list[Any] = []
-        link = peer.MAVLink(None)
-        limit = time.monotonic() + 5
-        while len(received) < 7 and time.monotonic() < limit:
-            received += link.parse_buffer(os.read(master, 4096)) or []
+        hear(7)
+        before = time.monotonic_ns()
+        # noise of a line being plugged in, then the request
+        os.write(master, bytes(range(256)))
+        os.write(master, peer.MAVLink_timesync_message(0, 4711).pack(autopilot))
+        hear(8)
+        after = time.monotonic_ns()
     finally:
         port.stop()
         os.close(master)
         os.close(slave)
-    assert [m.get_type() for m in received] == ["HEARTBEAT", "STATUSTEXT"] + ["ODOMETRY"] * 5
-    assert [m.get_seq() for m in received] == list(range(7))
+    kinds = ["HEARTBEAT", "STATUSTEXT"] + ["ODOMETRY"] * 5 + ["TIMESYNC"]
+    assert [m.get_type() for m in received] == kinds
+    assert [m.get_seq() for m in received] == list(range(8))
+    assert received[-1].ts1 == 4711 and before < received[-1].tc1 < after
 
 
 def test_time_on_the_line_never_runs_backwards_after_a_loss() -> None:

@@ -1,0 +1,30 @@
+"""Whether a pose goes on from the one before, or jumped."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from calm_edge.geometry import se3
+from calm_edge.types import PoseSample
+
+# What no car and no bad road does between two frames: off constant velocity by so much, and more
+# the longer the time between them.
+JUMP_M, ACCELERATION_M_S2 = 0.5, 20.0
+JUMP_RAD, ACCELERATION_RAD_S2 = math.radians(5.0), 10.0
+
+
+def jumped(before: PoseSample, after: PoseSample) -> bool:
+    """Whether `after` is where the motion of `before` cannot have brought a car; metres.
+
+    Without a velocity to go by it is held to be possible.
+    """
+    dt = (after.t_ns - before.t_ns) * 1e-9
+    T = se3.inverse(before.T_w_c) @ after.T_w_c
+    off = float(np.linalg.norm(T[:3, 3] - before.velocity_c * dt))
+    turned = float(np.linalg.norm(se3.so3_log(T[:3, :3]) - before.turn_rate_c * dt))
+    return (
+        off > JUMP_M + ACCELERATION_M_S2 * dt**2 / 2
+        or turned > JUMP_RAD + ACCELERATION_RAD_S2 * dt**2 / 2
+    )

@@ -1,0 +1,41 @@
+"""What the line has to carry each second, and whether it can."""
+
+from __future__ import annotations
+
+from calm_edge.config import ConfigError, PoseOutputConfig
+from calm_edge.pose_output.mavlink import (
+    MAX_STATUS_TEXTS,
+    Heartbeat,
+    Odometry,
+    StatusText,
+    Timesync,
+    wire_bytes,
+)
+
+# a text of several chunks, and answers, a second at most
+TEXTS_HZ, ANSWERS_HZ = 1, 20
+# a byte is ten bits with its start and stop; a tenth of the line stays free
+_BITS_A_BYTE, _LINE_SHARE = 10, 0.9
+_BESIDE_POSES = (
+    wire_bytes(Heartbeat)
+    + TEXTS_HZ * MAX_STATUS_TEXTS * wire_bytes(StatusText)
+    + ANSWERS_HZ * wire_bytes(Timesync)
+)
+
+
+def bytes_a_second(rate_hz: float) -> float:
+    """All that is sent at most, at a rate of poses."""
+    return rate_hz * wire_bytes(Odometry) + _BESIDE_POSES
+
+
+def check_rate(config: PoseOutputConfig) -> None:
+    """Raises ConfigError when the line cannot carry the rate."""
+    if not config.rate_hz > 0:
+        raise ConfigError(f"pose_output.rate_hz = {config.rate_hz:g}: must be above 0")
+    capacity = config.baud / _BITS_A_BYTE * _LINE_SHARE
+    if bytes_a_second(config.rate_hz) > capacity:
+        most = max(0, int((capacity - _BESIDE_POSES) / wire_bytes(Odometry)))
+        raise ConfigError(
+            f"pose_output.baud = {config.baud}: carries {most} poses a second, but "
+            f"pose_output.rate_hz = {config.rate_hz:g}; raise baud or lower rate_hz"
+        )

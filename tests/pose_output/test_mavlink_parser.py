@@ -1,0 +1,160 @@
+"""What comes in on the line, against pymavlink's encoder, and whatever else a line may carry."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v10 import common as peer_1
+from pymavlink.dialects.v20 import common as peer
+
+from calm_edge.pose_output import mavlink_parser
+from calm_edge.pose_output.mavlink import Encoder, Heartbeat, SystemState, Timesync, checksum
+from calm_edge.pose_output.mavlink_parser import MavlinkParser, Received
+
+
+def link(dialect: Any = peer) -> Any:
+    return dialect.MAVLink(None, srcSystem=9, srcComponent=1)
+
+
+def request(ts1: int, dialect: Any = peer) -> bytes:
+    return bytes(dialect.MAVLink_timesync_message(0, ts1).pack(link(dialect)))
+
+
+def other() -> bytes:
+    return bytes(peer.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(link()))
+
+
+def parser() -> MavlinkParser:
+    return MavlinkParser((Timesync,))
+
+
+def times(messages: list[Received]) -> list[int]:
+    return [Timesync.from_payload(m.payload).ts1_ns for m in messages]
+
+
+@pytest.mark.parametrize("dialect", [peer, peer_1])
+def test_a_request_is_read_with_its_sender(dialect: Any) -> None:
+    (got,) = parser().feed(request(123_456_789_012_345, dialect))
+    assert (got.system_id, got.component_id, got.message_id) == (9, 1, Timesync.ID)
+    assert Timesync.from_payload(got.payload) == Timesync(0, 123_456_789_012_345)
+
+
+def test_a_target_is_read() -> None:
+    asked = Timesync(0, 77, (1, 197))
+    (got,) = parser().feed(Encoder().encode(asked))
+    assert Timesync.from_payload(got.payload) == asked
+
+
+def test_a_signed_message_is_read_and_what_follows_it_too() -> None:
+    sender = link()
+    sender.signing.secret_key = bytes(32)
+    sender.signing.sign_outgoing = True
+    signed = bytes(peer.MAVLink_timesync_message(0, 5).pack(sender))
+    assert len(signed) > len(request(5)) + 12
+    assert times(parser().feed(signed + request(6))) == [5, 6]
+
+
+def test_unknown_flags_make_a_message_unreadable() -> None:
+    data = bytearray(request(5))
+    data[2] = 0x02
+    assert parser().feed(bytes(data)) == []
+
+
+def test_pieces_of_one_byte_give_the_same() -> None:
+    data = b"\xfd\xfe" + request(1) + other() + request(2, peer_1) + b"\xfd"
+    by_byte = parser()
+    got = [m for k in range(len(data)) for m in by_byte.feed(data[k : k + 1])]
+    assert got == parser().feed(data)
+    assert times(got) == [1, 2]
+
+
+def test_a_false_start_hides_nothing() -> None:
+    # headers that claim 255 bytes: of a kind not known, and of the one that is
+    unknown = b"\xfd\xff\x00\x00\x00\x01\x01\x00\x00\x00"
+    known = b"\xfd\xff\x00\x00\x00\x01\x01\x6f\x00\x00"
+    one = parser()
+    assert times(one.feed(unknown + request(3))) == [3]
+    got = one.feed(known + request(4))
+    # it has to wait for what the header promised, and no longer
+    got += one.feed(bytes(260))
+    assert times(got) == [4]
+
+
+@given(st.lists(st.integers(0, 2**62), max_size=5), st.data())
+@settings(deadline=None)
+def test_every_request_between_other_messages_is_found_however_it_is_cut(
+    asked: list[int], data: st.DataObject
+) -> None:
+    stream = b"".join(other() + request(t) for t in asked)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
+    one = parser()
+    got: list[Received] = []
+    for a, b in zip([0, *cuts], [*cuts, len(stream)], strict=True):
+        got += one.feed(stream[a:b])
+    assert times(got) == asked
+
+
+SOUND = b"".join(
+    [
+        request(2**40 + 17),
+        Encoder().encode(Heartbeat(SystemState.ACTIVE)),
+        request(99, peer_1),
+        Encoder().encode(Timesync(5, 6, (1, 197))),
+    ]
+)
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> bytes:
+    """A sound stream with bytes flipped, cut out, doubled or put in."""
+    data = bytearray(SOUND)
+    for _ in range(draw(st.integers(1, 6))):
+        at = draw(st.integers(0, max(0, len(data) - 1)))
+        match draw(st.integers(0, 3)):
+            case 0 if data:
+                data[at] = draw(st.sampled_from([0, 1, 0x6F, 0xFD, 0xFE, 0xFF]))
+            case 1:
+                del data[at : at + draw(st.integers(1, 30))]
+            case 2:
+                data[at:at] = data[at : at + draw(st.integers(1, 60))]
+            case _:
+                data[at:at] = draw(st.binary(max_size=40))
+    return bytes(data)
+
+
+# one parser for all of them, so that what one leaves behind meets the next
+_hardened = MavlinkParser((Timesync, Heartbeat))
+
+
+@given(mutated())
+@settings(max_examples=10_000, deadline=None, database=None, derandomize=True)
+def test_no_bytes_harm_the_parser(data: bytes) -> None:
+    for message in _hardened.feed(data):
+        assert message.message_id in (Timesync.ID, Heartbeat.ID)
+        Timesync.from_payload(message.payload)
+    assert len(_hardened._pending) < 300
+
+
+def test_the_hardened_parser_still_reads() -> None:
+    # flushes what a false header may still wait for
+    _hardened.feed(bytes(300))
+    assert times(_hardened.feed(request(7))) == [7]
+
+
+def test_the_worst_bytes_cost_a_bounded_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    checked = 0
+
+    def counting(data: bytes) -> int:
+        nonlocal checked
+        checked += len(data)
+        return checksum(data)
+
+    monkeypatch.setattr(mavlink_parser, "checksum", counting)
+    # every tenth byte starts a header that is right, of a message that is not
+    liar = b"\xfd\xff\x00\x00\x00\x01\x01\x6f\x00\x00"
+    assert parser().feed(liar * 1000) == []
+    # each byte is checked once for every header that claims it
+    assert 0 < checked <= 28 * len(liar) * 1000
