@@ -20,6 +20,7 @@ COMMANDS = {
     "eval-dataset": "repeat the paper's tables on KITTI odometry, KITTI-360 or Argoverse",
     "recover": "rewrite what can be read of a damaged recording",
     "validate": "check every byte of a recording",
+    "keep": "keep a recording from being removed when the disk is full",
     "cameras": "list the cameras of this machine",
     "doctor": "say what is missing on this machine and what it costs",
 }

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from calm_edge.daemon.result import RecordResult
     from calm_edge.daemon.source import Source
 
-TRAJECTORY_FILE = "record_trajectory.tum"
-
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
@@ -29,7 +27,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--replay", type=Path, metavar="REC", help="replay the frames of a recording"
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
+    target = parser.add_mutually_exclusive_group(required=True)
+    target.add_argument("--out", type=Path, metavar="DIR", help="a new folder")
+    target.add_argument(
+        "--root",
+        type=Path,
+        metavar="DIR",
+        help="where drives lie, oldest removed at the floor; this one gets a folder of its own",
+    )
     parser.add_argument(
         "--pace",
         choices=("realtime", "lockstep"),
@@ -101,13 +106,24 @@ def open_source(arguments: argparse.Namespace, config: Config) -> Source:
     return live(config)
 
 
+def check_target(arguments: argparse.Namespace, config: Config) -> None:
+    """Before anything is started: raises RecordingError where nothing could be recorded."""
+    from calm_edge.recording.errors import RecordingError
+    from calm_edge.recording.room import check_room
+    from calm_edge.recording.segment import segment_files
+
+    out: Path | None = arguments.out
+    if out is not None and out.exists() and (not out.is_dir() or segment_files(out)):
+        raise RecordingError(f"{out}: already holds a recording; choose another output folder")
+    check_room(out or arguments.root, config.recording, arguments.root)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Records until the frames end or SIGINT/SIGTERM."""
     from calm_edge.daemon.capture import Capture
     from calm_edge.daemon.switchboard import Switchboard
     from calm_edge.pose_output.publisher import PosePublisher
-    from calm_edge.recording.errors import RecordingError
-    from calm_edge.recording.segment import segment_files
+    from calm_edge.recording.retention import new_drive
     from calm_edge.recording.writer import RecordingWriter
     from device.serial_port import SerialPort
     from device.service import open_notifier
@@ -118,9 +134,8 @@ def run(arguments: argparse.Namespace) -> int:
     if source.is_replay:
         # what ends a replay is a file, not a fault of ours: one line, no traceback
         logging.getLogger("device.camera_thread").setLevel(logging.CRITICAL)
-    out: Path = arguments.out
-    if out.exists() and (not out.is_dir() or segment_files(out)):
-        raise RecordingError(f"{out}: already holds a recording; choose another output folder")
+    check_target(arguments, config)
+    out: Path | None = None
     lockstep = arguments.pace == "lockstep"
     port = publisher = None
     if config.pose_output.port:
@@ -130,15 +145,25 @@ def run(arguments: argparse.Namespace) -> int:
             config.pose_output,
             spacing_known=config.scale.spacing_m > 0,
             lost_after_ms=config.frontend.lost_after_ms,
+            now_ns=source.clock.now_ns,
         )
-        port.start()
+        port.start(publisher.receive)
 
     def open_writer() -> RecordingWriter:
+        nonlocal out
+        out = arguments.out or new_drive(arguments.root)
         metadata = {"source": source.description, "pace": arguments.pace}
-        return RecordingWriter(out, config, metadata, lossless=lockstep, now_ns=source.clock.now_ns)
+        return RecordingWriter(
+            out,
+            config,
+            metadata,
+            lossless=lockstep,
+            root=arguments.root,
+            now_ns=source.clock.now_ns,
+        )
 
     desk = Switchboard(config, source, open_writer, publisher, lockstep=lockstep, say=say)
-    capture = Capture(desk, open_notifier())
+    capture = Capture(desk, open_notifier(), port)
     before = {
         number: signal.signal(number, lambda *_: capture.request_stop())
         for number in (signal.SIGINT, signal.SIGTERM)
@@ -150,17 +175,23 @@ def run(arguments: argparse.Namespace) -> int:
             signal.signal(number, handler)
         if port is not None:
             port.stop()
+    assert out is not None
     return report(result, out)
 
 
 def report(result: RecordResult, out: Path) -> int:
     """Writes the trajectory, says what was made and what is missing."""
+    from calm_edge.recording.retention import TRAJECTORY_FILE
     from calm_edge.trajectories import write_tum
 
     trajectory = result.trajectory
     poses = 0 if trajectory is None else len(trajectory.t_ns)
     if trajectory is not None:
-        write_tum(out / TRAJECTORY_FILE, trajectory.t_ns, trajectory.T_w_c)
+        try:
+            write_tum(out / TRAJECTORY_FILE, trajectory.t_ns, trajectory.T_w_c)
+        except OSError as error:
+            # a full disk; the recording holds the trajectory too, as far as it was written
+            say(f"{out / TRAJECTORY_FILE}: cannot be written ({error.strerror})")
     age = result.pose_age_ms()
     aged = f", age p50 {age['p50']:.0f} ms p99 {age['p99']:.0f} ms" if age else ""
     print(f"recording   {out}")

@@ -9,12 +9,15 @@ from pathlib import Path
 def configure(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     parser.add_argument("recording", type=Path, help="a recording folder or an MCAP file")
-    parser.add_argument("--out", type=Path, required=True, help="a new folder, or a new file")
+    parser.add_argument(
+        "--out", type=Path, help="a new folder, or a new file; by default beside the recording"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Copies what can be read; its exit code says whether something was lost."""
     from calm_edge.commands.validate import tell
-    from calm_edge.recording.recovery import recover
+    from calm_edge.recording.recovery import default_target, recover
 
-    return tell(recover(arguments.recording, arguments.out))
+    source: Path = arguments.recording
+    return tell(recover(source, arguments.out or default_target(source)))

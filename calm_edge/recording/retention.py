@@ -16,8 +16,8 @@ from calm_edge.recording.segment import segment_files
 
 # in the folder of a drive that must not be removed
 KEEP_FLAG = "KEEP"
-# what `record` itself leaves beside the segments, and what therefore goes with the last of them
-SIDE_FILES = ("record_trajectory.tum",)
+# what `record` leaves beside the segments, and what therefore goes with the last of them
+TRAJECTORY_FILE = "record_trajectory.tum"
 _NAME = re.compile(r"(\d{6,})-[0-9a-z]+")
 
 
@@ -93,7 +93,7 @@ def remove_oldest(root: Path, present: Path) -> Path | None:
             if drive == present:
                 segments = segments[:-1]
             elif len(segments) <= 1:
-                _remove_side_files(drive)
+                (drive / TRAJECTORY_FILE).unlink(missing_ok=True)
             if segments:
                 segments[0].unlink()
             if drive != present and len(segments) <= 1:
@@ -106,8 +106,3 @@ def remove_oldest(root: Path, present: Path) -> Path | None:
         if segments:
             return segments[0]
     return None
-
-
-def _remove_side_files(drive: Path) -> None:
-    for name in SIDE_FILES:
-        (drive / name).unlink(missing_ok=True)

@@ -1,0 +1,65 @@
+"""Unattended starts, floors and flags, from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from calm_edge.cli import main
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.retention import KEEP_FLAG
+from tests.replay.small_drive import write_drive
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("storage") / "sequence", 12)
+
+
+def start(drive: Path, *more: str) -> int:
+    arguments = ["record", "--sequence", str(drive), "--pace", "lockstep", "--spacing-m", "0.5"]
+    arguments += ["--set", f"backbone.name=scripted:{drive}", "--set", "frontend.n_max=4"]
+    return main([*arguments, "--set", "frontend.n_overlap=2", *more])
+
+
+def test_starts_under_a_root_never_collide_and_a_drive_can_be_kept(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "calm-edge"
+    assert [start(drive, "--root", str(root)) for _ in range(2)] == [0, 0]
+    first, second = sorted(root.iterdir())
+    assert first.name.startswith("000001-") and second.name.startswith("000002-")
+    assert first.name[7:] == second.name[7:]
+    assert all(Recording(path).count("/primary/image") == 12 for path in (first, second))
+    assert main(["keep", str(first)]) == 0 and (first / KEEP_FLAG).exists()
+    assert Recording(first).count("/primary/image") == 12
+    assert main(["keep", "--release", str(first)]) == 0 and not (first / KEEP_FLAG).exists()
+    assert str(first) in capsys.readouterr().out
+    assert main(["keep", str(root)]) == 1
+    assert "holds no recording" in capsys.readouterr().err
+
+
+def test_a_start_under_the_floor_is_refused_and_leaves_nothing(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for target in (["--root", str(tmp_path / "root")], ["--out", str(tmp_path / "rec")]):
+        assert start(drive, *target, "--set", "recording.keep_free_gib=1000000") == 1
+        (line,) = capsys.readouterr().err.strip().splitlines()
+        assert "have to stay free" in line and "keep_free_gib" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_recover_has_a_target_of_its_own(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert start(drive, "--out", str(tmp_path / "rec")) == 0
+    segment = tmp_path / "rec" / "0000.mcap"
+    before = segment.read_bytes()
+    segment.write_bytes(before[: len(before) // 2])
+    assert main(["recover", str(tmp_path / "rec")]) == 3
+    assert segment.read_bytes() == before[: len(before) // 2]
+    assert main(["validate", str(tmp_path / "rec-recovered")]) == 0
+    capsys.readouterr()
+    assert main(["recover", str(tmp_path / "rec")]) == 1
+    assert "exists already" in capsys.readouterr().err
