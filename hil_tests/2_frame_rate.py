@@ -1,0 +1,44 @@
+"""Do both cameras, at the same time, give the frames that they were asked for?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from device.errors import DeviceError
+from hil_tests.kit import Kit, watch
+from hil_tests.report import Row, judged, skipped
+
+NAME = "2 frame rate"
+WATCHED_S = 20.0
+# cameras settle on their nearest rate; less than this share of it is a bus too narrow, or the dark
+LEAST_SHARE = 0.9
+MOST_DROPS_PERCENT = 0.1
+
+
+def rows(kit: Kit) -> Iterator[Row]:
+    """Rate, drops and unusable buffers of each eye."""
+    absent = kit.absent()
+    if absent:
+        yield skipped(NAME, "both eyes", absent)
+        return
+    try:
+        both = watch(kit, WATCHED_S)
+    except DeviceError as error:
+        yield judged(NAME, "both eyes", False, str(error), "open")
+        return
+    asked_hz = kit.config.capture.rate_hz
+    for seen in both:
+        eye = seen.thread.camera.spec.eye.name.lower()
+        stats = seen.thread.camera.stats()
+        t_ns = [frame.t_ns for frame in seen.frames]
+        rate_hz = (len(t_ns) - 1) * 1e9 / (t_ns[-1] - t_ns[0]) if len(t_ns) > 1 else 0.0
+        good = rate_hz >= LEAST_SHARE * asked_hz
+        wanted = f"{asked_hz:g} Hz asked, at least {LEAST_SHARE:.0%}"
+        yield judged(NAME, f"{eye} rate", good, f"{rate_hz:.2f} Hz, {len(t_ns)} frames", wanted)
+        lost = stats.drops + stats.corrupt + seen.thread.overflow
+        percent = 100 * lost / max(1, stats.frames + lost)
+        said = f"{stats.drops} dropped, {stats.corrupt} unusable, {seen.thread.overflow} overflowed"
+        if seen.thread.error:
+            said += f"; {seen.thread.error}"
+        good = percent <= MOST_DROPS_PERCENT and not seen.thread.error
+        yield judged(NAME, f"{eye} losses", good, said, f"{MOST_DROPS_PERCENT} % at most")
