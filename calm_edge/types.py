@@ -110,6 +110,7 @@ class Prediction:
     kit: this batch's own evidence on the kit (without the hints), or None.
     assistant_late_s: how much later than stamped, on the primary's clock, assistants were exposed.
     loop_found: False where the trailing loop keyframe could not be placed: its pose says nothing.
+    notices: lines for the user, the same for every such batch.
     """
 
     K: Float
@@ -121,6 +122,7 @@ class Prediction:
     kit: KitBelief | None = None
     assistant_late_s: float = 0.0
     loop_found: bool = True
+    notices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

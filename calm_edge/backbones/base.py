@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -36,6 +37,8 @@ class Backbone(Protocol):
 
 
 def _bundle(config: Config) -> Backbone:
+    if ":" in config.backbone.name:
+        raise BackboneError(f"backbone.name = {config.backbone.name!r}: bundle takes no model")
     from calm_edge.backbones.bundle.backbone import BundleBackbone
 
     return BundleBackbone(config.backbone)
@@ -47,12 +50,37 @@ def _scripted(config: Config) -> Backbone:
     return ScriptedBackbone.from_config(config)
 
 
-BACKBONES: dict[str, Callable[[Config], Backbone]] = {"bundle": _bundle, "scripted": _scripted}
+def _feedforward(config: Config) -> Backbone:
+    from calm_edge.backbones.feedforward import FeedforwardBackbone
+
+    return FeedforwardBackbone.from_config(config)
+
+
+BACKBONES: dict[str, Callable[[Config], Backbone]] = {
+    "bundle": _bundle,
+    "feedforward": _feedforward,
+    "scripted": _scripted,
+}
 
 
 def open_backbone(config: Config) -> Backbone:
-    """The backbone `backbone.name` asks for (`name` or `name:argument`); raises BackboneError."""
-    name = config.backbone.name.partition(":")[0]
+    """The backbone `backbone.name` asks for: `name`, `name:argument`, or a folder of `models/`.
+
+    Raises BackboneError.
+    """
+    asked = config.backbone.name
+    name = asked.partition(":")[0]
     if name not in BACKBONES:
-        raise BackboneError(f"backbone.name = {name!r}: unknown; known: {', '.join(BACKBONES)}")
+        name = _kind_of_model(asked)
+        config = replace(config, backbone=replace(config.backbone, name=f"{name}:{asked}"))
     return BACKBONES[name](config)
+
+
+def _kind_of_model(name: str) -> str:
+    """The backbone that runs a folder of `models/`; raises BackboneError where there is none."""
+    from calm_edge.backbones.model_folder import find_model, model_names, read_manifest
+
+    if name not in model_names():
+        known = ", ".join([*BACKBONES, *model_names()])
+        raise BackboneError(f"backbone.name = {name!r}: unknown; known: {known}")
+    return read_manifest(find_model(name)).kind
