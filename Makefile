@@ -1,8 +1,9 @@
-# make demo: from nothing to a map. The other targets: setup test lint bench eval.
+# make demo: from nothing to a map. The other targets: setup test lint bench eval deb deb-test hil
+# vm-test.
 .DEFAULT_GOAL := demo
-.PHONY: setup demo test lint bench eval
+.PHONY: setup demo test lint bench eval deb deb-test hil vm-test
 
-PYTHON_SOURCES := calm_edge device tests
+PYTHON_SOURCES := calm_edge device tests deploy hil_tests
 CALM_EDGE := .venv/bin/python -m calm_edge.cli
 DEMO_DRIVE ?= demo/drive
 DEMO_OUT ?= build/demo
@@ -58,3 +59,19 @@ eval: setup
 	measure pixels; \
 	measure tables; \
 	exit $$failed
+
+# the packages for this release and machine, into build/deb
+deb: setup
+	@.venv/bin/python deploy/build_deb.py
+
+# installs, uses, upgrades and removes them in a Debian tree of its own; needs root and debootstrap
+deb-test: setup
+	@.venv/bin/python deploy/try_deb.py
+
+# bring-up of a real kit: hil_tests/README.md says what to plug in; HIL="2 3" picks tests
+hil: setup
+	@.venv/bin/python -m hil_tests $(HIL)
+
+# the package, power cuts and failing disks on an emulated machine; hil_tests/vm/README.md
+vm-test: setup
+	@.venv/bin/python -m hil_tests.vm $(VM)

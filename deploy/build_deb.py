@@ -198,10 +198,8 @@ def compile_modules(stage: Path, target: Target) -> None:
 def build(out: Path, version: str, python: Path, with_oak: bool, commit: str) -> list[Path]:
     """Both packages, or the main one alone."""
     target = target_of(python)
-    epoch = (
-        os.environ.get("SOURCE_DATE_EPOCH")
-        or output("git", "log", "-1", "--format=%ct", commit).strip()
-    )
+    committed = output("git", "log", "-1", "--format=%ct", commit).strip()
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", committed)
     say(f"calm-edge {version} for {target.name} on {target.architecture}, of commit {commit[:10]}")
     work = out / "stage"
     shutil.rmtree(work, ignore_errors=True)

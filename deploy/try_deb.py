@@ -99,6 +99,16 @@ def contents() -> str:
 def install() -> str:
     said = inside("dpkg -i /root/calm-edge_*.deb")
     expect("starts with the next boot" in said, f"no word on what to do next: {said[-300:]}")
+    return installed()
+
+
+def install_again() -> str:
+    inside("dpkg -i /root/calm-edge_*.deb")
+    return f"{installed()}; {unit()}"
+
+
+def installed() -> str:
+    """User, groups and data folder are there."""
     who = inside("id calm-edge").strip()
     for group in ("video", "dialout", "plugdev"):
         expect(group in who, f"user is not in {group}: {who}")
@@ -209,7 +219,7 @@ STEPS: dict[str, Callable[[], str]] = {
     "record": record,
     "upgrade": upgrade,
     "remove": remove,
-    "install again": install,
+    "install again": install_again,
     "purge": purge,
 }
 

@@ -25,7 +25,10 @@ def rows(kit: Kit) -> Iterator[Row]:
         yield judged(NAME, node.path, True, f"{node.card}, {node.driver}, {node.address}", "")
     if not nodes:
         yield skipped(NAME, "cameras", "no V4L2 camera on this machine")
-    for eye, text in (("primary", kit.config.capture.primary), ("assistant", kit.config.capture.assistant)):
+    for eye, text in (
+        ("primary", kit.config.capture.primary),
+        ("assistant", kit.config.capture.assistant),
+    ):
         driver, _, address = text.partition(":")
         if driver != "v4l2":
             yield skipped(NAME, eye, f"{text}: not V4L2")
@@ -36,7 +39,9 @@ def rows(kit: Kit) -> Iterator[Row]:
         else:
             here = [node for node in nodes if address in (node.address, node.path)]
             good = len(here) == 1 and not address.startswith("/dev/video")
-            yield judged(NAME, eye, good, f"{address}: {here[0].path if here else 'not here'}", wanted)
+            yield judged(
+                NAME, eye, good, f"{address}: {here[0].path if here else 'not here'}", wanted
+            )
     port = kit.config.pose_output.port
     if not port:
         yield skipped(NAME, "serial port", "pose_output.port is empty")

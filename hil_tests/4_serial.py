@@ -43,7 +43,9 @@ def rows(kit: Kit) -> Iterator[Row]:
         rate_hz = WRITTEN / took_s
         wanted = f"{kit.config.pose_output.rate_hz:g} poses a second at {baud} baud"
         good = rate_hz >= kit.config.pose_output.rate_hz
-        yield judged(NAME, "writing", good, f"{rate_hz:.0f} messages of {len(MESSAGE)} B/s", wanted)
+        yield judged(
+            NAME, "writing", good, f"{rate_hz:.0f} messages a second, {len(MESSAGE)} B each", wanted
+        )
         heard, end = bytearray(), time.monotonic() + LISTENED_S
         while time.monotonic() < end:
             heard += port.read(4096)
@@ -53,4 +55,6 @@ def rows(kit: Kit) -> Iterator[Row]:
     found = heard.count(MAVLINK_2)
     looped = MESSAGE[:32] in heard
     kind = "our own bytes (RX wired to TX)" if looped else f"{found} possible MAVLink 2 starts"
-    yield judged(NAME, "an answer", looped or found > 0, f"{len(heard)} B heard: {kind}", "MAVLink 2")
+    yield judged(
+        NAME, "an answer", looped or found > 0, f"{len(heard)} B heard: {kind}", "MAVLink 2"
+    )

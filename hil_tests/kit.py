@@ -46,7 +46,8 @@ class Kit:
         from device.drivers.v4l2_device import list_devices
 
         drivers = {
-            text.partition(":")[0] for text in (self.config.capture.primary, self.config.capture.assistant)
+            text.partition(":")[0]
+            for text in (self.config.capture.primary, self.config.capture.assistant)
         }
         if drivers != {"v4l2"}:
             return ""
@@ -68,7 +69,7 @@ class Kit:
 
 @dataclass(slots=True)
 class Seen:
-    """What one eye's thread gave. arrived_ns: (N,) when each frame was taken, on the source's clock."""
+    """What one eye's thread gave. arrived_ns: when each frame was taken, on the source's clock."""
 
     thread: CameraThread
     frames: list[Frame] = field(default_factory=list)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from calm_edge.config import Config
     from calm_edge.daemon.result import RecordResult
     from calm_edge.daemon.source import Source
+    from device.service import Notifier
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -120,15 +121,29 @@ def check_target(arguments: argparse.Namespace, config: Config) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Records until the frames end or SIGINT/SIGTERM."""
+    from calm_edge.types import CalmEdgeError
+    from device.errors import DeviceError
+    from device.service import log_handler, open_notifier
+
+    logging.basicConfig(handlers=[log_handler()], level=logging.WARNING, format="%(message)s")
+    notifier = open_notifier()
+    try:
+        return record(arguments, notifier)
+    except (CalmEdgeError, DeviceError) as error:
+        # who looks at the service sees why it does not run, without reading its journal
+        notifier.status(f"FAILED: {error}", "FAILED")
+        raise
+
+
+def record(arguments: argparse.Namespace, notifier: Notifier) -> int:
+    """One run, from the configuration to the report; raises CalmEdgeError, DeviceError."""
     from calm_edge.daemon.capture import Capture
     from calm_edge.daemon.switchboard import Switchboard
     from calm_edge.pose_output.publisher import PosePublisher
     from calm_edge.recording.retention import new_drive
     from calm_edge.recording.writer import RecordingWriter
     from device.serial_port import SerialPort
-    from device.service import open_notifier
 
-    logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
     config = effective_config(arguments)
     source = open_source(arguments, config)
     if source.is_replay:
@@ -163,7 +178,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
 
     desk = Switchboard(config, source, open_writer, publisher, lockstep=lockstep, say=say)
-    capture = Capture(desk, open_notifier(), port)
+    capture = Capture(desk, notifier, port)
     before = {
         number: signal.signal(number, lambda *_: capture.request_stop())
         for number in (signal.SIGINT, signal.SIGTERM)

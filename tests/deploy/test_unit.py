@@ -73,8 +73,8 @@ def test_a_device_class_is_only_allowed_with_its_driver_loaded_before() -> None:
 
 
 def test_a_stop_has_the_time_that_the_last_windows_may_take() -> None:
-    # tracker, its last window, the backlog, the joint optimum: each may wait for its limit
-    assert seconds("TimeoutStopSec") > 4 * finale.LIVE_LIMIT_S
+    # after that the recording is closed, and the trajectory written
+    assert seconds("TimeoutStopSec") >= 2 * finale.LIVE_LIMIT_S
     assert settings()["KillMode"] == ["mixed"]
     assert settings()["SuccessExitStatus"] == [str(LOSS)]
 

@@ -1,0 +1,32 @@
+"""What `systemctl status` shows of a service that cannot start."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from calm_edge.cli import main
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[capture]\nprimary = 'nosuch:1'\n", "unknown driver 'nosuch'"),
+        ("[capture]\nprimry = 'v4l2:'\n", "capture.primry: no such key"),
+    ],
+)
+def test_the_reason_of_a_failed_start_is_the_status(
+    text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("systemd.daemon")
+    config = tmp_path / "calm-edge.toml"
+    config.write_text(text)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(2)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        assert main(["record", "--config", str(config), "--root", str(tmp_path / "root")]) == 1
+        heard = manager.recv(4096).decode()
+    assert heard.startswith("STATUS=FAILED: ") and said in heard
