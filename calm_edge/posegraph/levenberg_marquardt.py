@@ -22,10 +22,9 @@ def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -
     r = residuals(problem, state)
     current = cost(problem, r, kernel)
     damping = least = _FIRST_DAMPING
-    layout, ordering = Layout(problem.edges, len(state.T_w_p)), None
+    layout = Layout(problem.edges, len(state.T_w_p))
     for iteration in range(1, MAX_ITERATIONS + 1):
-        linear = LinearSystem(problem, state, r, kernel, layout, ordering)
-        ordering = linear.ordering
+        linear = LinearSystem(problem, state, r, kernel, layout)
         while True:
             steps = linear.solve(damping)
             if steps is None and damping < _MAX_DAMPING:

@@ -19,8 +19,8 @@ from calm_edge.posegraph import assistant_factor
 from calm_edge.posegraph.problem import Edges, Kernel, Problem, Residuals, State, softening
 from calm_edge.types import Float, Int
 
-# Keyframes a group: wide enough for a window of 3 to reach no further than the next group.
-_GROUP = 4
+# Keyframes a group: just wide enough for a window of 3 to reach no further than the next group.
+_GROUP = 3
 # Pairs linearised at once: what they need stays in the processor's cache and out of its memory.
 _CHUNK = 256
 
@@ -77,6 +77,9 @@ class Layout:
         self.high = np.concatenate([near + 1, far % self.n_groups])
         factor_of = np.minimum(low, self.n_groups - 2)
         factor_of[is_far] = len(near) + factor
+        # groups that a loop joins to more than their neighbours
+        self.looped = np.zeros(self.n_groups, bool)
+        self.looped[self.low[len(near) :]] = self.looped[self.high[len(near) :]] = True
         self._order = np.argsort(factor_of, kind="stable")
         self._factor = factor_of[self._order]
         ends = np.stack([edges.i, edges.j], -1)[self._order]
@@ -86,6 +89,10 @@ class Layout:
         both = (column[..., None] + np.arange(6)).reshape(-1, 12)
         rest = np.broadcast_to(12 * _GROUP + np.arange(7), (len(both), 7))
         self._columns = np.concatenate([both, rest], 1)
+
+    def complete(self, n_factors: int) -> int:
+        """How many groups, from the first, are joined to their neighbours by the first factors."""
+        return self.n_groups if n_factors >= self.n_groups - 1 else n_factors
 
     def chunks(self) -> Iterator[tuple[slice, Int, Int, Int]]:
         """(factors, pairs (Q,), factor of each counted in the slice (Q,), columns (Q, 19))."""
@@ -109,47 +116,78 @@ def _blocks(rows: Rows, factor: Int, columns: Int, n_factors: int) -> Float:
 
 
 class LinearSystem:
-    """The problem linearised at a state, as a GTSAM graph: one key a group, T_p_a the last."""
+    """The problem linearised at a state: GTSAM keys are the groups, T_p_a the last.
+
+    A group is eliminated as soon as all that joins it to others is there, so of a long drive no
+    more is ever held than back-substitution needs. Groups at the ends of loops come last.
+    """
 
     def __init__(
-        self,
-        problem: Problem,
-        state: State,
-        r: Residuals,
-        kernel: Kernel,
-        layout: Layout,
-        ordering: Any = None,
+        self, problem: Problem, state: State, r: Residuals, kernel: Kernel, layout: Layout
     ) -> None:
         import gtsam
 
         self._gtsam: Any = gtsam
-        self._layout = layout
+        self._problem, self._state, self._r, self._layout = problem, state, r, layout
+        self._soft = softening(problem, r, kernel)
         self._rig = layout.n_groups
-        self._graph = gtsam.GaussianFactorGraph()
-        soft = softening(problem, r, kernel)
-        for factors, pairs, factor, columns in layout.chunks():
-            rows = linearise(problem, state, r, soft, pairs)
-            n_factors = factors.stop - factors.start
-            self._add(_blocks(rows, factor, columns, n_factors), factors)
+
+    def solve(self, damping: float) -> Float | None:
+        """Steps (N + 1, 6) of the damped normal equations, that of T_p_a last.
+
+        None where they are not positive definite: a path of kilometres, hardly damped, can lose
+        that to rounding.
+        """
+        gtsam, layout = self._gtsam, self._layout
+        graph, net, done = gtsam.GaussianFactorGraph(), gtsam.GaussianBayesNet(), 0
+        self._hold(graph, damping)
+        try:
+            for factors, pairs, factor, columns in layout.chunks():
+                rows = linearise(self._problem, self._state, self._r, self._soft, pairs)
+                blocks = _blocks(rows, factor, columns, factors.stop - factors.start)
+                self._join(graph, blocks, factors)
+                ready = np.arange(done, layout.complete(factors.stop))
+                self._damp(graph, ready, damping)
+                done += len(ready)
+                within = ready[~layout.looped[ready]].tolist()
+                if within:
+                    found, graph = graph.eliminatePartialSequential(gtsam.Ordering(within))
+                    _append(net, found)
+            self._damp(graph, np.arange(done, layout.n_groups), damping)
+            # T_p_a touches every keyframe: eliminated last, the rest stays a narrow band
+            ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(graph, [self._rig])
+            _append(net, graph.eliminateSequential(ordering))
+            solution = net.optimize()
+        except RuntimeError:
+            return None
+        steps = np.asarray(solution.vector(list(range(self._rig + 1)))).reshape(-1, 6)
+        return np.concatenate([steps[: layout.n], steps[-1:]])
+
+    def _hold(self, graph: Any, damping: float) -> None:
+        """The prior on T_p_a, the gauge, and rows that no keyframe has."""
+        problem, r = self._problem, self._r
         J = se3.right_jacobian_inverse(r.prior) / problem.sigma_prior[:, None]
-        self._add_rows(self._rig, J, -r.prior / problem.sigma_prior)
-        # the gauge: without it the whole world may move at no cost, so any weight holds exactly
+        self._add_rows(graph, self._rig, J, -r.prior / problem.sigma_prior)
+        self._add_rows(graph, self._rig, np.sqrt(damping) * np.eye(6), np.zeros(6))
+        # without the gauge the whole world may move at no cost, so any weight holds exactly
         held = np.zeros((6, 6 * _GROUP))
         held[:, :6] = np.diag(1 / problem.sigma)
-        self._add_rows(0, held, np.zeros(6))
-        self._hold_padding()
-        # T_p_a touches every keyframe: eliminated last, the rest stays a narrow band
-        self.ordering = ordering or gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(
-            self._graph, [self._rig]
-        )
+        self._add_rows(graph, 0, held, np.zeros(6))
+        rows = np.arange(self._layout.n, self._layout.n_groups * _GROUP)
+        for group in np.unique(rows // _GROUP).tolist():
+            empty = np.zeros(6 * _GROUP)
+            for row in rows[rows // _GROUP == group] % _GROUP:
+                empty[6 * row : 6 * row + 6] = 1.0
+            self._add_rows(graph, group, np.diag(empty), np.zeros(6 * _GROUP))
 
-    def _add(self, H: Float, factors: slice) -> None:
+    def _join(self, graph: Any, H: Float, factors: slice) -> None:
+        """Adds factors, their blocks in H (F, D, D)."""
         g, r = 6 * _GROUP, 12 * _GROUP
-        factor, add = self._gtsam.HessianFactor, self._graph.add
+        factor = self._gtsam.HessianFactor
         low, high = self._layout.low[factors].tolist(), self._layout.high[factors].tolist()
         for a, b, G in zip(low, high, H, strict=True):
             h = G[:, -1]
-            add(
+            graph.add(
                 factor(
                     a, b, self._rig,
                     G[:g, :g], G[:g, g:r], G[:g, r:-1], h[:g],
@@ -158,35 +196,17 @@ class LinearSystem:
                 )
             )  # fmt: skip
 
-    def _add_rows(self, key: int, A: Float, b: Float) -> None:
+    def _damp(self, graph: Any, groups: Int, damping: float) -> None:
+        root, zero = np.sqrt(damping) * np.eye(6 * _GROUP), np.zeros(6 * _GROUP)
+        for group in groups.tolist():
+            self._add_rows(graph, group, root, zero)
+
+    def _add_rows(self, graph: Any, key: int, A: Float, b: Float) -> None:
         unit = self._gtsam.noiseModel.Unit.Create(len(A))
-        self._graph.add(self._gtsam.JacobianFactor(key, A, b, unit))
+        graph.add(self._gtsam.JacobianFactor(key, A, b, unit))
 
-    def _hold_padding(self) -> None:
-        """Poses that no keyframe has stay where they are."""
-        rows = np.arange(self._layout.n, self._layout.n_groups * _GROUP)
-        for group in np.unique(rows // _GROUP).tolist():
-            empty = np.zeros(6 * _GROUP)
-            for row in rows[rows // _GROUP == group] % _GROUP:
-                empty[6 * row : 6 * row + 6] = 1.0
-            self._add_rows(group, np.diag(empty), np.zeros(6 * _GROUP))
 
-    def solve(self, damping: float) -> Float | None:
-        """Steps (N + 1, 6) of the damped normal equations, that of T_p_a last.
-
-        None where they are not positive definite: a path of kilometres, hardly damped, can lose
-        that to rounding.
-        """
-        damped = self._gtsam.GaussianFactorGraph()
-        damped.push_back(self._graph)
-        for keys, size in ((range(self._rig), 6 * _GROUP), ([self._rig], 6)):
-            root, zero = np.sqrt(damping) * np.eye(size), np.zeros(size)
-            unit = self._gtsam.noiseModel.Unit.Create(size)
-            for key in keys:
-                damped.add(self._gtsam.JacobianFactor(key, root, zero, unit))
-        try:
-            solution = damped.optimize(self.ordering)
-        except RuntimeError:
-            return None
-        steps = np.asarray(solution.vector(list(range(self._rig + 1)))).reshape(-1, 6)
-        return np.concatenate([steps[: self._layout.n], steps[-1:]])
+def _append(net: Any, more: Any) -> None:
+    """Conditionals of one GTSAM Bayes net, after those of another."""
+    for k in range(more.size()):
+        net.push_back(more.at(k))

@@ -21,6 +21,8 @@ def serve(requests: Connection, answers: Connection) -> None:
             snapshot = requests.recv()
             assert isinstance(snapshot, Snapshot)
             answers.send(Solved(snapshot.graph, optimum(snapshot.problem, snapshot.state)))
+            # or it would be held beside the next one
+            del snapshot
         except (EOFError, BrokenPipeError):
             return
 

@@ -16,6 +16,9 @@ from calm_edge.types import Float, Int
 # A kernel takes the whitened norms (P,) of loop residuals to (cost, weight), each (P,).
 Kernel = Callable[[Float], tuple[Float, Float]]
 
+# Pairs whose residuals are taken at once: their poses on the way are many times what they leave.
+_CHUNK = 4096
+
 
 class State(NamedTuple):
     """T_w_p (N, 4, 4) primary keyframes and T_p_a (4, 4), world units."""
@@ -99,10 +102,20 @@ def residuals(problem: Problem, state: State) -> Residuals:
     edges, (T_w_p, T_p_a) = problem.edges, state
     T_w_a = T_w_p @ T_p_a
     return Residuals(
-        assistant_factor.residual(edges.T_j_i, T_w_p[edges.i], T_w_p[edges.j]),
-        assistant_factor.residual(edges.T_j_i_assistant, T_w_a[edges.i], T_w_a[edges.j]),
+        _relative(edges.T_j_i, T_w_p, edges),
+        _relative(edges.T_j_i_assistant, T_w_a, edges),
         se3.log(se3.inverse(problem.T_p_a_prior) @ T_p_a),
     )
+
+
+def _relative(T_j_i: Float, T_w_c: Float, edges: Edges) -> Float:
+    """(P, 6) of one camera, poses (N, 4, 4)."""
+    r = np.empty((len(edges.i), 6))
+    for start in range(0, len(r), _CHUNK):
+        some = slice(start, start + _CHUNK)
+        i, j = T_w_c[edges.i[some]], T_w_c[edges.j[some]]
+        r[some] = assistant_factor.residual(T_j_i[some], i, j)
+    return r
 
 
 def norms(problem: Problem, r: Residuals) -> Float:

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calm_edge.posegraph import linear_system
 from calm_edge.posegraph.linear_system import Layout, LinearSystem, linearise
 from calm_edge.posegraph.problem import State, huber, residuals, softening
 from calm_edge.types import LoopClosure
@@ -42,6 +43,22 @@ def test_steps_are_those_of_the_dense_normal_equations(n, window, damping):
     steps = LinearSystem(problem, state, r, huber, layout).solve(damping)
     expected = dense_steps(problem, state, damping)
     assert steps.shape == expected.shape
+    assert np.abs(steps - expected).max() < 1e-7 * max(1.0, np.abs(expected).max())
+
+
+@pytest.mark.parametrize("window", [1, 3])
+def test_steps_are_the_same_where_groups_are_eliminated_on_the_way(monkeypatch, window):
+    graph = graph_of(curved(60), noise=0.1, config=dataclasses.replace(CONFIG, window=window))
+    for query, match in ((59, 0), (58, 1), (33, 12)):
+        graph.add_loop(LoopClosure(query, match, np.eye(4)))
+    problem, state = graph.problem(), graph.state()
+    r = residuals(problem, state)
+    monkeypatch.setattr(linear_system, "_CHUNK", 8)
+    layout = Layout(problem.edges, len(state.T_w_p))
+    assert len(list(layout.chunks())) > 5
+    assert layout.looped.tolist().count(True) == 4
+    steps = LinearSystem(problem, state, r, huber, layout).solve(1e-11)
+    expected = dense_steps(problem, state, 1e-11)
     assert np.abs(steps - expected).max() < 1e-7 * max(1.0, np.abs(expected).max())
 
 
