@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from calm_edge.backbones.bundle import kit
 from calm_edge.backbones.kit_belief import product
@@ -125,7 +125,7 @@ def _bounded(belief: KitBelief, bounds: KitBelief) -> KitBelief:
 
 def _change(text: str, part: tuple[float, int]) -> Change:
     distance2, observed = part
-    p_value = float(chi2.sf(distance2, observed)) if observed else 1.0
+    p_value = float(chdtrc(observed, distance2)) if observed else 1.0
     return Change(text, distance2, observed, p_value)
 
 
