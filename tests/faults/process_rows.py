@@ -1,0 +1,220 @@
+"""The real command is killed, stopped and hung from outside, as a car does it."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from calm_edge.recording import schema
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.recovery import Outcome, recover, validate
+from device.frame import Eye
+from tests.faults.independent_reader import independent_counts
+from tests.faults.row import Row, sequences
+
+PROJECT = Path(__file__).parents[2]
+# of the unit
+WATCHDOG_S, RESTART_S = 5.0, 2.0
+
+
+def command(drive: Path, *target: str) -> list[str]:
+    """`calm-edge record` of a drive in real time."""
+    arguments = ["record", "--sequence", str(drive), "--pace", "realtime", "--spacing-m", "0.5"]
+    arguments += ["--set", f"backbone.name=scripted:{drive}", "--set", "frontend.n_max=6"]
+    arguments += ["--set", "frontend.n_overlap=2", *target]
+    return [sys.executable, "-m", "calm_edge.cli", *arguments]
+
+
+@contextmanager
+def running(drive: Path, *target: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
+    """The command, ended whatever happens."""
+    process = subprocess.Popen(
+        command(drive, *target),
+        cwd=PROJECT,
+        env={**os.environ, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def wait_for_frames(rec: Path, limit_s: float = 60.0) -> None:
+    """Returns once a first frame is in the file; raises TimeoutError."""
+    end = time.monotonic() + limit_s
+    while time.monotonic() < end:
+        if any(rec.glob("*.mcap.part")) and Recording(rec).count("/primary/image"):
+            return
+        time.sleep(0.05)
+    raise TimeoutError(f"{rec}: no frame in {limit_s:.0f} s")
+
+
+def lost_s(recording: Recording, killed_ns: int) -> dict[str, float]:
+    """Topic -> seconds of it that are missing before the kill, on the machine's clock.
+
+    A message every period was due: what is missing begins a period after the newest one.
+    """
+    pair = next(iter(recording.json_messages(schema.CLOCK)))
+    logged = [p.log_time for p in recording._places(schema.CLOCK)]
+    # the replay's clock runs beside the machine's
+    killed_stamp_ns = killed_ns - pair["monotonic_ns"] + logged[0]
+    lost = {}
+    for topic in (*schema.IMAGE_TOPICS.values(), schema.POSE_SAMPLE, schema.CLOCK, schema.HEALTH):
+        times = np.array([p.log_time for p in recording._places(topic)], np.int64)
+        period_ns = float(np.median(np.diff(times))) if len(times) > 1 else 1e9
+        newest = int(times[-1]) if len(times) else logged[0]
+        lost[topic] = max(0.0, (killed_stamp_ns - newest - period_ns) / 1e9)
+    return lost
+
+
+def kill_9(drive: Path, folder: Path, times: int, longest_s: float, seed: int = 5) -> Row:
+    """Killed at random moments after the first frame; recovered, and counted by a stranger."""
+    moment = random.Random(seed)
+    worst: dict[str, float] = {}
+    agreed = recovered = 0
+    reader = ""
+    for k in range(times):
+        rec = folder / f"rec{k}"
+        with running(drive, "--out", str(rec)) as process:
+            wait_for_frames(rec)
+            time.sleep(moment.uniform(0.0, longest_s))
+            process.send_signal(signal.SIGKILL)
+            killed_ns = time.monotonic_ns()
+            process.wait()
+        for topic, seconds in lost_s(Recording(rec), killed_ns).items():
+            worst[topic] = max(worst.get(topic, 0.0), seconds)
+        told = _submaps_told(rec)
+        report = recover(rec, folder / f"mended{k}")
+        ours = Counter(report.messages)
+        reader, theirs = independent_counts([rec], PROJECT / "build" / "interop")
+        _, again = independent_counts([folder / f"mended{k}"], PROJECT / "build" / "interop")
+        agreed += ours == theirs == again
+        recovered += (
+            report.outcome is Outcome.WITH_LOSS
+            and validate(folder / f"mended{k}").outcome is Outcome.ALL
+            and ours[schema.SUBMAP] >= told
+        )
+    longest = max(worst, key=lambda topic: worst[topic])
+    return Row(
+        f"kill -9, {times} random moments",
+        f"at most {worst[longest]:.2f} s lost ({longest}); counts equal in {agreed} of {times} "
+        f"({reader})",
+        "<= 1.5 s lost of every channel; counts as an independent reader's",
+        worst[longest] <= 1.5 and agreed == recovered == times,
+    )
+
+
+def _submaps_told(rec: Path) -> int:
+    """Sub-maps written before the newest /health: none of them may be missing."""
+    told = [m["counts"]["submaps"] for m in Recording(rec).json_messages(schema.HEALTH)]
+    return int(told[-1]) if told else 0
+
+
+def terminated(drive: Path, folder: Path, after_s: float = 2.0) -> Row:
+    """SIGTERM in the middle of a drive."""
+    rec = folder / "rec"
+    with running(drive, "--out", str(rec)) as process:
+        wait_for_frames(rec)
+        time.sleep(after_s)
+        started = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        code = process.wait(100)
+        took_s = time.monotonic() - started
+    recording = Recording(rec)
+    same = all(_untouched(recording, drive, eye) for eye in Eye)
+    outcome = validate(rec).outcome
+    return Row(
+        "SIGTERM",
+        f"exit {code} after {took_s:.1f} s, validate {int(outcome)}, JPEG bytes "
+        f"{'identical' if same else 'changed'}",
+        "exit 0 or 3 within TimeoutStopSec (100 s), the recording whole, bytes identical",
+        code in (0, 3) and took_s < 100 and outcome is Outcome.ALL and same,
+    )
+
+
+def _untouched(recording: Recording, drive: Path, eye: Eye) -> bool:
+    """The frames are the drive's files from the first on, byte by byte."""
+    files = sorted((drive / f"cam{int(eye)}").iterdir())
+    frames = list(recording.frames(eye))
+    in_order = sequences(recording, eye) == list(range(len(frames)))
+    pairs = zip(frames, files, strict=False)
+    return len(frames) > 0 and in_order and all(f.image == p.read_bytes() for f, p in pairs)
+
+
+class ServiceManager:
+    """Hears what the daemon tells systemd."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+
+    def wait(self, word: str, limit_s: float) -> bool:
+        """Whether `word` came within the time."""
+        end = time.monotonic() + limit_s
+        while (left_s := end - time.monotonic()) > 0:
+            self._socket.settimeout(left_s)
+            try:
+                text = self._socket.recv(4096).decode()
+            except TimeoutError:
+                return False
+            if text.startswith(word):
+                return True
+        return False
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def hung(drive: Path, folder: Path) -> Row:
+    """The capture process hangs; a service manager with the unit's times kills and restarts it."""
+    # a socket's name is short
+    place = Path(f"/tmp/calm-edge-notify-{os.getpid()}")
+    manager = ServiceManager(place)
+    environment = {"NOTIFY_SOCKET": str(place), "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
+    target = ("--root", str(folder / "root"))
+    ready = silent = False
+    try:
+        with running(drive, *target, **environment) as process:
+            ready = manager.wait("READY=1", 60) and manager.wait("WATCHDOG=1", 20)
+            process.send_signal(signal.SIGSTOP)
+            hung_s = time.monotonic()
+            while manager.wait("WATCHDOG=1", WATCHDOG_S):
+                # one sent before the hang
+                continue
+            process.kill()
+        time.sleep(RESTART_S)
+        with running(drive, *target, **environment):
+            silent = manager.wait("WATCHDOG=1", 60)
+            back_s = time.monotonic() - hung_s
+    finally:
+        manager.close()
+        place.unlink()
+    first, second = sorted((folder / "root").iterdir())
+    whole = recover(first, folder / "mended").outcome is not Outcome.FAILED
+    shutil.rmtree(folder / "mended", ignore_errors=True)
+    return Row(
+        "capture hangs",
+        f"next frame {back_s:.1f} s after the hang (watchdog {WATCHDOG_S:g} s, restart "
+        f"{RESTART_S:g} s), into {second.name}",
+        "frames again <= 10 s after the hang, in a folder of their own",
+        ready and silent and whole and back_s <= 10.0,
+    )

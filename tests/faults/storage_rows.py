@@ -1,0 +1,149 @@
+"""The disk fills, fails or turns read-only while the daemon records."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from calm_edge.config import merge
+from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.recording import writer
+from calm_edge.recording.recovery import Outcome, validate
+from tests.faults.row import AfterFrames, Row, all_frames, states
+from tests.replay.daemon_run import config_for, record
+
+
+@contextmanager
+def small_disk(folder: Path, size: str) -> Iterator[Path | None]:
+    """A disk of its own, None where none can be mounted."""
+    folder.mkdir(parents=True)
+    mount = shutil.which("mount")
+    command = [mount or "mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
+    if mount is None or subprocess.run(command, capture_output=True).returncode:
+        yield None
+        return
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@contextmanager
+def quick_retry() -> Iterator[None]:
+    """The writer tries a failed disk again ten times a second."""
+    before, writer.RETRY_S = writer.RETRY_S, 0.1
+    try:
+        yield
+    finally:
+        writer.RETRY_S = before
+
+
+class Poses:
+    """How many poses came while the disk was away."""
+
+    def __init__(self) -> None:
+        self._at: list[int] = []
+
+    def mark(self, desk: Switchboard) -> None:
+        self._at.append(desk.result.poses + desk.result.lost_poses)
+
+    @property
+    def meanwhile(self) -> int:
+        return self._at[-1] - self._at[0]
+
+
+def full_disk(drive: Path, n: int, folder: Path) -> Row:
+    """A real, small disk: something else takes its room and gives it back."""
+    fault, promise = "disk full", "recording stops and comes back, poses go on, no frame lost"
+    with small_disk(folder / "disk", "64m") as disk, quick_retry():
+        if disk is None:
+            return Row(fault, "no tmpfs can be mounted here", promise, False, skipped=True)
+        ballast, poses = disk / "ballast", Poses()
+        wrong: list[str] = []
+
+        def fill(desk: Switchboard) -> None:
+            room = os.statvfs(disk)
+            ballast.write_bytes(b"\0" * (room.f_bavail * room.f_frsize - (9 << 20)))
+            poses.mark(desk)
+
+        def free(desk: Switchboard) -> None:
+            wrong.append(desk.recording.health.error)
+            poses.mark(desk)
+            ballast.unlink()
+
+        changes = {"recording": {"keep_free_gib": 0.0, "keep_free_percent": 0.0, "flush_s": 0.2}}
+        config = merge(config_for(drive), changes)
+        during = AfterFrames((n // 4, fill), (3 * n // 4, free))
+        result, _ = record(drive, disk / "rec", lockstep=False, config=config, during=during)
+        found, whole = states(disk / "rec"), validate(disk / "rec").outcome is Outcome.ALL
+        segments = len(list((disk / "rec").glob("*.mcap")))
+        complete = all_frames(disk / "rec", n)
+    return Row(
+        fault,
+        f"{segments} segments, all whole, {poses.meanwhile} poses meanwhile, "
+        f"{2 * n} of {sum(result.frames)} frames; {' '.join(found)}",
+        promise,
+        "No space left" in wrong[0]
+        and segments > 1
+        and whole
+        and complete
+        and result.unrecorded == 0
+        and poses.meanwhile > 0,
+    )
+
+
+class FailingDisk:
+    """Refuses every write while told to."""
+
+    def __init__(self, code: int) -> None:
+        self._code, self._fails = code, False
+
+    def fail(self, _: Switchboard) -> None:
+        self._fails = True
+
+    def mend(self, _: Switchboard) -> None:
+        self._fails = False
+
+    def __call__(self, fd: int, data: bytes) -> int:
+        if self._fails:
+            raise OSError(self._code, os.strerror(self._code))
+        return os.write(fd, data)
+
+
+def failing_disk(drive: Path, n: int, folder: Path, code: int = errno.EIO) -> Row:
+    """Every write fails for half of the drive."""
+    disk, poses = FailingDisk(code), Poses()
+    wrong: list[str] = []
+
+    def mend(desk: Switchboard) -> None:
+        wrong.append(desk.recording.health.error)
+        poses.mark(desk)
+        disk.mend(desk)
+
+    during = AfterFrames((n // 4, disk.fail), (n // 4 + 1, poses.mark), (3 * n // 4, mend))
+    config = merge(config_for(drive), {"recording": {"flush_s": 0.2}})
+    with quick_retry():
+        result, _ = record(
+            drive, folder / "rec", lockstep=False, config=config, during=during, write=disk
+        )
+    segments = len(list((folder / "rec").glob("*.mcap*")))
+    return Row(
+        f"write error ({os.strerror(code)})",
+        f"{poses.meanwhile} poses meanwhile, {2 * n} of {sum(result.frames)} frames in "
+        f"{segments} segments; {' '.join(states(folder / 'rec'))}",
+        "recording comes back in a new segment, poses go on, no frame lost",
+        os.strerror(code) in wrong[0]
+        and all_frames(folder / "rec", n)
+        and result.unrecorded == 0
+        and poses.meanwhile > 0,
+    )
+
+
+def read_only_disk(drive: Path, n: int, folder: Path) -> Row:
+    """The file system turns read-only, as ext4 does after an error."""
+    return failing_disk(drive, n, folder, errno.EROFS)

@@ -1,0 +1,35 @@
+"""Each thing behind capture stands still in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.faults import isolation_rows as rows
+from tests.faults.row import Row
+from tests.replay.small_drive import write_drive
+
+N = 24
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_drive(tmp_path_factory.mktemp("isolation") / "sequence", N)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        rows.endless_disk,
+        rows.standing_estimator,
+        rows.standing_tracker,
+        rows.stalled_serial,
+    ],
+)
+def test_capture_goes_on(
+    drive: Path, tmp_path: Path, fault: Callable[[Path, int, Path], Row]
+) -> None:
+    row = fault(drive, N, tmp_path)
+    assert row.kept, row
