@@ -22,6 +22,7 @@ COMMANDS = {
     "validate": "check every byte of a recording",
     "keep": "keep a recording from being removed when the disk is full",
     "cameras": "list the cameras of this machine",
+    "model": "list the models, or check one on this machine",
     "doctor": "say what is missing on this machine and what it costs",
 }
 

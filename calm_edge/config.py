@@ -85,12 +85,14 @@ class BackboneConfig:
     """name: `bundle`, `scripted:FOLDER`, or a model: `feedforward:NAME_OR_FOLDER`, or its NAME.
 
     precision: of a model's graphs; auto is what `model check` found best here, fp32 in lockstep.
+    max_views: a run of a feedforward model, at least 2; 0 is what `model check` found.
     resolve_windows: how many recent windows can be solved again when the kit is known better.
     kit_file: where what a drive learns of these cameras is kept for the next one; empty for none.
     """
 
     name: str = "bundle"
     precision: Literal["auto", "fp32", "fp16", "int8"] = "auto"
+    max_views: int = 0
     hfov_deg: tuple[float, ...] = ()
     seed: int = 0
     resolve_windows: int = 400

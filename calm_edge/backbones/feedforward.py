@@ -17,7 +17,7 @@ from calm_edge.backbones.model_folder import find_model, read_manifest, verify
 from calm_edge.backbones.network import Network
 from calm_edge.backbones.picture_input import Fit, fit_pictures
 from calm_edge.backbones.place import GradientLayout
-from calm_edge.backbones.precision import chosen, model_of
+from calm_edge.backbones.precision import chosen, model_of, most_views
 from calm_edge.config import Config
 from calm_edge.types import Bytes, Hints, Int, Prediction
 from device.frame import Eye
@@ -58,15 +58,13 @@ class FeedforwardBackbone:
             raise BackboneError(f"{manifest.name}: refused by model check: {found.refusal}")
         verify(manifest, [precision])
         notices: tuple[str, ...] = ()
-        max_views = manifest.frames.max
         if found is None:
             notices = (
                 f"{manifest.name} runs in {precision}, never checked on this machine: "
                 f"calm-edge model check {name}",
             )
-        else:
-            max_views = min(max_views, found.max_views)
-        return cls(manifest, precision, max_views, notices)
+        views = most_views(manifest, precision, config.backbone.max_views)
+        return cls(manifest, precision, views, notices)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, K, depth and confidence; raises BackboneError."""

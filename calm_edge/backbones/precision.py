@@ -1,4 +1,4 @@
-"""Which precision of a model's graphs runs, so that a recording can say it."""
+"""Which precision of a model runs on how many views, so that a recording can say it."""
 
 from __future__ import annotations
 
@@ -41,11 +41,28 @@ def chosen(manifest: Manifest, asked: str, *, deterministic: bool = False) -> Pr
     return have[0]
 
 
+def most_views(manifest: Manifest, precision: Precision, asked: int) -> int:
+    """Views a run: as asked, else what `model check` measured, never above the manifest's.
+
+    asked: `backbone.max_views`. Raises ManifestError.
+    """
+    if asked < 0 or asked == 1:
+        raise ManifestError(f"backbone.max_views = {asked}: must be 0 or at least 2")
+    measured = verdict.load(manifest)
+    most = manifest.frames.max
+    if asked:
+        return min(asked, most)
+    return min(most, measured.max_views.get(precision, most)) if measured else most
+
+
 def pinned(config: Config, *, deterministic: bool) -> Config:
-    """The config with `backbone.precision` as it will run; raises ManifestError."""
+    """The config with `backbone.precision` and `max_views` as they will run, so that a recording
+    says it and `map` does the same; raises ManifestError."""
     name = model_of(config)
     if not name:
         return config
+    backbone = config.backbone
     manifest = read_manifest(find_model(name))
-    precision = chosen(manifest, config.backbone.precision, deterministic=deterministic)
-    return replace(config, backbone=replace(config.backbone, precision=precision))
+    precision = chosen(manifest, backbone.precision, deterministic=deterministic)
+    views = most_views(manifest, precision, backbone.max_views)
+    return replace(config, backbone=replace(backbone, precision=precision, max_views=views))

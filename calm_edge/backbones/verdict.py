@@ -19,12 +19,14 @@ _RUNTIMES = ("onnxruntime", "onnxruntime-gpu")
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """refusal: why the model must not run; empty when it passed. max_views: a run, on this
-    machine. precision: the one to run; why: one line on how it was chosen."""
+    """refusal: why the model must not run; empty when it passed. precision: the one to run.
+
+    max_views: a run on this machine, by precision. why: one line on how that was chosen.
+    """
 
     refusal: str
     precision: Precision
-    max_views: int
+    max_views: dict[str, int]
     why: str
 
 

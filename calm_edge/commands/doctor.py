@@ -25,6 +25,7 @@ OPTIONAL = {
     "serial": "no pose on a serial port",
     "depthai": "no OAK cameras",
     "matplotlib": "no drawings in reports",
+    "onnxruntime": "no models of models/ (bundle needs none)",
 }
 FREE_GB = 2.0
 

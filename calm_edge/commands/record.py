@@ -62,7 +62,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def effective_config(arguments: argparse.Namespace) -> Config:
-    """Defaults, file, --set, then --spacing-m and --hfov-deg; raises ConfigError."""
+    """Defaults, file, --set, then --spacing-m and --hfov-deg, and how a model will run here.
+
+    Raises ConfigError, BackboneError.
+    """
+    from calm_edge.backbones.precision import pinned
     from calm_edge.config import ConfigError, load, merge
 
     config = load(arguments.config, arguments.set)
@@ -76,7 +80,7 @@ def effective_config(arguments: argparse.Namespace) -> Config:
         raise ConfigError(f"scale.spacing_m = {config.scale.spacing_m:g}: must not be negative")
     if any(not 0 < a < 180 for a in config.backbone.hfov_deg):
         raise ConfigError(f"backbone.hfov_deg = {config.backbone.hfov_deg}: must be in (0, 180)")
-    return config
+    return pinned(config, deterministic=arguments.pace == "lockstep")
 
 
 def open_source(arguments: argparse.Namespace, config: Config) -> Source:

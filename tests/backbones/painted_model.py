@@ -168,7 +168,7 @@ def write_model(
     for precision, drift in drifts.items():
         file = folder / f"{precision}.onnx"
         save_model(parser.parse_model(graph_text(frozen=frozen, drift=drift)), file)
-        variants.append(f'{precision} = {{ file = "{file.name}", sha256 = "{_sha256(file)}" }}')
+        variants.append(f'{precision} = {{ file = "{file.name}", sha256 = "{sha256(file)}" }}')
     arrays = {}
     for n in cases:
         pictures = np.stack(paint(centres(-(-n // 2))[:n], INPUT_SIZE, seed=n))
@@ -177,11 +177,12 @@ def write_model(
     np.savez_compressed(folder / "golden.npz", **arrays)
     (folder / "LICENSE").write_text("Anyone may do anything with it.\n")
     text = MANIFEST.format(
-        variants="\n".join(variants), max_views=max_views, golden=_sha256(folder / "golden.npz")
+        variants="\n".join(variants), max_views=max_views, golden=sha256(folder / "golden.npz")
     )
     (folder / "manifest.toml").write_text(text)
     return folder
 
 
-def _sha256(path: Path) -> str:
+def sha256(path: Path) -> str:
+    """Of a file, as manifests have it."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -160,12 +160,12 @@ def test_what_was_never_checked_says_so(folder):
 
 def test_a_verdict_rules(folder):
     manifest = read_manifest(folder)
-    verdict.save(manifest, Verdict("", "int8", 3, "faster"))
+    verdict.save(manifest, Verdict("", "int8", {"int8": 3, "fp32": 2}, "faster"))
     p = opened(folder).infer(paint(centres(2)), hints_of(2))
     assert [n for n in p.notices if "takes 3 views" in n] and len(p.notices) == 1
     fp32 = opened(folder, precision="fp32").infer(paint(centres(2)), hints_of(2))
     assert not np.array_equal(p.depth, fp32.depth)
-    verdict.save(manifest, Verdict("golden values differ", "fp32", 3, ""))
+    verdict.save(manifest, Verdict("golden values differ", "fp32", {}, ""))
     with pytest.raises(BackboneError, match="refused by model check: golden values differ"):
         opened(folder)
 
@@ -173,9 +173,10 @@ def test_a_verdict_rules(folder):
 def test_what_runs_is_pinned_so_that_it_is_recorded(folder):
     config = config_of(f"feedforward:{folder}")
     assert pinned(config, deterministic=False).backbone.precision == "fp32"
-    verdict.save(read_manifest(folder), Verdict("", "int8", 3, "faster"))
-    assert pinned(config, deterministic=False).backbone.precision == "int8"
-    assert pinned(config, deterministic=True).backbone.precision == "fp32"
+    verdict.save(read_manifest(folder), Verdict("", "int8", {"int8": 3, "fp32": 2}, "faster"))
+    live, lockstep = (pinned(config, deterministic=d).backbone for d in (False, True))
+    assert (live.precision, live.max_views) == ("int8", 3)
+    assert (lockstep.precision, lockstep.max_views) == ("fp32", 2)
     asked = config_of(f"feedforward:{folder}", precision="int8")
     assert pinned(asked, deterministic=True).backbone.precision == "int8"
     with pytest.raises(BackboneError, match="has no fp16 graphs; it has fp32, int8"):
@@ -185,8 +186,8 @@ def test_what_runs_is_pinned_so_that_it_is_recorded(folder):
 
 def test_a_verdict_file_that_is_not_ours_is_none(folder):
     manifest = read_manifest(folder)
-    path = verdict.save(manifest, Verdict("", "int8", 3, ""))
-    assert verdict.load(manifest) == Verdict("", "int8", 3, "")
+    path = verdict.save(manifest, Verdict("", "int8", {"int8": 3}, ""))
+    assert verdict.load(manifest) == Verdict("", "int8", {"int8": 3}, "")
     for text in ("", "{}", '{"refusal": 1}', "[]"):
         path.write_text(text)
         assert verdict.load(manifest) is None

@@ -14,6 +14,7 @@ from calm_edge.config import Config, merge
 from calm_edge.frontend.sequence import ORIGIN_NS
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, Prediction
+from tests.backbones.painted_model import centres, paint, write_model
 from tests.drives import curved
 from tests.synthetic.drive import Settings, make_rig
 from tests.synthetic.render import render_views
@@ -64,10 +65,21 @@ def rendered_drive(name: str) -> Batch:
     return Batch(open_backbone(merge(Config(), {"backbone": {"name": name}})), images, hints)
 
 
+def painted_drive(folder) -> Batch:
+    """A small network that reads the scene off pictures painted for it, in parts of eight views."""
+    name = f"feedforward:{write_model(folder, max_views=8)}"
+    config = merge(Config(), {"backbone": {"name": name}})
+    t_ns = ORIGIN_NS + 200_000_000 * np.arange(N)
+    hints = Hints(eyes=np.repeat([0, 1], N), t_ns=np.concatenate([t_ns, t_ns + 17_000_000]))
+    return Batch(open_backbone(config), paint(centres(N)), hints)
+
+
 @pytest.fixture(scope="module", params=sorted(BACKBONES))
 def batch(request, tmp_path_factory) -> Batch:
     if request.param == "scripted":
         return played_drive(tmp_path_factory.mktemp("scripted"))
+    if request.param == "feedforward":
+        return painted_drive(tmp_path_factory.mktemp("painted"))
     return rendered_drive(request.param)
 
 

@@ -1,0 +1,120 @@
+"""Known inputs and outputs of a model's graphs, and how far a run is off them."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calm_edge.backbones.manifest import Manifest, ManifestError
+from calm_edge.backbones.picture_input import Fit, fit_pictures, input_tensor
+from calm_edge.backbones.session import Tensor
+from calm_edge.types import Bytes
+
+PICTURES = "pictures"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """inputs: tensors of the graph by name. pictures: (N, H, W, 3) uint8 BGR that one of them was
+    made of, or None. outputs: what the original model gave."""
+
+    role: str
+    name: str
+    inputs: dict[str, Tensor] = field(default_factory=dict)
+    outputs: dict[str, Tensor] = field(default_factory=dict)
+    pictures: Bytes | None = None
+
+    def shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Of all inputs, by name."""
+        return tuple(self.inputs[name].shape for name in sorted(self.inputs))
+
+
+def read_cases(manifest: Manifest) -> list[Case]:
+    """Every case of `golden.npz`; raises ManifestError where a role has too few.
+
+    A role needs two of unlike shapes: a graph traced at one number of views may run at another
+    and be silently wrong. One is enough where the number is fixed.
+    """
+    path = manifest.folder / manifest.golden.file
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise ManifestError(f"{path}: cannot be read ({error})") from None
+    parts: dict[tuple[str, str], dict[str, Tensor]] = {}
+    for name, array in arrays.items():
+        role, _, rest = name.partition("/")
+        case, _, what = rest.partition("/")
+        if role not in manifest.graphs or not what:
+            raise ManifestError(f"{path}: {name}: expected ROLE/CASE/(pictures | in/X | out/X)")
+        parts.setdefault((role, case), {})[what] = array
+    cases = [_case(manifest, role, case, part) for (role, case), part in parts.items()]
+    for role in manifest.graphs:
+        shapes = {case.shapes() for case in cases if case.role == role}
+        if len(shapes) < (2 if manifest.frames.dynamic else 1):
+            raise ManifestError(
+                f"{path}: {role}: {len(shapes)} cases of unlike shapes; golden values at two or "
+                "more numbers of views are needed"
+            )
+    return cases
+
+
+def fits_of(manifest: Manifest, pictures: Bytes) -> list[Fit]:
+    """How pictures (N, H, W, 3) lie in the input."""
+    n, height, width = pictures.shape[:3]
+    return fit_pictures(manifest.input, [(width, height)] * n)
+
+
+def deviation(found: Tensor, expected: Tensor) -> float:
+    """Relative RMS error of the worst row: along the first axis that is longer than one.
+
+    Each row is compared with the RMS of the whole, so that one wrong view shows, and one that
+    is all zeros is no division by zero. inf where shapes differ or a number is not finite.
+    """
+    if found.shape != expected.shape or not np.isfinite(found).all():
+        return float("inf")
+    axis = next((i for i, size in enumerate(found.shape) if size > 1), None)
+    if axis is None:
+        rows = np.atleast_2d(found.astype(np.float64) - expected).reshape(1, -1)
+    else:
+        difference = found.astype(np.float64) - expected
+        rows = np.moveaxis(difference, axis, 0).reshape(found.shape[axis], -1)
+    worst = float(np.sqrt((rows**2).mean(1).max())) if rows.size else 0.0
+    level = float(np.sqrt((expected.astype(np.float64) ** 2).mean())) if expected.size else 0.0
+    return worst / level if level > 0 else worst
+
+
+def _case(manifest: Manifest, role: str, name: str, part: Mapping[str, Tensor]) -> Case:
+    where = f"{manifest.folder / manifest.golden.file}: {role}/{name}"
+    case = Case(role, name)
+    pictures = None
+    for what, array in part.items():
+        kind, _, tensor = what.partition("/")
+        if what == PICTURES:
+            pictures = _pictures(manifest, where, array)
+            case.inputs[manifest.input.name] = input_tensor(
+                manifest.input, list(pictures), fits_of(manifest, pictures)
+            )
+        elif kind in ("in", "out") and tensor:
+            (case.inputs if kind == "in" else case.outputs)[tensor] = array
+        else:
+            raise ManifestError(f"{where}/{what}: expected pictures, in/X or out/X")
+    if not case.inputs or not case.outputs:
+        raise ManifestError(f"{where}: has no input or no output")
+    return Case(role, name, case.inputs, case.outputs, pictures)
+
+
+def _pictures(manifest: Manifest, where: str, array: Tensor) -> Bytes:
+    if array.dtype != np.uint8 or array.ndim != 4 or array.shape[3] != 3 or not array.size:
+        raise ManifestError(f"{where}/{PICTURES}: expected (N, H, W, 3) uint8, got {array.shape}")
+    size = (array.shape[2], array.shape[1])
+    wanted = fits_of(manifest, array)[0].input
+    if size != wanted:
+        raise ManifestError(
+            f"{where}/{PICTURES}: {size[0]}x{size[1]} px, but the input of such pictures is "
+            f"{wanted[0]}x{wanted[1]}: golden pictures have the size of the input"
+        )
+    return array

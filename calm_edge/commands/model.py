@@ -1,0 +1,144 @@
+"""`calm-edge model`: what models there are, and whether one may run on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import sys
+from typing import TYPE_CHECKING
+
+from calm_edge.commands.exit_codes import ERROR, OK
+
+if TYPE_CHECKING:
+    from calm_edge.backbones.model_check.check import Report
+
+LIMIT_S = 30.0
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Its arguments."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    actions.add_parser("list", help="the folders of models/ and what was found of each here")
+    check = actions.add_parser("check", help="test a model folder on this machine, or refuse it")
+    check.add_argument("name", metavar="NAME", help="a folder of models/, or any folder's path")
+    check.add_argument("--json", action="store_true", help="the report as JSON on stdout")
+    check.add_argument(
+        "--limit-s", type=float, default=LIMIT_S, metavar="S", help="seconds a run may take"
+    )
+    check.add_argument(
+        "--memory-mb", type=float, metavar="MB", help="memory it may take (default: 60 %% of free)"
+    )
+    check.add_argument(
+        "--size", type=_size, default=(1280, 720), metavar="WxH", help="of a camera's pictures"
+    )
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    width, height = map(int, found.groups()) if found else (0, 0)
+    if min(width, height) < 16:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected WIDTHxHEIGHT, at least 16x16")
+    return width, height
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Lists or checks; 1 where a model is refused."""
+    return _list() if arguments.action == "list" else _check(arguments)
+
+
+def _list() -> int:
+    from calm_edge.backbones import verdict
+    from calm_edge.backbones.base import BackboneError
+    from calm_edge.backbones.model_folder import MODELS, find_model, model_names, read_manifest
+
+    for name in model_names():
+        try:
+            manifest = read_manifest(find_model(name))
+        except BackboneError as error:
+            print(f"{name:14} {error}")
+            continue
+        found = verdict.load(manifest)
+        said = "not checked here"
+        if found is not None:
+            said = f"refused: {found.refusal}" if found.refusal else f"passed; runs {found.why}"
+        have = "/".join(manifest.precisions())
+        print(f"{name:14} {manifest.kind:11} {have:14} {manifest.license:14} {said}")
+    if not model_names():
+        print(f"calm-edge: no model in {MODELS}", file=sys.stderr)
+    return OK
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from calm_edge.backbones import verdict
+    from calm_edge.backbones.model_check.check import check
+    from calm_edge.backbones.model_check.probe import MEMORY_SHARE, Limits, free_memory_mb
+    from calm_edge.backbones.model_folder import find_model, read_manifest
+
+    manifest = read_manifest(find_model(arguments.name))
+    memory_mb = arguments.memory_mb
+    if memory_mb is None:
+        memory_mb = MEMORY_SHARE * free_memory_mb()
+    limits = Limits(arguments.limit_s, memory_mb, arguments.size)
+    say = _silent if arguments.json else _say
+    report = check(manifest, limits, say)
+    kept = verdict.save(manifest, report.verdict())
+    print(json.dumps(_plain(report), indent=1) if arguments.json else _text(report))
+    say(f"kept in {kept}")
+    return ERROR if report.refusal else OK
+
+
+def _say(text: str) -> None:
+    print(f"calm-edge: {text}", file=sys.stderr, flush=True)
+
+
+def _silent(text: str) -> None:
+    """Who reads JSON needs no progress."""
+
+
+def _plain(report: Report) -> dict[str, object]:
+    """As JSON has it: no number that is not finite."""
+    import dataclasses
+
+    def clean(value: object) -> object:
+        if isinstance(value, dict):
+            return {key: clean(part) for key, part in value.items()}
+        if isinstance(value, list):
+            return [clean(part) for part in value]
+        if isinstance(value, float) and not math.isfinite(value):
+            return None
+        return value
+
+    from calm_edge.backbones.verdict import machine
+
+    plain = {key: clean(value) for key, value in dataclasses.asdict(report).items()}
+    return plain | {"passed": not report.refusal, "machine": machine()}
+
+
+def _text(report: Report) -> str:
+    """A table a person reads."""
+    lines = [f"files        {report.files} with the hashes of the manifest"] if report.files else []
+    worst: dict[tuple[str, str], tuple[float, float]] = {}
+    for row in report.compared:
+        key = (row.precision, row.case)
+        worst[key] = max(worst.get(key, (0.0, 0.0)), (row.deviation, row.tolerance))
+    for (precision, case), (off, tolerance) in worst.items():
+        lines.append(f"golden       {precision} {case}: off by {off:.2g} of {tolerance:g} allowed")
+    for where, seen in report.reprojection.items():
+        lines.append(
+            f"reprojection {where}: depth of views differs by {seen.disagreement:.1%} "
+            f"({seen.inverted:.1%} with inverted poses), {seen.covisible:.0%} seen by both"
+        )
+    for run in report.measured:
+        what = run.what or f"{run.views} views"
+        lines.append(
+            f"run          {run.precision} {what}: {run.seconds:.3f} s, {run.peak_mb:.0f} MB"
+        )
+    lines += [f"ended        {precision}: {why}" for precision, why in report.ended.items()]
+    if report.refusal:
+        lines.append(f"refused      {report.refusal}")
+    else:
+        lines.append(f"runs         {report.why}")
+        lines.append(f"views a run  {report.max_views[report.precision]}")
+    return "\n".join(lines)
