@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -146,6 +147,8 @@ def record(arguments: argparse.Namespace, notifier: Notifier) -> int:
     from calm_edge.pose_output.publisher import PosePublisher
     from calm_edge.recording.retention import new_drive
     from calm_edge.recording.writer import RecordingWriter
+    from calm_edge.types import CalmEdgeError
+    from device.errors import DeviceError
     from device.serial_port import SerialPort
 
     config = effective_config(arguments)
@@ -189,6 +192,11 @@ def record(arguments: argparse.Namespace, notifier: Notifier) -> int:
     }
     try:
         result = capture.run()
+    except (CalmEdgeError, DeviceError):
+        if out is not None and out != arguments.out and not any(desk.result.frames):
+            # a service without cameras tries again every few seconds: no empty drive each time
+            shutil.rmtree(out, ignore_errors=True)
+        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

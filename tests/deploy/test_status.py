@@ -30,3 +30,11 @@ def test_the_reason_of_a_failed_start_is_the_status(
         assert main(["record", "--config", str(config), "--root", str(tmp_path / "root")]) == 1
         heard = manager.recv(4096).decode()
     assert heard.startswith("STATUS=FAILED: ") and said in heard
+
+
+def test_a_start_without_cameras_leaves_no_empty_drive(tmp_path: Path) -> None:
+    address = "v4l2:usb-that-is-not-there"
+    addresses = [f"capture.{eye}={address}" for eye in ("primary", "assistant")]
+    arguments = ["record", "--root", str(tmp_path / "root")]
+    assert main([*arguments, "--set", addresses[0], "--set", addresses[1]]) == 1
+    assert list((tmp_path / "root").iterdir()) == []
