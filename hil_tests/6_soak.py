@@ -20,6 +20,8 @@ LOOK_S = 5.0
 # after the first fifth, in which libraries load and the first windows are solved
 SETTLED = 5
 MOST_GROWTH_MIB_MINUTE = 5.0
+# before that, growth is windows that fill up and not a leak
+LEAST_MINUTES = 5.0
 
 
 def hottest_celsius() -> float | None:
@@ -53,7 +55,9 @@ def rows(kit: Kit) -> Iterator[Row]:
         code, _ = daemon.stop(STOP_LIMIT_S)
     yield judged(NAME, "end", code in (0, 3), f"exit {code} after {ran_s / 60:.1f} min", "0 or 3")
     settled = memory[len(memory) // SETTLED :]
-    if len(settled) > 1:
+    if kit.minutes < LEAST_MINUTES or len(settled) < 2:
+        yield skipped(NAME, "memory", f"needs {LEAST_MINUTES:g} minutes")
+    else:
         (t0, first), (t1, last) = settled[0], settled[-1]
         growth = (last - first) / max(1e-9, (t1 - t0) / 60)
         said = f"{first:.0f} -> {last:.0f} MiB, {growth:+.1f} MiB a minute"
