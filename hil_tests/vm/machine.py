@@ -44,8 +44,10 @@ _SCRIPT_INIT = """mount -t tmpfs tmpfs /new/run
 chroot /new /bin/bash -c '/bin/bash /mnt/guest.sh > /mnt/guest.log 2>&1'
 echo $? > /new/mnt/guest.rc; sync; poweroff -f
 """
-# systemd mounts what it wants itself; the script is a unit that ends the machine
-_SYSTEMD_INIT = """mkdir -p /new/etc/systemd/system/multi-user.target.wants
+# systemd mounts what it wants itself, and would empty the host's /tmp file by file on the memory
+# disk; the script is a unit that ends the machine
+_SYSTEMD_INIT = """mount -t tmpfs tmpfs /new/tmp; mount -t tmpfs tmpfs /new/var/tmp
+mkdir -p /new/etc/systemd/system/multi-user.target.wants
 cat > /new/etc/systemd/system/vm-guest.service <<'UNIT'
 [Unit]
 After=basic.target
