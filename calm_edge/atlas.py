@@ -6,7 +6,6 @@ sub-maps place themselves by it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,12 +100,15 @@ class Atlas:
         self._graph.add_loop(loop)
         self._loops.append(loop)
 
-    def replace_all(self, submaps: Iterable[Submap]) -> None:
-        """Places the same sub-maps anew, in order, as they now are rectified."""
-        self._submaps = []
-        self._graph = self._empty_graph()
-        for submap in submaps:
-            self.add(submap)
+    def empty(self) -> Atlas:
+        """One that knows the same windows to have been skipped, and nothing else."""
+        other = Atlas(self._config)
+        other._skipped = self._skipped
+        return other
+
+    def become(self, other: Atlas) -> None:
+        """Takes over where another one, no longer to be used, has placed the same sub-maps."""
+        self._submaps, self._graph = other._submaps, other._graph
         for loop in self._loops:
             self._graph.add_loop(loop)
         self.epoch += 1
@@ -133,10 +135,17 @@ class Atlas:
     def _follow(self) -> None:
         """Each sub-map follows the mean motion of its keyframes."""
         self.epoch += 1
+        alike: dict[int, list[int]] = {}
         for k, submap in enumerate(self._submaps):
-            T_w_p = np.stack([self._graph.pose(i) for i in submap.primary_ids])
-            T_w_s = scale.placement(T_w_p, submap.T_s_c[: submap.n_primary], average=True)
-            self._submaps[k] = replace(submap, T_w_s=T_w_s)
+            alike.setdefault(submap.n_primary, []).append(k)
+        for n, some in alike.items():
+            submaps = [self._submaps[k] for k in some]
+            T_w_p = np.array([[self._graph.pose(i) for i in s.primary_ids] for s in submaps])
+            T_s_p = np.stack([s.T_s_c[:n] for s in submaps])
+            T_w_s = scale.placement(T_w_p, T_s_p, average=True)
+            for k, submap, T in zip(some, submaps, T_w_s, strict=True):
+                # a copy: a view would keep those of every sub-map
+                self._submaps[k] = replace(submap, T_w_s=T.copy())
 
     def trajectory(self) -> Trajectory:
         """Every primary keyframe that has a pose, once, in order of its id."""

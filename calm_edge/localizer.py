@@ -11,6 +11,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -26,6 +27,7 @@ from calm_edge.loop_geometry import KnownKit
 from calm_edge.loops import LoopCandidate, LoopFinder, PlaceLoops
 from calm_edge.posegraph.optimiser import Immediate, Optimiser
 from calm_edge.rectifier import Rectifier
+from calm_edge.replacement import Replacement
 from calm_edge.types import (
     Bytes,
     GlobalIntrinsics,
@@ -41,9 +43,11 @@ from device.frame import UnreadableImage
 
 log = logging.getLogger(__name__)
 
-# Placing all sub-maps anew costs their number: until there are so many times more of them than the
-# last time, only new ones follow what was learned. So a drive's cost a sub-map does not grow.
+# Until there are so many times more sub-maps than the last time all were placed anew, only new ones
+# follow what was learned: of a long drive most have been told what there is to know.
 REPLACE_GROWTH = 1.1
+# Sub-maps placed anew with a window, so that its cost does not grow with the drive.
+REPLACED_A_WINDOW = 8
 
 
 class Localizer:
@@ -71,6 +75,7 @@ class Localizer:
         self._optimised = False
         self._stale = False
         self._placed_anew = 0
+        self._replacement: Replacement | None = None
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
@@ -122,9 +127,11 @@ class Localizer:
             notices = self._kit_prior.contradicted(self._memory.taught())
             self._memory.remembered = self._kit_prior.belief
             self._stale |= learned
-            if self._stale and len(atlas) >= REPLACE_GROWTH * self._placed_anew:
-                self._replace_all(atlas.submaps)
+            grown = len(atlas) >= REPLACE_GROWTH * self._placed_anew
+            if self._stale and grown and self._replacement is None:
+                self._begin_replacement(atlas.submaps)
             self._resolve(self._memory.outdated())
+            self._replace(REPLACED_A_WINDOW)
         with _timed(stage_ms, "optimise"):
             if closed is not None:
                 atlas.add_loop(closed)
@@ -151,8 +158,9 @@ class Localizer:
             return None
         self._optimised = False
         if self._rectifier.finish() or self._stale:
-            self._replace_all(self._atlas.submaps)
+            self._begin_replacement(self._sources())
         self._resolve(self._memory.retained())
+        self._replace()
         if self._config.posegraph.optimise:
             self._optimise()
         self._kit_prior.save(self._memory.taught())
@@ -223,26 +231,28 @@ class Localizer:
         self._atlas.skip(SkippedWindow(window.submap_id, reason, t_ns))
 
     def _resolve(self, submap_ids: list[int]) -> None:
-        """Solves windows again as the kit is now known and, where that worked, places all anew."""
+        """Solves windows again as the kit is now known; where that worked, all are placed anew."""
         solved = self._memory.resolve(submap_ids)
         if solved:
-            raw = [batch.solved_again(s, solved.get(s.id)) for s in self._atlas.submaps]
-            self._replace_all(raw)
+            raw = [batch.solved_again(s, solved.get(s.id)) for s in self._sources()]
+            self._begin_replacement(raw)
 
-    def _replace_all(self, submaps: Sequence[Submap]) -> None:
-        """Rectifies the sub-maps from their raw poses and places all of them anew."""
+    def _sources(self) -> tuple[Submap, ...]:
+        """Every sub-map with the newest raw poses there are."""
+        return self._replacement.sources if self._replacement else self._atlas.submaps
+
+    def _begin_replacement(self, submaps: Sequence[Submap]) -> None:
+        """From now on the sub-maps are rectified from their raw poses and placed anew."""
         self._stale, self._placed_anew = False, len(submaps)
-        self._atlas.replace_all([self._rectified_again(submap) for submap in submaps])
-        if self._optimised:
-            self._request()
+        rectify = partial(self._rectifier.rectify, held=self._rectifier.held)
+        self._replacement = Replacement(self._atlas, submaps, rectify)
 
-    def _rectified_again(self, submap: Submap) -> Submap:
-        """The sub-map as it is now known, as it was where that has no scale."""
-        try:
-            return self._rectifier.rectify(submap)
-        except scale.ScaleError as error:
-            log.warning("sub-map %d keeps its earlier solution: %s", submap.id, error)
-            return next(placed for placed in self._atlas.submaps if placed.id == submap.id)
+    def _replace(self, most: int | None = None) -> None:
+        """At most so many sub-maps more are placed anew, None for all that are to be."""
+        if self._replacement is not None and self._replacement.advance(most):
+            self._replacement = None
+            if self._optimised:
+                self._request()
 
     def _request(self) -> None:
         if self._config.posegraph.optimise:

@@ -7,7 +7,7 @@ forward motion is kept, so the other order would put the focal's error into the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,16 @@ from calm_edge.types import Bytes, Float, GlobalIntrinsics, Landmarks, Submap
 
 # What is placed is rectified again when the lateness moved by this, or by half its sigma.
 LATENESS_MOVED_S = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What is held true at one moment: of the intrinsics, None before the search knows any, and
+    of how late [s] the assistant's stamps are.
+    """
+
+    intrinsics: GlobalIntrinsics | None
+    late_s: float
 
 
 class Rectifier:
@@ -60,14 +70,20 @@ class Rectifier:
         """Ends what is still being measured; as `learn`."""
         return self._search.finish() if self._search else False
 
-    def rectify(self, submap: Submap) -> Submap:
+    @property
+    def held(self) -> Held:
+        """What is held true now."""
+        return Held(self.intrinsics, self._late_s)
+
+    def rectify(self, submap: Submap, held: Held | None = None) -> Submap:
         """The sub-map anew from its raw poses and K, in world units; raises ScaleError.
 
+        held: what was held true once, None for what is now.
         Without `scale.rectify` the first sub-map's factor serves all, as it was when that one was
         last rectified: where all are, it has to come first.
         """
         raw = replace(submap, T_s_c=submap.T_s_c_raw, K=submap.K_raw, scale=1.0)
-        corrected = self._corrected(raw)
+        corrected = self._corrected(raw, held)
         if self._config.scale.rectify or self._first is None or self._first[0] == submap.id:
             scaled = scale.rectify(corrected, self._config.scale.spacing_m)
             if not self._config.scale.rectify:
@@ -79,15 +95,16 @@ class Rectifier:
         T_s_c = scale.rectified(corrected.T_s_c, world_units)
         return replace(corrected, scale=world_units, T_s_c=T_s_c)
 
-    def _corrected(self, raw: Submap) -> Submap:
-        """Section V with what is held true now, still in the raw unit."""
+    def _corrected(self, raw: Submap, held: Held | None = None) -> Submap:
+        """Section V with what is held true, None for now, still in the raw unit."""
+        held = held or self.held
         if self._clock is not None:
-            raw = replace(raw, assistant_late_ns=round(self._late_s * 1e9))
-        held = self.intrinsics
-        if held is None or not raw.assistant_ids:
+            raw = replace(raw, assistant_late_ns=round(held.late_s * 1e9))
+        intrinsics = held.intrinsics
+        if intrinsics is None or not raw.assistant_ids:
             return raw
-        sigma = _effective_sigma(raw, held)
-        return replace(rectified(raw, held, self._config.correction), focal_log_sigma=sigma)
+        sigma = _effective_sigma(raw, intrinsics)
+        return replace(rectified(raw, intrinsics, self._config.correction), focal_log_sigma=sigma)
 
     def _take_lateness(self) -> bool:
         assert self._clock is not None

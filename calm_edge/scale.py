@@ -87,10 +87,10 @@ def rectify(submap: Submap, spacing_m: float) -> Submap:
 
 
 def placement(T_w_f: Float, T_s_f: Float, average: bool = False) -> Float:
-    """T_w_s (4, 4) of a sub-map from its common frames: T_w_s = T_w_f (T_s_f)^-1 (IV-B).
+    """T_w_s (..., 4, 4) of a sub-map from its common frames: T_w_s = T_w_f (T_s_f)^-1 (IV-B).
 
-    T_w_f, T_s_f: (F, 4, 4), the frames in the world and in the rectified sub-map. The paper
+    T_w_f, T_s_f: (..., F, 4, 4), the frames in the world and in the rectified sub-map. The paper
     uses the first frame; `average` takes the mean over all of them on the manifold.
     """
     T_w_s = T_w_f @ se3.inverse(T_s_f)
-    return se3.mean(T_w_s) if average else np.asarray(T_w_s[0])
+    return se3.mean(T_w_s) if average else np.asarray(T_w_s[..., 0, :, :])

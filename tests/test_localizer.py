@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calm_edge import localizer as localizer_module
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.scripted import ScriptedBackbone, ScriptedErrors
 from calm_edge.config import Config, merge
@@ -333,11 +334,50 @@ def test_what_is_learned_late_is_applied_to_all_at_the_end_at_latest(monkeypatch
     localizer = Localizer(METRES, ScriptedBackbone(scene(curved(150))))
     moved = []
     monkeypatch.setattr(localizer._rectifier, "learn", lambda *_: True)
-    replace_all = localizer._replace_all
-    monkeypatch.setattr(localizer, "_replace_all", lambda s: (moved.append(len(s)), replace_all(s)))
+    begin = localizer._begin_replacement
+    monkeypatch.setattr(localizer, "_begin_replacement", lambda s: (moved.append(len(s)), begin(s)))
     for window in windows(150):
         localizer.process(window)
-    assert moved == [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 13][: len(moved)]
+    # the ninth takes two windows: the tenth waits for it
+    assert moved == [1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13]
     placed = len(localizer.submaps)
+    assert placed == 13
     localizer.finish()
     assert moved[-1] == placed
+
+
+def learnt(monkeypatch, a_window, n, at):
+    """The final trajectory of a curved drive that learns of the assistant's lateness at sub-map
+    `at`, and the epoch and the sub-maps rectified with each window.
+    """
+    monkeypatch.setattr(localizer_module, "REPLACED_A_WINDOW", a_window)
+    localizer = Localizer(METRES, ScriptedBackbone(scene(curved(n))))
+    rectifier, rectify = localizer._rectifier, localizer._rectifier.rectify
+    rectified, per_window, epochs = [], [], []
+
+    def learn(raw, landmarks, images):
+        if raw.id == at:
+            rectifier._late_s = 0.02
+        return raw.id == at
+
+    monkeypatch.setattr(rectifier, "learn", learn)
+    monkeypatch.setattr(
+        rectifier, "rectify", lambda s, held=None: rectified.append(s.id) or rectify(s, held)
+    )
+    for window in windows(n):
+        epochs.append(localizer.process(window).trajectory.epoch)
+        per_window.append(len(rectified))
+    return localizer.finish(), epochs, np.diff(per_window, prepend=0).tolist()
+
+
+@pytest.mark.parametrize(("n", "moved"), [(150, [7]), (87, [])])
+def test_a_share_with_every_window_ends_where_all_at_once_does(monkeypatch, n, moved):
+    # of the shorter drive the end comes before all were placed anew
+    at_once, early, most = learnt(monkeypatch, 1000, n, at=5)
+    shared, late, few = learnt(monkeypatch, 3, n, at=5)
+    assert np.flatnonzero(np.diff(early, prepend=0)).tolist() == [5]
+    assert np.flatnonzero(np.diff(late, prepend=0)).tolist() == moved
+    assert (max(most), max(few)) == (1 + 6, 1 + 3)
+    assert np.abs(at_once.T_p_a - T_P_A).max() > 1e-4
+    assert np.abs(shared.T_w_c - at_once.T_w_c).max() < 1e-9
+    assert np.abs(shared.T_p_a - at_once.T_p_a).max() < 1e-9

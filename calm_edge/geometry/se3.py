@@ -168,12 +168,12 @@ def right_jacobian_inverse(xi: Float) -> Float:
 
 
 def mean(T: Float, iterations: int = 20) -> Float:
-    """The average of poses (N, 4, 4) on the manifold -> (4, 4): zero mean twist around it."""
-    average = np.asarray(T[0], np.float64)
+    """The average of poses (..., N, 4, 4) on the manifold -> (..., 4, 4): zero mean twist."""
+    average = np.asarray(T[..., 0, :, :], np.float64)
     for _ in range(iterations):
-        step = log(inverse(average) @ T).mean(0)
+        step = log(inverse(average)[..., None, :, :] @ T).mean(-2)
         average = average @ exp(step)
         # rounding grows with the distance from the origin: kilometres never get to 1e-14
-        if np.abs(step).max() < 1e-14 * (1 + np.abs(average[:3, 3]).max()):
+        if (np.abs(step).max(-1) < 1e-14 * (1 + np.abs(average[..., :3, 3]).max(-1))).all():
             break
     return average

@@ -124,3 +124,5 @@ def test_the_mean_pose_has_no_mean_twist_and_moves_with_its_poses():
     assert np.abs(se3.log(se3.inverse(mean) @ T).mean(0)).max() < 1e-12
     moved = se3.exp(np.array([1.0, 2, 3, 0.1, 0.2, 0.3]))
     assert np.allclose(se3.mean(moved @ T), moved @ mean, atol=1e-12)
+    both = np.stack([T, moved @ T])
+    assert np.allclose(se3.mean(both), [mean, moved @ mean], atol=1e-12)
