@@ -54,7 +54,7 @@ After=basic.target
 [Service]
 Type=oneshot
 Environment=HOME=/root
-StandardOutput=truncate:/mnt/guest.log
+StandardOutput=append:/mnt/guest.log
 StandardError=inherit
 ExecStart=/bin/bash /mnt/guest.sh
 ExecStopPost=/bin/sh -c 'echo $EXIT_STATUS > /mnt/guest.rc; sync'
