@@ -67,9 +67,12 @@ def stitch(n: int, parts: Sequence[Int], solved: Sequence[Decoded]) -> Decoded:
         common = placed[part]
         whole_from_part = Similarity(1.0, np.eye(3), np.zeros(3))
         if placed.any():
-            whole_from_part = _between(
-                own.T_s_c[common], own.depth[common], T[part[common]], depth[part[common]]
+            known = part[common]
+            there = Decoded(K[known], T[known], depth[known], strength[known])
+            here = Decoded(
+                own.K[common], own.T_s_c[common], own.depth[common], own.strength[common]
             )
+            whole_from_part = _between(here, there)
         new = part[~common]
         K[new] = own.K[~common]
         T[new] = whole_from_part.poses(own.T_s_c[~common])
@@ -81,17 +84,16 @@ def stitch(n: int, parts: Sequence[Int], solved: Sequence[Decoded]) -> Decoded:
     return Decoded(K, T, depth, strength)
 
 
-def _between(
-    T_part: np.ndarray, depth_part: np.ndarray, T_whole: np.ndarray, depth_whole: np.ndarray
-) -> Similarity:
-    """part -> whole, of the views both have: poses (M, 4, 4), depth (M, h, w)."""
-    both = (depth_part > 0) & (depth_whole > 0)
+def _between(here: Decoded, there: Decoded) -> Similarity:
+    """here -> there, of the same views in both."""
+    both = (here.depth > 0) & (there.depth > 0)
     if both.sum() < MIN_SHARED_PIXELS:
         raise BackboneError("two parts of the window share no depth: they cannot be joined")
-    scale = float(np.exp(np.median(np.log(depth_whole[both]) - np.log(depth_part[both]))))
-    turns = np.zeros((len(T_part), 4, 4))
-    turns[:] = np.eye(4)
-    turns[:, :3, :3] = T_whole[:, :3, :3] @ T_part[:, :3, :3].swapaxes(1, 2)
+    # the half that the new part is surer of
+    both &= here.strength >= np.median(here.strength[both])
+    scale = float(np.exp(np.median(np.log(there.depth[both]) - np.log(here.depth[both]))))
+    R_there, R_here = there.T_s_c[:, :3, :3], here.T_s_c[:, :3, :3]
+    turns = se3.compose(R_there @ R_here.swapaxes(1, 2), np.zeros(3))
     R = se3.mean(turns)[:3, :3]
-    t = (T_whole[:, :3, 3] - scale * (T_part[:, :3, 3] @ R.T)).mean(0)
+    t = (there.T_s_c[:, :3, 3] - scale * (here.T_s_c[:, :3, 3] @ R.T)).mean(0)
     return Similarity(scale, R, t)

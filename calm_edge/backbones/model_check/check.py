@@ -109,11 +109,11 @@ def _sane(
     found: dict[str, Tensor],
     report: Report,
 ) -> None:
-    if manifest.output is None or case.pictures is None:
+    if manifest.output is None:
         return
     where = f"{precision} {case.role}/{case.name}"
-    fits = fits_of(manifest, case.pictures)
     try:
+        fits = fits_of(manifest, case)
         sanity.check_numbers(manifest.output, found)
         decoded = decode(manifest.output, found, fits)
         sanity.check_poses(decoded)

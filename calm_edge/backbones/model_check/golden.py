@@ -62,8 +62,18 @@ def read_cases(manifest: Manifest) -> list[Case]:
     return cases
 
 
-def fits_of(manifest: Manifest, pictures: Bytes) -> list[Fit]:
-    """How pictures (N, H, W, 3) lie in the input."""
+def fits_of(manifest: Manifest, case: Case) -> list[Fit]:
+    """How the views of a case lie in the input; of a tensor given as it is, as its pictures."""
+    if case.pictures is not None:
+        return _fits_of_pictures(manifest, case.pictures)
+    layout, shape = manifest.input.layout, case.inputs[manifest.input.name].shape
+    if len(shape) != len(layout):
+        raise ManifestError(f"golden values: {case.name}: {shape} is not {layout}")
+    n, height, width = (shape[layout.index(axis)] for axis in "NHW")
+    return [Fit((width, height), (width, height), (0, 0), (width, height))] * n
+
+
+def _fits_of_pictures(manifest: Manifest, pictures: Bytes) -> list[Fit]:
     n, height, width = pictures.shape[:3]
     return fit_pictures(manifest.input, [(width, height)] * n)
 
@@ -96,7 +106,7 @@ def _case(manifest: Manifest, role: str, name: str, part: Mapping[str, Tensor]) 
         if what == PICTURES:
             pictures = _pictures(manifest, where, array)
             case.inputs[manifest.input.name] = input_tensor(
-                manifest.input, list(pictures), fits_of(manifest, pictures)
+                manifest.input, list(pictures), _fits_of_pictures(manifest, pictures)
             )
         elif kind in ("in", "out") and tensor:
             (case.inputs if kind == "in" else case.outputs)[tensor] = array
@@ -111,7 +121,7 @@ def _pictures(manifest: Manifest, where: str, array: Tensor) -> Bytes:
     if array.dtype != np.uint8 or array.ndim != 4 or array.shape[3] != 3 or not array.size:
         raise ManifestError(f"{where}/{PICTURES}: expected (N, H, W, 3) uint8, got {array.shape}")
     size = (array.shape[2], array.shape[1])
-    wanted = fits_of(manifest, array)[0].input
+    wanted = _fits_of_pictures(manifest, array)[0].input
     if size != wanted:
         raise ManifestError(
             f"{where}/{PICTURES}: {size[0]}x{size[1]} px, but the input of such pictures is "

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.manifest import FrameRange, ManifestError
-from calm_edge.backbones.model_check.golden import deviation, read_cases
+from calm_edge.backbones.model_check.golden import deviation, fits_of, read_cases
 from calm_edge.backbones.model_folder import read_manifest
 from tests.backbones.painted_model import write_model
 
@@ -40,10 +40,19 @@ def test_pictures_become_the_input_tensor(manifest):
 
 def test_tensors_may_be_given_as_they_are(manifest):
     def change(arrays):
-        return {k.replace("pictures", "in/image"): v for k, v in arrays.items()}
+        tensors = {}
+        for name, array in arrays.items():
+            if name.endswith("pictures"):
+                name, array = name.replace("pictures", "in/image"), array.transpose(0, 3, 1, 2)
+            tensors[name] = array
+        return tensors
 
-    cases = read_cases(rewritten(manifest, change))
-    assert cases[0].pictures is None and cases[0].inputs["image"].shape == (2, 32, 64, 3)
+    case = read_cases(rewritten(manifest, change))[0]
+    assert case.pictures is None and case.inputs["image"].shape == (2, 3, 32, 64)
+    assert [fit.input for fit in fits_of(manifest, case)] == [(64, 32)] * 2
+    flat = dataclasses.replace(case, inputs={"image": np.ones((2, 32, 64))})
+    with pytest.raises(ManifestError, match="is not NCHW"):
+        fits_of(manifest, flat)
 
 
 @pytest.mark.parametrize(
