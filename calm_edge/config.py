@@ -255,7 +255,7 @@ def parse_assignment(text: str) -> dict[str, Any]:
         raise ConfigError(f"--set {text}: expected section.key=value")
     try:
         parsed: Any = tomllib.loads(f"v = {value}")["v"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         parsed = value.strip()
     return {section: {key: parsed}}
 
@@ -268,7 +268,7 @@ def load(path: Path | None, assignments: list[str] | None = None) -> Config:
             config = merge(config, tomllib.loads(path.read_text()))
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigError(f"{path}: not valid TOML: {error}") from None
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None

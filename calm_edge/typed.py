@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from types import NoneType, UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -36,8 +37,8 @@ def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any
         return {k: coerce(f"{where}.{k}", item, v, error) for k, v in table.items()}
     if dataclasses.is_dataclass(kind):
         return record(where, kind, value, error)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+    if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return _finite(where, value, error)
     if type(value) is not kind:
         raise error(f"{where}: expected {kind.__name__}, got {value!r}")
     return value
@@ -56,6 +57,16 @@ def record(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any
         if absent and field.name not in table:
             raise error(f"{before}{field.name}: missing")
     return kind(**{k: coerce(f"{before}{k}", kinds[k], v, error) for k, v in table.items()})
+
+
+def _finite(where: str, value: float, error: type[CalmEdgeError]) -> float:
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise error(f"{where}: expected a finite number")
+    return number
 
 
 def _table(where: str, value: Any, error: type[CalmEdgeError]) -> dict[str, Any]:

@@ -56,6 +56,8 @@ def test_a_lone_number_is_a_list_of_one():
         ({"extra": 4}, "extra: expected a table of keys"),
         ({"numbers": ["a"]}, "numbers: expected float, got 'a'"),
         ({"numbers": "a"}, "numbers: expected a list, got 'a'"),
+        ({"numbers": [float("nan")]}, "numbers: expected a finite number"),
+        ({"numbers": 10**400}, "numbers: expected a finite number"),
         ({"more": {"k": 1}}, "more.k: expected str, got 1"),
     ],
 )

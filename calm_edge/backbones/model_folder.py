@@ -52,7 +52,7 @@ def read_manifest(folder: Path) -> Manifest:
         table = tomllib.loads(content.decode())
     except OSError as error:
         raise ManifestError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ManifestError(f"{path}: not valid TOML: {error}") from None
     for key in ("folder", "digest"):
         if key in table:

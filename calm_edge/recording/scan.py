@@ -21,7 +21,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
 
 from calm_edge.recording.errors import RecordingError
 
@@ -121,8 +120,7 @@ def plain_chunk(content: bytes) -> bytes:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
         if chunk.uncompressed_size > MAX_CHUNK_BYTES:
             raise DamageError("absurd size")
-        stream, size = get_chunk_data_stream(chunk)
-        data = stream.read(size)
+        data = _decompressed(chunk.compression, chunk.data, chunk.uncompressed_size)
     except DamageError:
         raise
     except Exception as error:
@@ -132,6 +130,22 @@ def plain_chunk(content: bytes) -> bytes:
         raise DamageError("wrong size")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise DamageError("wrong CRC")
+    return data
+
+
+def _decompressed(compression: str, data: bytes, size: int) -> bytes:
+    """At most a byte more than the declared size, whatever the data would swell to."""
+    if compression == "zstd":
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+            return bytes(reader.read(size + 1))
+    if compression == "lz4":
+        import lz4.frame
+
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1))
+    if compression:
+        raise DamageError(f"unknown compression {compression!r}")
     return data
 
 

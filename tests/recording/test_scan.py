@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import resource
+import struct
 from pathlib import Path
 
+import lz4.frame
 import pytest
+import zstandard
 from mcap.writer import CompressionType, Writer
 
-from calm_edge.recording.scan import plain_chunk, scan
+from calm_edge.recording.scan import DamageError, plain_chunk, scan
 
 
 def write(path: Path, **options: object) -> None:
@@ -40,3 +44,22 @@ def test_messages_outside_of_chunks_are_counted_not_hidden(tmp_path: Path) -> No
     write(path, use_chunking=False)
     index = scan(path)
     assert (index.n_messages, index.loose_messages) == (0, 50)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_chunk_that_swells_beyond_what_it_declares_is_damage(
+    compression: CompressionType,
+) -> None:
+    zeros = bytes(64 << 20)
+    packed = {
+        CompressionType.ZSTD: lambda: zstandard.ZstdCompressor().compress(zeros),
+        CompressionType.LZ4: lambda: lz4.frame.compress(zeros),
+    }[compression]()
+    name = compression.name.lower().encode()
+    head = struct.pack("<QQQII", 0, 0, 1000, 0, len(name)) + name
+    content = head + struct.pack("<Q", len(packed)) + packed
+    assert len(content) < 1 << 20
+    before_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(DamageError, match="wrong size"):
+        plain_chunk(content)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kib < 16 << 10
