@@ -174,6 +174,20 @@ def test_the_principal_point_can_be_held_at_the_middle():
     assert out.K[:, 0, 0] == pytest.approx(scene.K[:, 0, 0], rel=0.05)
 
 
+def test_what_was_padded_does_not_count():
+    """Half of the input and more shows nothing; what the network says of it is anything."""
+    spec = replace(PADDED, height_px=128)
+    scene = make_scene(SIZES, (4.0, -3.0))
+    fits = fit_pictures(spec, SIZES)
+    raw = raw_outputs(scene, fits)
+    for view, fit in enumerate(fits):
+        top, bottom = fit.offset[1], fit.offset[1] + fit.resized[1]
+        raw["points"][view, :top, :, :2] *= 0.5
+        raw["points"][view, bottom:, :, :2] *= 0.5
+    out = decode(Outputs(POSES[1], SOLVED, POINTS), raw, fits)
+    assert pytest.approx(scene.K, rel=1e-4, abs=1e-3) == out.K
+
+
 def test_solving_outlives_wrong_points_and_noise():
     """A tenth of the points anywhere, noise on the rest: the focal is not drawn to either."""
     scene = make_scene(SIZES)
