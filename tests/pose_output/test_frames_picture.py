@@ -1,0 +1,11 @@
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_the_picture_is_what_the_code_draws_now() -> None:
+    drawn = runpy.run_path(str(DOCS / "frames.py"))["page"]()
+    assert drawn == (DOCS / "frames.svg").read_text(), "run docs/frames.py"
