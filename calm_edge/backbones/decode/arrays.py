@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,21 +13,24 @@ from calm_edge.types import Float
 
 
 def of_views(name: str, raw: NDArray[Any], views: int, shape: tuple[int | None, ...]) -> Float:
-    """(N, *shape) float64 of an output, axes of length one in front, behind or second dropped.
+    """(N, *shape) float64 of an output, less a batch axis in front and a channel axis of length one.
 
     None in `shape` is any length. Raises BackboneError.
     """
     wanted = (views, *shape)
-    for axis in (None, 0, -1, 1):
-        if axis is None:
-            value = raw
-        elif raw.ndim == len(wanted) + 1 and raw.shape[axis] == 1:
-            value = raw.squeeze(axis)
-        else:
-            continue
-        if value.ndim == len(wanted) and all(
-            w is None or w == s for w, s in zip(wanted, value.shape, strict=True)
-        ):
+    for value in _squeezed(raw, len(wanted)):
+        if all(w is None or w == s for w, s in zip(wanted, value.shape, strict=True)):
             return np.asarray(value, np.float64)
     text = ", ".join("any" if size is None else str(size) for size in wanted)
     raise BackboneError(f"output {name!r} has the shape {raw.shape}; expected ({text})")
+
+
+def _squeezed(raw: NDArray[Any], ndim: int) -> Iterator[NDArray[Any]]:
+    """Every way to that many axes: without a batch, with its channel behind, with it second."""
+    of_batch = [raw] + ([raw[0]] if raw.ndim > ndim and raw.shape[0] == 1 else [])
+    for value in of_batch:
+        if value.ndim == ndim:
+            yield value
+        for axis in (-1, 1):
+            if value.ndim == ndim + 1 and value.shape[axis] == 1:
+                yield value.squeeze(axis)

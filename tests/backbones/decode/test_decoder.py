@@ -233,15 +233,20 @@ def test_what_is_unknown_is_not_believed():
     assert np.isfinite(out.depth).all() and (out.depth[0, 2:] > 0).all()
 
 
-def test_axes_of_one_do_not_matter():
-    scene = make_scene(SIZES)
-    fits = fit_pictures(INPUT, SIZES)
+@pytest.mark.parametrize("views", [1, 3])
+def test_axes_of_one_do_not_matter(views):
+    """A batch of one in front, a channel behind or second, or both."""
+    scene = make_scene(SIZES[:views])
+    fits = fit_pictures(INPUT, SIZES[:views])
     raw = raw_outputs(scene, fits)
     expected = decode(PLAIN, raw, fits)
-    for change in (lambda a: a[None], lambda a: a):
-        for maps in (lambda a: a[..., None], lambda a: a[:, None], lambda a: a[None]):
-            shaped = raw | {"z": maps(raw["z"]), "w2c_34": change(raw["w2c_34"])}
-            assert np.array_equal(decode(PLAIN, shaped, fits).depth, expected.depth)
+    channels = (lambda a: a, lambda a: a[..., None], lambda a: a[:, None])
+    for batch in (lambda a: a[None], lambda a: a):
+        for channel in channels:
+            shaped = raw | {"z": batch(channel(raw["z"])), "w2c_34": batch(raw["w2c_34"])}
+            out = decode(PLAIN, shaped, fits)
+            assert np.array_equal(out.depth, expected.depth)
+            assert np.array_equal(out.T_s_c, expected.T_s_c)
 
 
 @pytest.mark.parametrize(
