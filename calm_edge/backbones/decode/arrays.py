@@ -13,7 +13,7 @@ from calm_edge.types import Float
 
 
 def of_views(name: str, raw: NDArray[Any], views: int, shape: tuple[int | None, ...]) -> Float:
-    """(N, *shape) float64 of an output, less a batch axis in front and a channel axis of length one.
+    """(N, *shape) float64 of an output; a batch axis and a channel axis of length one are dropped.
 
     None in `shape` is any length. Raises BackboneError.
     """
