@@ -2,13 +2,42 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Protocol, cast
 
 from device.clock import Clock
 from device.errors import CameraError
 from device.frame import Eye, Frame
+
+AUTO, AUTO_THEN_LOCK, LOCK = "auto", "auto-then-lock", "lock"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraControls:
+    """What a camera may change by itself, each a number or a word.
+
+    `auto`: the camera's business. `auto-then-lock`: so for two seconds, then held. `lock`: held as
+    it stands when the camera is opened. A number is set and held: exposure_us in microseconds, gain
+    in the driver's unit (ISO for OAK), white_balance_k in kelvin, focus in the driver's unit.
+    A lost camera comes back with what it was held at. Raises CameraError for another word.
+    """
+
+    exposure_us: int | str = AUTO
+    gain: int | str = AUTO
+    white_balance_k: int | str = AUTO
+    focus: int | str = LOCK
+
+    def __post_init__(self) -> None:
+        words = (AUTO, AUTO_THEN_LOCK, LOCK)
+        for key in dataclasses.fields(self):
+            value = getattr(self, key.name)
+            if isinstance(value, str) and value not in words:
+                raise CameraError(
+                    f"capture.{key.name} = {value!r}: a whole number or one of {', '.join(words)}"
+                )
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +55,7 @@ class CameraSpec:
     height_px: int = 720
     rate_hz: float = 10.0
     stale_after_ms: float = 500.0
+    controls: CameraControls = CameraControls()
 
     @property
     def name(self) -> str:
@@ -48,6 +78,22 @@ class CameraStats:
     reconnects: int = 0
     host_stamped: int = 0
     corrupt: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCamera:
+    """A camera that is there. address: as written into `capture.primary`. path: its place just
+    now. formats: format -> sizes and rates; controls: name -> value and range; both empty where
+    they were not asked for. note: why it cannot be used just now.
+    """
+
+    address: str
+    name: str
+    path: str
+    serial: str = ""
+    formats: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    controls: Mapping[str, str] = field(default_factory=dict)
+    note: str = ""
 
 
 class Camera(Protocol):
@@ -79,6 +125,13 @@ class Camera(Protocol):
         ...
 
     @property
+    def settings(self) -> Mapping[str, int | float | str]:
+        """What the camera settled on, read back: format, size, rate, controls; empty before
+        start(), and of a replay.
+        """
+        ...
+
+    @property
     def connected(self) -> bool:
         """False while the device is gone."""
         ...
@@ -90,8 +143,15 @@ class Camera(Protocol):
 
 
 DRIVERS: dict[str, tuple[str, str]] = {
+    "oak": ("device.drivers.oak", "OakCamera"),
     "replay": ("device.drivers.replay", "ReplayCamera"),
     "v4l2": ("device.drivers.v4l2", "V4l2Camera"),
+}
+
+# driver -> what lists its cameras; a replay has none to list
+DISCOVERERS: dict[str, tuple[str, str]] = {
+    "v4l2": ("device.drivers.v4l2_nodes", "discover"),
+    "oak": ("device.drivers.oak", "discover"),
 }
 
 
@@ -109,6 +169,21 @@ def open_camera(spec: CameraSpec, clock: Clock, **options: Any) -> Camera:
         raise CameraError(f"{spec.name}: unknown driver {spec.driver!r}; known: {_known()}")
     module, name = DRIVERS[spec.driver]
     return cast(Camera, getattr(importlib.import_module(module), name)(spec, clock, **options))
+
+
+def discover(details: bool = True) -> tuple[list[FoundCamera], list[str]]:
+    """Every camera of every driver, and a line for each driver that could not look.
+
+    details: formats and controls too, which takes longer and opens each camera.
+    """
+    found: list[FoundCamera] = []
+    troubles: list[str] = []
+    for module, name in DISCOVERERS.values():
+        try:
+            found += getattr(importlib.import_module(module), name)(details=details)
+        except CameraError as error:
+            troubles.append(str(error))
+    return found, troubles
 
 
 def _known() -> str:

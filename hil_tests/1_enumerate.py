@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from device.drivers.v4l2_device import list_devices
+from device.drivers.v4l2_nodes import list_devices
 from device.errors import DeviceError
 from hil_tests.kit import Kit
 from hil_tests.report import Row, judged, skipped

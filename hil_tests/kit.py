@@ -43,7 +43,7 @@ class Kit:
         """Why there are not two cameras to test, in words; empty when there are."""
         if self.sequence is not None:
             return ""
-        from device.drivers.v4l2_device import list_devices
+        from device.drivers.v4l2_nodes import list_devices
 
         drivers = {
             text.partition(":")[0]

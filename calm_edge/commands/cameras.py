@@ -14,7 +14,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Prints an address a line."""
-    from device.drivers.v4l2_device import list_devices
+    from device.drivers.v4l2_nodes import list_devices
 
     devices = list_devices()
     for device in devices:

@@ -79,6 +79,11 @@ class ReplayCamera:
         return self._exhausted
 
     @property
+    def settings(self) -> dict[str, int | float | str]:
+        """None: what was recorded is as it is."""
+        return {}
+
+    @property
     def connected(self) -> bool:
         """False inside the disconnect interval."""
         if not (self._running and self._paced and self._origin_ns is not None):

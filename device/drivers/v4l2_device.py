@@ -1,110 +1,53 @@
-"""One open video node, and how to find the right one: by bus, never by node number."""
+"""One open video node that streams; every refusal is explained."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import mmap
-from dataclasses import dataclass
 
 from device.drivers import v4l2_ioctl as v4l2
+from device.drivers.v4l2_controls import ControlKeeper
+from device.drivers.v4l2_modes import choose_rate, rates
+from device.drivers.v4l2_nodes import VideoNode, explain
+from device.drivers.v4l2_pixels import WANTED
 from device.errors import CameraError
-from device.frame import Eye
 
-_MENDS = {
-    errno.EACCES: "permission denied; add the user to the group video and log in again",
-    errno.EPERM: "permission denied; add the user to the group video and log in again",
-    errno.EBUSY: "in use by another program; close it",
-    errno.ENOSPC: (
-        "no USB bandwidth left for it; plug the cameras into different USB controllers, "
-        "or lower capture.width_px, capture.height_px or capture.rate_hz"
-    ),
-}
-# MJPEG first: the camera's own bytes go to disk untouched, and fit through USB
-_WANTED = ("MJPG", "JPEG", "YUYV")
-
-
-def explain(what: str, error: OSError) -> CameraError:
-    """One line for an OSError at a camera, with the mend where we know one."""
-    return CameraError(f"{what}: {_MENDS.get(error.errno or 0, error.strerror or str(error))}")
-
-
-@dataclass(frozen=True, slots=True)
-class VideoNode:
-    """A node that captures. address: its identity, `BUS_INFO`, or `BUS_INFO#1` for the second
-    capturing node on the same bus.
-    """
-
-    path: str
-    card: str
-    driver: str
-    address: str
-
-
-def list_devices(io: v4l2.VideoIO | None = None) -> list[VideoNode]:
-    """Every camera that can be opened, by node number; raises CameraError if none may be."""
-    io = io or v4l2.LinuxVideoIO()
-    nodes: list[VideoNode] = []
-    denied: CameraError | None = None
-    on_bus: dict[str, int] = {}
-    for path in io.nodes():
-        try:
-            fd = io.open(path)
-            try:
-                capability = v4l2.query_capability(io, fd)
-            finally:
-                io.close(fd)
-        except OSError as error:
-            if error.errno in (errno.EACCES, errno.EPERM):
-                denied = explain(path, error)
-            continue
-        if not capability.captures:
-            continue
-        nth = on_bus[capability.bus_info] = on_bus.get(capability.bus_info, -1) + 1
-        address = capability.bus_info + (f"#{nth}" if nth else "")
-        nodes.append(VideoNode(path, capability.card, capability.driver, address))
-    if denied is not None and not nodes:
-        raise denied
-    return nodes
-
-
-def find(address: str, eye: Eye, io: v4l2.VideoIO) -> VideoNode:
-    """The node of an address: a bus, a /dev/videoN, or empty: cameras sorted by bus, the
-    primary takes the first and the assistant the second. Raises CameraError.
-    """
-    nodes = list_devices(io)
-    name = f"{eye.name.lower()} camera v4l2:{address}"
-    known = ", ".join(node.address for node in nodes) or "no camera at all"
-    if not address:
-        ordered = sorted(nodes, key=lambda node: node.address)
-        if len(ordered) > eye:
-            return ordered[eye]
-        raise CameraError(f"{name}: {len(nodes)} found ({known}); plug in camera {eye + 1}")
-    for node in nodes:
-        if address in (node.address, node.path):
-            return node
-    raise CameraError(f"{name}: not there; found: {known}")
+_BUFFERS = 4
 
 
 class VideoDevice:
-    """An open node that streams. Opening raises CameraError; all else OSError when it is lost."""
+    """An open node that streams. Opening raises CameraError; all else OSError when it is lost.
+
+    keeper: sets the controls, before the first picture; None leaves them alone.
+    """
 
     def __init__(
-        self, io: v4l2.VideoIO, node: VideoNode, width_px: int, height_px: int, rate_hz: float
+        self,
+        io: v4l2.VideoIO,
+        node: VideoNode,
+        width_px: int,
+        height_px: int,
+        rate_hz: float,
+        keeper: ControlKeeper | None = None,
     ) -> None:
         self._io = io
         self._what = f"camera {node.address} ({node.path})"
+        self._keeper = keeper
         self._buffers: list[mmap.mmap | bytearray] = []
         self._open = False
         try:
             self._fd = io.open(node.path)
             self._open = True
             self.format = self._negotiate(width_px, height_px)
-            self.rate_hz = self._set_rate(rate_hz)
+            self.offered_hz = rates(io, self._fd, self.format, rate_hz)
+            self.rate_hz = self._set_rate(choose_rate(self.offered_hz, rate_hz))
+            if keeper is not None:
+                keeper.apply(io, self._fd)
             self._start()
         except OSError as error:
             self.close()
-            raise explain(self._what, error) from None
+            raise explain(self._what, error, io.holders(node.path)) from None
         except CameraError:
             self.close()
             raise
@@ -120,6 +63,11 @@ class VideoDevice:
         data = bytes(self._buffers[buffer.index][: buffer.bytes_used])
         v4l2.queue_buffer(self._io, self._fd, buffer.index)
         return buffer, data
+
+    def settle(self) -> None:
+        """Locks the controls that were to find their values first."""
+        if self._keeper is not None:
+            self._keeper.settle(self._io, self._fd)
 
     def close(self) -> None:
         """Lets go of everything; a node that is gone has nothing left to refuse."""
@@ -139,7 +87,7 @@ class VideoDevice:
 
     def _negotiate(self, width_px: int, height_px: int) -> v4l2.PixelFormat:
         offered = list(v4l2.formats(self._io, self._fd))
-        for fourcc in _WANTED:
+        for fourcc in WANTED:
             if fourcc not in offered:
                 continue
             got = v4l2.set_format(self._io, self._fd, fourcc, width_px, height_px)
@@ -147,7 +95,7 @@ class VideoDevice:
                 return got
         raise CameraError(
             f"{self._what}: offers {', '.join(offered) or 'no format'}; "
-            "use a camera with MJPEG or YUYV"
+            f"use a camera with one of {', '.join(WANTED)}"
         )
 
     def _set_rate(self, rate_hz: float) -> float:
@@ -160,7 +108,7 @@ class VideoDevice:
             raise
 
     def _start(self) -> None:
-        for index in range(v4l2.request_buffers(self._io, self._fd, 4)):
+        for index in range(v4l2.request_buffers(self._io, self._fd, _BUFFERS)):
             self._buffers.append(v4l2.map_buffer(self._io, self._fd, index))
             v4l2.queue_buffer(self._io, self._fd, index)
         v4l2.stream(self._io, self._fd, True)

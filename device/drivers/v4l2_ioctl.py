@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from device.drivers import v4l2_identity
+from device.drivers.v4l2_identity import NodeFacts
+
 QUERYCAP = 0x80685600
 ENUM_FMT = 0xC0405602
 S_FMT = 0xC0D05605
@@ -106,6 +109,14 @@ class VideoIO(Protocol):
         """True once there is something to fetch, be it an error."""
         ...
 
+    def facts(self, path: str) -> NodeFacts:
+        """What the system knows of a node."""
+        ...
+
+    def holders(self, path: str) -> list[str]:
+        """The processes that have a node open."""
+        ...
+
 
 class LinuxVideoIO:
     """The real one. folder: where the nodes are."""
@@ -136,9 +147,21 @@ class LinuxVideoIO:
     def wait(self, fd: int, timeout_s: float) -> bool:
         return bool(select.select([fd], [], [], timeout_s)[0])
 
+    def facts(self, path: str) -> NodeFacts:
+        return v4l2_identity.facts(path)
 
-def _text(field: bytes) -> str:
+    def holders(self, path: str) -> list[str]:
+        return v4l2_identity.holders(path)
+
+
+def text(field: bytes) -> str:
+    """A C string of a fixed length."""
     return field.partition(b"\0")[0].decode(errors="replace")
+
+
+def code(fourcc: str) -> int:
+    """Four characters as the number the driver knows them by."""
+    return int.from_bytes(fourcc.encode("latin-1"), "little")
 
 
 def query_capability(io: VideoIO, fd: int) -> Capability:
@@ -148,7 +171,7 @@ def query_capability(io: VideoIO, fd: int) -> Capability:
     driver, card, bus_info, _, capabilities, device_caps = CAPABILITY.unpack(argument)
     if capabilities & CAP_DEVICE_CAPS:
         capabilities = device_caps
-    return Capability(_text(driver), _text(card), _text(bus_info), capabilities)
+    return Capability(text(driver), text(card), text(bus_info), capabilities)
 
 
 def formats(io: VideoIO, fd: int) -> Iterator[str]:
@@ -168,9 +191,8 @@ def formats(io: VideoIO, fd: int) -> Iterator[str]:
 
 def set_format(io: VideoIO, fd: int, fourcc: str, width_px: int, height_px: int) -> PixelFormat:
     """S_FMT: what the camera settled on may differ in everything; raises OSError."""
-    code = int.from_bytes(fourcc.encode("latin-1"), "little")
     argument = bytearray(
-        FORMAT.pack(BUF_TYPE_VIDEO_CAPTURE, width_px, height_px, code, FIELD_NONE, 0, 0)
+        FORMAT.pack(BUF_TYPE_VIDEO_CAPTURE, width_px, height_px, code(fourcc), FIELD_NONE, 0, 0)
     )
     io.ioctl(fd, S_FMT, argument)
     _, width, height, got, _, stride, _ = FORMAT.unpack(argument)

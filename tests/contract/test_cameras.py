@@ -11,6 +11,7 @@ import pytest
 from device.camera import DRIVERS, Camera, CameraSpec, open_camera
 from device.clock import ManualClock
 from device.frame import Eye, Frame
+from tests.device.fake_oak import FakeOak, encoded
 from tests.device.fake_video import JPEG, MONOTONIC, FakeCamera, FakeVideoIO, Shot
 
 PERIOD_NS = 100_000_000
@@ -37,7 +38,16 @@ def v4l2(clock: ManualClock, shots: Shots) -> Camera:
     return open_camera(CameraSpec(Eye.ASSISTANT, "v4l2", "usb-1"), clock, io=io)
 
 
-BUILDS: dict[str, Build] = {"replay": replay, "v4l2": v4l2}
+def oak(clock: ManualClock, shots: Shots) -> Camera:
+    """A device whose encoder sends depthai's own messages, stamped on the host's clock."""
+    device = FakeOak(clock)
+    for s, t in shots:
+        stamp_ns = clock.now_ns() + t
+        device.film("CAM_A", stamp_ns, encoded(s, stamp_ns, JPEG % s))
+    return open_camera(CameraSpec(Eye.ASSISTANT, "oak", "OAK1"), clock, factory=device.factory)
+
+
+BUILDS: dict[str, Build] = {"oak": oak, "replay": replay, "v4l2": v4l2}
 STEADY: Shots = [(s, s * PERIOD_NS) for s in range(6)]
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from device.clock import ManualClock
+from device.drivers.v4l2_identity import NodeFacts
 
 JPEG = b"\xff\xd8 picture %d \xff\xd9"
 MONOTONIC = 0x2000
@@ -31,6 +32,19 @@ class Shot:
 
 
 @dataclass
+class Knob:
+    """A control of a fake camera. stuck: takes values and keeps its own."""
+
+    name: str
+    value: int
+    minimum: int = 0
+    maximum: int = 255
+    step: int = 1
+    flags: int = 0
+    stuck: bool = False
+
+
+@dataclass
 class FakeCamera:
     bus_info: str
     card: str = "Fake"
@@ -40,6 +54,13 @@ class FakeCamera:
     stride: int = 0
     size: tuple[int, int] | None = None
     refused: tuple[str, ...] = ()
+    sizes: tuple[tuple[int, int], ...] = ()
+    intervals: tuple[tuple[int, int], ...] = ()
+    stepwise: bool = False
+    controls: dict[int, Knob] = field(default_factory=dict)
+    serial: str = ""
+    port: str = ""
+    held_by: list[str] = field(default_factory=list)
     fails: dict[int, int] = field(default_factory=dict)
     open_errno: int = 0
     shots: deque[Shot] = field(default_factory=deque)
@@ -65,6 +86,12 @@ class FakeVideoIO:
 
     def nodes(self) -> list[str]:
         return sorted(path for path, camera in self.cameras.items() if not camera.gone)
+
+    def facts(self, path: str) -> NodeFacts:
+        return NodeFacts(self.cameras[path].serial, self.cameras[path].port)
+
+    def holders(self, path: str) -> list[str]:
+        return self.cameras[path].held_by
 
     def open(self, path: str) -> int:
         camera = self.cameras.get(path)
@@ -115,6 +142,11 @@ class FakeVideoIO:
             0x11: self._dqbuf,
             0x12: self._streamon,
             0x13: self._streamoff,
+            0x1B: self._g_ctrl,
+            0x1C: self._s_ctrl,
+            0x24: self._queryctrl,
+            0x4A: self._enum_framesizes,
+            0x4B: self._enum_frameintervals,
         }
         handlers[number](camera, argument)
 
@@ -143,6 +175,55 @@ class FakeVideoIO:
 
     def _s_parm(self, camera: FakeCamera, a: bytearray) -> None:
         camera.asked["rate"] = struct.unpack_from("=II", a, 12)
+
+    def _queryctrl(self, camera: FakeCamera, a: bytearray) -> None:
+        (asked,) = struct.unpack_from("=I", a, 0)
+        assert asked & 0x80000000
+        later = [number for number in sorted(camera.controls) if number > asked & 0x7FFFFFFF]
+        if not later:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        knob = camera.controls[later[0]]
+        struct.pack_into("=II", a, 0, later[0], 1)
+        a[8 : 8 + len(knob.name)] = knob.name.encode()
+        limits = knob.minimum, knob.maximum, knob.step, knob.value, knob.flags
+        struct.pack_into("=iiiiI", a, 40, *limits)
+
+    def _knob(self, camera: FakeCamera, a: bytearray) -> Knob:
+        (asked,) = struct.unpack_from("=I", a, 0)
+        if asked not in camera.controls:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        return camera.controls[asked]
+
+    def _g_ctrl(self, camera: FakeCamera, a: bytearray) -> None:
+        struct.pack_into("=i", a, 4, self._knob(camera, a).value)
+
+    def _s_ctrl(self, camera: FakeCamera, a: bytearray) -> None:
+        knob = self._knob(camera, a)
+        (value,) = struct.unpack_from("=i", a, 4)
+        if not knob.minimum <= value <= knob.maximum:
+            raise OSError(errno.ERANGE, "Numerical result out of range")
+        if not knob.stuck:
+            knob.value = value
+
+    def _enum_framesizes(self, camera: FakeCamera, a: bytearray) -> None:
+        (index,) = struct.unpack_from("=I", a, 0)
+        if index >= (1 if camera.stepwise else len(camera.sizes)):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        if camera.stepwise:
+            (w0, h0), (w1, h1) = camera.sizes
+            struct.pack_into("=IIIIIII", a, 8, 3, w0, w1, 2, h0, h1, 2)
+        else:
+            struct.pack_into("=III", a, 8, 1, *camera.sizes[index])
+
+    def _enum_frameintervals(self, camera: FakeCamera, a: bytearray) -> None:
+        (index,) = struct.unpack_from("=I", a, 0)
+        if index >= (1 if camera.stepwise else len(camera.intervals)):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        if camera.stepwise:
+            least, most = camera.intervals
+            struct.pack_into("=IIIIIII", a, 16, 3, *least, *most, 1, 100)
+        else:
+            struct.pack_into("=III", a, 16, 1, *camera.intervals[index])
 
     def _reqbufs(self, camera: FakeCamera, a: bytearray) -> None:
         (count, kind, memory) = struct.unpack_from("=III", a, 0)
@@ -179,6 +260,11 @@ class FakeVideoIO:
     def _streamoff(self, camera: FakeCamera, a: bytearray) -> None:
         camera.streaming = False
         camera.queued.clear()
+
+
+def system(**cameras: FakeCamera) -> FakeVideoIO:
+    """A machine whose /dev has these nodes."""
+    return FakeVideoIO(ManualClock(), {f"/dev/{name}": c for name, c in cameras.items()})
 
 
 def yuyv(rgb_gray: int, width: int, height: int, stride: int) -> bytes:

@@ -20,7 +20,7 @@ def test_unknown_driver_is_one_line_with_the_known_ones() -> None:
     text = str(caught.value)
     assert "\n" not in text and "assistant" in text and "'webcam'" in text
     assert all(name in text for name in DRIVERS)
-    with pytest.raises(CameraError, match="known: replay, v4l2"):
+    with pytest.raises(CameraError, match="known: oak, replay, v4l2"):
         parse_address("webcam:0")
 
 

@@ -6,12 +6,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from device.camera import CameraSpec
+from device.camera import CameraControls, CameraSpec
 from device.clock import ManualClock
 from device.drivers.v4l2 import V4l2Camera
 from device.errors import CameraError
 from device.frame import Eye, Frame
 from tests.device.fake_video import ERROR, JPEG, MONOTONIC, FakeCamera, FakeVideoIO, Shot, yuyv
+from tests.device.test_v4l2_controls import EXPOSURE, EXPOSURE_AUTO, webcam
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -21,11 +22,17 @@ COPY = 0x4000
 class Bench:
     """One fake camera on usb-1, opened and running at 10 s."""
 
-    def __init__(self, address: str = "usb-1", **camera: object) -> None:
+    def __init__(
+        self,
+        address: str = "usb-1",
+        wanted: CameraControls = CameraControls(),  # noqa: B008
+        rate_hz: float = 10.0,
+        **camera: object,
+    ) -> None:
         self.clock = ManualClock(10 * S)
         self.device = FakeCamera("usb-1", **camera)  # type: ignore[arg-type]
         self.io = FakeVideoIO(self.clock, {"/dev/video0": self.device})
-        spec = CameraSpec(Eye.PRIMARY, "v4l2", address, width_px=8, height_px=4)
+        spec = CameraSpec(Eye.PRIMARY, "v4l2", address, 8, 4, rate_hz, controls=wanted)
         self.camera = V4l2Camera(spec, self.clock, io=self.io)
         self.camera.start()
 
@@ -44,7 +51,7 @@ class Bench:
 
     def replug(self, path: str) -> FakeCamera:
         """The same camera comes back on another node, its driver counting from 0."""
-        self.device = FakeCamera("usb-1")
+        self.device = FakeCamera("usb-1", controls=webcam())
         self.io.cameras = {"/dev/video0": FakeCamera("usb-7"), path: self.device}
         return self.device
 
@@ -186,3 +193,86 @@ def test_format_is_what_the_camera_settled_on() -> None:
     assert form is not None and (form.width_px, form.height_px) == (640, 480)
     bench.camera.stop()
     assert bench.camera.format is None
+
+
+def test_a_camera_that_streams_and_is_silent_is_opened_anew() -> None:
+    bench = Bench()
+    bench.shoot(0)
+    bench.read()
+    assert bench.camera.read(2.9) is None and bench.camera.connected
+    bench.device.film(14 * S + 500 * MS, 1, MS, sequence=40)
+    frame = bench.camera.read(3.0)
+    assert frame is not None and frame.t_ns == 14 * S + 500 * MS
+    assert bench.camera.stats().reconnects == 1
+    assert len(bench.io.open_fds) == 1
+
+
+def test_a_slow_camera_is_not_taken_for_a_silent_one() -> None:
+    bench = Bench()
+    bench.device.film(12 * S, 3, 2900 * MS)
+    for _ in range(3):
+        assert bench.camera.read(5.0) is not None
+    assert bench.camera.stats().reconnects == 0
+
+
+def test_a_camera_named_by_its_serial_may_come_back_on_another_port() -> None:
+    bench = Bench("serial=A7", serial="A7")
+    bench.device.gone = True
+    bench.camera.read(0.1)
+    other = FakeCamera("usb-3", serial="A7")
+    bench.io.cameras = {"/dev/video0": FakeCamera("usb-1", serial="B2"), "/dev/video5": other}
+    other.film(12 * S, 1, MS)
+    frame = bench.camera.read(3.0)
+    assert frame is not None and bench.camera.settings["address"] == "usb-3"
+
+
+def test_settings_tell_what_was_read_back() -> None:
+    bench = Bench(wanted=CameraControls(exposure_us=8000), controls=webcam(), serial="A7")
+    assert bench.camera.settings == {
+        "name": "Fake",
+        "address": "usb-1",
+        "serial": "A7",
+        "path": "/dev/video0",
+        "format": "MJPG",
+        "width_px": 8,
+        "height_px": 4,
+        "rate_hz": 10.0,
+        "exposure_us": 8000,
+        "gain": 64,
+        "white_balance_k": "auto",
+        "focus": 30,
+    }
+
+
+def test_exposure_is_locked_after_two_seconds_and_survives_an_unplug() -> None:
+    wanted = CameraControls(exposure_us="auto-then-lock")
+    bench = Bench(wanted=wanted, controls=webcam())
+    bench.device.film(10 * S, 25, 100 * MS)
+    for _ in range(19):
+        assert bench.camera.read(1.0) is not None
+    bench.device.controls[EXPOSURE].value = 40
+    assert bench.device.controls[EXPOSURE_AUTO].value == 3
+    for _ in range(3):
+        assert bench.camera.read(1.0) is not None
+    assert bench.device.controls[EXPOSURE_AUTO].value == 1
+    assert bench.camera.settings["exposure_us"] == 4000
+
+    bench.device.gone = True
+    bench.camera.read(0.1)
+    bench.replug("/dev/video4").film(14 * S, 1, MS)
+    assert bench.camera.read(3.0) is not None
+    controls = bench.device.controls
+    assert (controls[EXPOSURE_AUTO].value, controls[EXPOSURE].value) == (1, 40)
+
+
+def test_what_a_camera_cannot_do_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    slow = {"intervals": ((1, 5),)}
+    bench = Bench(wanted=CameraControls(gain=9), **slow)  # type: ignore[arg-type]
+    bench.device.gone = True
+    bench.camera.read(0.1)
+    bench.device.gone = False
+    bench.device.film(12 * S, 1, MS)
+    assert bench.camera.read(3.0) is not None
+    lines = [r.getMessage() for r in caplog.records if "usb-1: " in r.getMessage()]
+    assert sum("has no gain" in line for line in lines) == 1
+    assert sum("gives 5 Hz, not 10, as MJPG at 8x4" in line for line in lines) == 1

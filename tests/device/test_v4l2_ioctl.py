@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from device.drivers import v4l2_controls as controls
 from device.drivers import v4l2_ioctl as v4l2
+from device.drivers import v4l2_modes as modes
 
 HEADER = Path("/usr/include/linux/videodev2.h")
 # name in the header -> our value: sizes, offsets and request numbers
@@ -20,6 +22,34 @@ EXPECTED = {
     "sizeof(struct v4l2_streamparm)": v4l2.STREAMPARM.size,
     "sizeof(struct v4l2_requestbuffers)": v4l2.REQUESTBUFFERS.size,
     "sizeof(struct v4l2_buffer)": v4l2.BUFFER.size,
+    "sizeof(struct v4l2_queryctrl)": controls.QUERY.size,
+    "sizeof(struct v4l2_control)": controls.CONTROL.size,
+    "sizeof(struct v4l2_frmsizeenum)": modes.FRAMESIZE.size,
+    "sizeof(struct v4l2_frmivalenum)": modes.FRAMEINTERVAL.size,
+    "VIDIOC_QUERYCTRL": controls.QUERYCTRL,
+    "VIDIOC_G_CTRL": controls.G_CTRL,
+    "VIDIOC_S_CTRL": controls.S_CTRL,
+    "VIDIOC_ENUM_FRAMESIZES": modes.ENUM_FRAMESIZES,
+    "VIDIOC_ENUM_FRAMEINTERVALS": modes.ENUM_FRAMEINTERVALS,
+    "V4L2_FRMSIZE_TYPE_DISCRETE": modes.DISCRETE,
+    "V4L2_FRMIVAL_TYPE_DISCRETE": modes.DISCRETE,
+    "V4L2_CTRL_FLAG_DISABLED": controls.FLAG_DISABLED,
+    "V4L2_CTRL_FLAG_READ_ONLY": controls.FLAG_READ_ONLY,
+    "V4L2_CTRL_FLAG_NEXT_CTRL": controls.FLAG_NEXT,
+    "V4L2_CTRL_TYPE_CTRL_CLASS": controls.TYPE_CLASS,
+    "V4L2_CID_AUTO_WHITE_BALANCE": controls.AUTO_WHITE_BALANCE,
+    "V4L2_CID_AUTOGAIN": controls.AUTOGAIN,
+    "V4L2_CID_GAIN": controls.GAIN,
+    "V4L2_CID_WHITE_BALANCE_TEMPERATURE": controls.WHITE_BALANCE_TEMPERATURE,
+    "V4L2_CID_EXPOSURE_AUTO": controls.EXPOSURE_AUTO,
+    "V4L2_CID_EXPOSURE_ABSOLUTE": controls.EXPOSURE_ABSOLUTE,
+    "V4L2_CID_EXPOSURE_AUTO_PRIORITY": controls.EXPOSURE_AUTO_PRIORITY,
+    "V4L2_CID_FOCUS_ABSOLUTE": controls.FOCUS_ABSOLUTE,
+    "V4L2_CID_FOCUS_AUTO": controls.FOCUS_AUTO,
+    "V4L2_CID_ANALOGUE_GAIN": controls.ANALOGUE_GAIN,
+    "V4L2_EXPOSURE_MANUAL": controls.KNOBS[0].off,
+    "V4L2_EXPOSURE_APERTURE_PRIORITY": controls.KNOBS[0].on[0],
+    "V4L2_EXPOSURE_AUTO": controls.KNOBS[0].on[1],
     "VIDIOC_QUERYCAP": v4l2.QUERYCAP,
     "VIDIOC_ENUM_FMT": v4l2.ENUM_FMT,
     "VIDIOC_S_FMT": v4l2.S_FMT,
@@ -70,6 +100,45 @@ FILLED = {
     "struct v4l2_requestbuffers": (
         v4l2.REQUESTBUFFERS,
         {".count": (0, 11), ".type": (1, 12), ".memory": (2, 13)},
+    ),
+    "struct v4l2_queryctrl": (
+        controls.QUERY,
+        {
+            ".id": (0, 11),
+            ".type": (1, 12),
+            ".minimum": (3, 13),
+            ".maximum": (4, 14),
+            ".step": (5, 15),
+            ".default_value": (6, 16),
+            ".flags": (7, 17),
+        },
+    ),
+    "struct v4l2_control": (controls.CONTROL, {".id": (0, 11), ".value": (1, 12)}),
+    "struct v4l2_frmsizeenum": (
+        modes.FRAMESIZE,
+        {
+            ".index": (0, 11),
+            ".pixel_format": (1, 12),
+            ".type": (2, 13),
+            ".stepwise.min_width": (3, 14),
+            ".stepwise.max_width": (4, 15),
+            ".stepwise.min_height": (6, 16),
+            ".stepwise.max_height": (7, 17),
+        },
+    ),
+    "struct v4l2_frmivalenum": (
+        modes.FRAMEINTERVAL,
+        {
+            ".index": (0, 11),
+            ".pixel_format": (1, 12),
+            ".width": (2, 13),
+            ".height": (3, 14),
+            ".type": (4, 15),
+            ".stepwise.min.numerator": (5, 16),
+            ".stepwise.min.denominator": (6, 17),
+            ".stepwise.max.numerator": (7, 18),
+            ".stepwise.max.denominator": (8, 19),
+        },
     ),
     "struct v4l2_buffer": (
         v4l2.BUFFER,

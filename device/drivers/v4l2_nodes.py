@@ -1,0 +1,156 @@
+"""Which video nodes are cameras, and the right one: by port or serial, never by number."""
+
+from __future__ import annotations
+
+import errno
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from device.camera import FoundCamera
+from device.drivers import v4l2_ioctl as v4l2
+from device.drivers.v4l2_controls import get, list_controls
+from device.drivers.v4l2_modes import list_modes
+from device.errors import CameraError
+from device.frame import Eye
+
+_DENIED = (
+    "permission denied; add the user to the group video and log in again, "
+    "or install deploy/99-calm-edge.rules"
+)
+_MENDS = {
+    errno.EACCES: _DENIED,
+    errno.EPERM: _DENIED,
+    errno.EBUSY: "in use by another program; close it",
+    errno.ENODEV: "unplugged",
+    errno.ENOSPC: (
+        "no USB bandwidth left for it; plug the cameras into different USB controllers, "
+        "or lower capture.width_px, capture.height_px or capture.rate_hz"
+    ),
+}
+SERIAL = "serial="
+
+
+def explain(what: str, error: OSError, holders: Sequence[str] = ()) -> CameraError:
+    """One line for an OSError at a camera, with the mend where we know one.
+
+    holders: who has it open, named when that is the trouble.
+    """
+    if error.errno == errno.EBUSY and holders:
+        return CameraError(f"{what}: in use by {', '.join(holders)}; close it")
+    return CameraError(f"{what}: {_MENDS.get(error.errno or 0, error.strerror or str(error))}")
+
+
+@dataclass(frozen=True, slots=True)
+class VideoNode:
+    """A node that captures. address: its identity, `BUS_INFO`, or `BUS_INFO#1` for the second
+    capturing node on the same bus. serial: of the USB device, empty where it has none.
+    """
+
+    path: str
+    card: str
+    driver: str
+    address: str
+    serial: str = ""
+
+
+def list_devices(io: v4l2.VideoIO | None = None) -> list[VideoNode]:
+    """Every camera that can be opened, by node number; raises CameraError if none may be."""
+    io = io or v4l2.LinuxVideoIO()
+    found: list[tuple[str, int, str, v4l2.Capability, str]] = []
+    denied: CameraError | None = None
+    for number, path in enumerate(io.nodes()):
+        try:
+            fd = io.open(path)
+            try:
+                capability = v4l2.query_capability(io, fd)
+            finally:
+                io.close(fd)
+        except OSError as error:
+            if error.errno in (errno.EACCES, errno.EPERM):
+                denied = explain(path, error)
+            continue
+        if capability.captures:
+            facts = io.facts(path)
+            found.append((facts.port, number, path, capability, facts.serial))
+    if denied is not None and not found:
+        raise denied
+    nodes: dict[int, VideoNode] = {}
+    on_bus: Counter[str] = Counter()
+    # by port: two sensors of one device keep their places when nodes are numbered anew
+    for _, number, path, capability, serial in sorted(found, key=lambda f: f[:2]):
+        nth = on_bus[capability.bus_info]
+        on_bus[capability.bus_info] += 1
+        address = capability.bus_info + (f"#{nth}" if nth else "")
+        nodes[number] = VideoNode(path, capability.card, capability.driver, address, serial)
+    return [nodes[number] for number in sorted(nodes)]
+
+
+def find(address: str, eye: Eye, io: v4l2.VideoIO) -> VideoNode:
+    """The node of an address: a bus, `serial=...`, a /dev/videoN, or empty: cameras sorted by
+    bus, the primary takes the first and the assistant the second. Raises CameraError.
+    """
+    nodes = list_devices(io)
+    name = f"{eye.name.lower()} camera v4l2:{address}"
+    known = ", ".join(node.address for node in nodes) or "no camera at all"
+    if not address:
+        ordered = sorted(nodes, key=lambda node: node.address)
+        if len(ordered) > eye:
+            return ordered[eye]
+        raise CameraError(f"{name}: {len(nodes)} found ({known}); plug in camera {eye + 1}")
+    if address.startswith(SERIAL):
+        same = [node for node in nodes if node.serial and address == SERIAL + node.serial]
+        if len(same) > 1:
+            raise CameraError(
+                f"{name}: {len(same)} cameras have this serial; name them by their ports: "
+                + ", ".join(node.address for node in same)
+            )
+        if same:
+            return same[0]
+    for node in nodes:
+        if address in (node.address, node.path):
+            return node
+    raise CameraError(f"{name}: not there; found: {known}")
+
+
+def identity(address: str, node: VideoNode) -> str:
+    """What a camera is looked for by when it is lost: its serial if it was asked for by that."""
+    return address if address.startswith(SERIAL) else node.address
+
+
+def discover(io: v4l2.VideoIO | None = None, details: bool = True) -> list[FoundCamera]:
+    """Every camera; details: formats and controls too, for which each is opened once more."""
+    io = io or v4l2.LinuxVideoIO()
+    found = []
+    for node in list_devices(io):
+        formats: dict[str, list[str]] = {}
+        controls: dict[str, str] = {}
+        note = ""
+        if details:
+            try:
+                formats, controls = _details(io, node.path)
+            except OSError as error:
+                note = str(explain(node.path, error, io.holders(node.path)))
+        found.append(
+            FoundCamera(f"v4l2:{node.address}", node.card, node.path, node.serial,
+                        formats, controls, note)
+        )  # fmt: skip
+    return found
+
+
+def _details(io: v4l2.VideoIO, path: str) -> tuple[dict[str, list[str]], dict[str, str]]:
+    fd = io.open(path)
+    try:
+        formats: dict[str, list[str]] = {}
+        for mode in list_modes(io, fd):
+            rate = f" {max(mode.rates_hz):g} Hz" if mode.rates_hz else ""
+            size = f"{mode.width_px}x{mode.height_px}{rate}"
+            formats.setdefault(mode.fourcc, []).append(size)
+        controls = {}
+        for control in list_controls(io, fd):
+            value = get(io, fd, control.id)
+            if value is not None:
+                controls[control.name] = f"{value} ({control.minimum} to {control.maximum})"
+        return formats, controls
+    finally:
+        io.close(fd)

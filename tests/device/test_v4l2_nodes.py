@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+import errno
+
+import pytest
+
+from device.drivers.v4l2_nodes import discover, explain, find, identity, list_devices
+from device.errors import CameraError
+from device.frame import Eye
+from tests.device.fake_video import FakeCamera, Knob, system
+
+METADATA_CAPS = 0x04A00000
+
+
+def test_list_knows_cameras_from_metadata_nodes() -> None:
+    io = system(
+        video0=FakeCamera("usb-1", card="Left"),
+        video1=FakeCamera("usb-1", device_caps=METADATA_CAPS),
+        video2=FakeCamera("usb-2", card="Right"),
+        video3=FakeCamera("usb-2", device_caps=METADATA_CAPS),
+    )
+    nodes = list_devices(io)
+    assert [(n.path, n.card, n.address) for n in nodes] == [
+        ("/dev/video0", "Left", "usb-1"),
+        ("/dev/video2", "Right", "usb-2"),
+    ]
+    assert not io.open_fds
+
+
+def test_an_old_driver_without_device_caps_is_judged_by_its_capabilities() -> None:
+    assert list_devices(system(video0=FakeCamera("a", capabilities=0x04000001, device_caps=0)))
+    assert not list_devices(system(video0=FakeCamera("a", capabilities=0x04000002)))
+
+
+def test_two_sensors_on_one_bus_have_two_addresses() -> None:
+    io = system(video0=FakeCamera("usb-1", card="Colour"), video2=FakeCamera("usb-1", card="IR"))
+    assert [n.address for n in list_devices(io)] == ["usb-1", "usb-1#1"]
+    assert find("usb-1#1", Eye.PRIMARY, io).card == "IR"
+    assert find("/dev/video2", Eye.PRIMARY, io).address == "usb-1#1"
+
+
+def test_permission_denied_names_the_group_unless_a_camera_is_usable() -> None:
+    denied = FakeCamera("usb-1", open_errno=errno.EACCES)
+    with pytest.raises(CameraError, match=r"/dev/video0: permission denied; .*group video"):
+        list_devices(system(video0=denied))
+    assert len(list_devices(system(video0=denied, video1=FakeCamera("usb-2")))) == 1
+
+
+def test_an_empty_address_takes_cameras_by_bus_whatever_their_numbers() -> None:
+    io = system(video0=FakeCamera("usb-2"), video1=FakeCamera("usb-1"))
+    assert find("", Eye.PRIMARY, io).address == "usb-1"
+    assert find("", Eye.ASSISTANT, io).address == "usb-2"
+
+
+def test_a_missing_camera_is_one_line_with_what_is_there() -> None:
+    io = system(video0=FakeCamera("usb-1"))
+    with pytest.raises(CameraError, match=r"assistant camera v4l2:usb-9: not there; found: usb-1"):
+        find("usb-9", Eye.ASSISTANT, io)
+    with pytest.raises(CameraError, match=r"assistant camera .*1 found .*plug in camera 2"):
+        find("", Eye.ASSISTANT, io)
+    with pytest.raises(CameraError, match="no camera at all"):
+        find("usb-9", Eye.PRIMARY, system())
+
+
+def test_two_sensors_keep_their_addresses_when_their_nodes_change_places() -> None:
+    colour = FakeCamera("usb-1", card="Colour", port="1-1:1.0")
+    infrared = FakeCamera("usb-1", card="IR", port="1-1:1.2")
+    for io in (system(video0=colour, video2=infrared), system(video0=infrared, video2=colour)):
+        assert find("usb-1", Eye.PRIMARY, io).card == "Colour"
+        assert find("usb-1#1", Eye.PRIMARY, io).card == "IR"
+
+
+def test_a_camera_is_found_by_its_serial_on_whatever_port() -> None:
+    io = system(video0=FakeCamera("usb-1", serial="A7"), video3=FakeCamera("usb-9", serial="B2"))
+    node = find("serial=B2", Eye.PRIMARY, io)
+    assert (node.path, node.address, node.serial) == ("/dev/video3", "usb-9", "B2")
+    assert identity("serial=B2", node) == "serial=B2"
+    assert identity("/dev/video3", node) == identity("", node) == "usb-9"
+    with pytest.raises(CameraError, match=r"v4l2:serial=C: not there; found: usb-1, usb-9"):
+        find("serial=C", Eye.PRIMARY, io)
+
+
+def test_a_serial_that_two_cameras_share_names_neither() -> None:
+    io = system(video0=FakeCamera("usb-1", serial="001"), video1=FakeCamera("usb-2", serial="001"))
+    with pytest.raises(CameraError, match=r"2 cameras have this serial; .*ports: usb-1, usb-2"):
+        find("serial=001", Eye.PRIMARY, io)
+    nameless = system(video0=FakeCamera("usb-1"), video1=FakeCamera("usb-2"))
+    with pytest.raises(CameraError, match="not there"):
+        find("serial=", Eye.PRIMARY, nameless)
+
+
+def test_discover_tells_formats_rates_and_controls() -> None:
+    camera = FakeCamera(
+        "usb-1",
+        card="Left",
+        serial="A7",
+        sizes=((640, 480), (1280, 720)),
+        intervals=((1, 5), (1, 30)),
+        controls={0x00980913: Knob("Gain", 7, 1, 16), 0x009A0902: Knob("Exposure", 5, flags=1)},
+    )
+    io = system(video0=camera)
+    (found,) = discover(io)
+    assert (found.address, found.name, found.serial) == ("v4l2:usb-1", "Left", "A7")
+    both = ["640x480 30 Hz", "1280x720 30 Hz"]
+    assert found.formats == {"YUYV": both, "MJPG": both}
+    # the second control is disabled
+    assert found.controls == {"Gain": "7 (1 to 16)"}
+    assert not found.note and not io.open_fds
+
+
+def test_discover_without_details_asks_for_none() -> None:
+    camera = FakeCamera("usb-1", sizes=((640, 480),), fails={0x02: errno.EIO, 0x24: errno.EIO})
+    (found,) = discover(system(video0=camera), details=False)
+    assert not found.formats and not found.controls and not found.note
+
+
+def test_a_camera_that_cannot_be_asked_is_listed_with_the_reason() -> None:
+    busy = FakeCamera("usb-1", fails={0x02: errno.EBUSY}, held_by=["cheese (process 9)"])
+    first, second = discover(system(video0=busy, video1=FakeCamera("usb-2")))
+    assert first.note == "/dev/video0: in use by cheese (process 9); close it"
+    assert not second.note
+
+
+def test_a_size_range_is_told_by_its_ends() -> None:
+    camera = FakeCamera(
+        "usb-1",
+        fourccs=("YUYV",),
+        sizes=((16, 16), (1920, 1080)),
+        intervals=((1, 60), (1, 1)),
+        stepwise=True,
+    )
+    (found,) = discover(system(video0=camera))
+    assert found.formats == {"YUYV": ["16x16 60 Hz", "1920x1080 60 Hz"]}
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.EPERM])
+def test_permission_denied_names_group_and_rules(code: int) -> None:
+    text = str(explain("/dev/video0", OSError(code, "no")))
+    assert "group video" in text and "deploy/99-calm-edge.rules" in text
