@@ -18,8 +18,9 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
 
     From stamps (N,), poses (N, 4, 4) and their covariances (N, 6, 6) of (translation, rotation) in
     their cameras' axes, held to be independent of each other. The slope of a parabola at its end:
-    a mean over the window would be half a window old. How far the motion is from a parabola is
-    not in the covariance.
+    a mean over the window would be half a window old. Where the poses are further from the
+    parabola than their own noise, on a bad road above all, that is in the covariance too; it is
+    NaN for up to three poses, which any parabola fits.
     """
     if len(t_ns) < 2:
         return np.full(6, np.nan), np.full((6, 6), np.nan)
@@ -32,7 +33,23 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
     J[:, :3, :3] = J[:, 3:, 3:] = weight[:, None, None] * T_last_c[:, :3, :3]
     # the velocity is told in the axes of a camera whose own rotation is uncertain
     J[-1, :3, 3:] += se3.hat(twist[:3])
-    return twist, np.asarray(np.einsum("nij,njk,nlk->il", J, covariance, J))
+    total = np.einsum("nij,njk,nlk->il", J, covariance, J)
+    total += np.diag(_misfit(powers, moved, covariance)) * (weight @ weight)
+    return twist, np.asarray(total)
+
+
+def _misfit(powers: Float, moved: Float, covariance: Float) -> Float:
+    """(6,) variances of moved (N, 6) about its fit beyond its noise, the same for the three axes of
+    translation and of rotation.
+    """
+    spare = len(moved) - powers.shape[1]
+    if spare < 1:
+        return np.full(6, np.nan)
+    residual = moved - powers @ np.linalg.lstsq(powers, moved, rcond=None)[0]
+    seen = (residual**2).sum(0) / spare
+    noise = np.diagonal(covariance, axis1=1, axis2=2).mean(0)
+    excess = (seen - noise).reshape(2, 3).mean(1)
+    return np.repeat(np.maximum(excess, 0.0), 3)
 
 
 class RecentPath:
