@@ -1,7 +1,7 @@
 # make demo: from nothing to a map. The other targets: setup test lint bench eval deb deb-test hil
-# vm-test interop.
+# vm-test interop faults.
 .DEFAULT_GOAL := demo
-.PHONY: setup demo test lint bench eval deb deb-test hil vm-test interop
+.PHONY: setup demo test lint bench eval deb deb-test hil vm-test interop faults
 
 PYTHON_SOURCES := calm_edge device tests deploy hil_tests
 CALM_EDGE := .venv/bin/python -m calm_edge.cli
@@ -34,6 +34,10 @@ lint: setup
 	.venv/bin/ruff format --check $(PYTHON_SOURCES)
 	.venv/bin/mypy
 	.venv/bin/lint-imports
+
+# what is done to the daemon, and what comes of it; FAULTS="kill disk" does some rows only
+faults: setup
+	.venv/bin/python -m tests.faults.table $(FAULTS)
 
 # what we send over the serial line, read by a Rust and a Node decoder; skips what is not here
 interop: setup

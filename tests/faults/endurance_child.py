@@ -1,0 +1,212 @@
+"""Hours of simulated time, many times as fast, with a small disk: does anything grow or vanish?
+
+`python -m tests.faults.endurance_child HOURS SPEED FOLDER` prints its figures as JSON. Pictures
+of 160x120 slide over a textured wall, forth and back; the disk is one of its own where one can be
+mounted, and then too small for the drive, so that old drives and its own oldest segments make room.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calm_edge.config import Config, merge
+from calm_edge.daemon.source import Source, TimelineClock
+from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.retention import new_drive, set_kept
+from device.camera import Camera, CameraSpec, open_camera
+from device.frame import Eye, Frame
+from tests.faults.row import resident_bytes, sequences
+from tests.faults.storage_rows import small_disk
+from tests.frontend.plane_world import texture
+from tests.replay.daemon_run import record
+
+WIDTH, HEIGHT, FOCAL_PX, WALL_M = 160, 120, 100.0, 10.0
+RATE_HZ, PX_A_FRAME, SPACING_M = 10, 1, 0.5
+TURN_FRAMES = 400
+START_NS = 10**9
+SAMPLE_S = 0.5
+# old drives that lie there from the start: the first is to go, the second is kept
+OLD_BYTES = 4 << 20
+
+
+class FastClock(TimelineClock):
+    """A timeline that runs `speed` times as fast as the machine's clock."""
+
+    def __init__(self, epoch_ns: int, speed: float) -> None:
+        self._speed = speed
+        super().__init__(epoch_ns)
+
+    def now_ns(self) -> int:
+        return self._epoch_ns + round((self._system.now_ns() - self._origin_ns) * self._speed)
+
+    def sleep_until_ns(self, t_ns: int) -> None:
+        elapsed_ns = (t_ns - self._epoch_ns) / self._speed
+        self._system.sleep_until_ns(round(elapsed_ns) + self._origin_ns)
+
+
+def offset_px(frame: int) -> int:
+    """Where the sliding picture is: forth and back."""
+    there = frame % (2 * TURN_FRAMES)
+    return PX_A_FRAME * min(there, 2 * TURN_FRAMES - there)
+
+
+def pictures() -> list[tuple[bytes, bytes]]:
+    """JPEGs of both eyes at each offset."""
+    wall = texture()
+    baseline = round(FOCAL_PX * SPACING_M / WALL_M)
+    made = []
+    for x in range(PX_A_FRAME * TURN_FRAMES + 1):
+        pair = []
+        for start in (x, x + baseline):
+            crop = wall[900 : 900 + HEIGHT, 600 + start : 600 + start + WIDTH]
+            pair.append(cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 60])[1].tobytes())
+        made.append((pair[0], pair[1]))
+    return made
+
+
+def frames_of(eye: Eye, n: int, made: list[tuple[bytes, bytes]]) -> Iterator[Frame]:
+    """`n` frames of an eye at RATE_HZ, made as they are asked for."""
+    for k in range(n):
+        t_ns = START_NS + k * 10**9 // RATE_HZ + int(eye) * 17_000_000
+        yield Frame(eye, k, t_ns, made[offset_px(k)][eye])
+
+
+def truth(folder: Path, n: int) -> None:
+    """What the scripted backbone plays."""
+    folder.mkdir(parents=True)
+    poses = np.tile(np.eye(4)[:3].ravel(), (n, 1))
+    poses[:, 3] = [offset_px(k) * WALL_M / FOCAL_PX for k in range(n)]
+    np.savetxt(folder / "poses0.txt", poses, fmt="%.6g")
+    np.savetxt(folder / "times0.txt", START_NS / 1e9 + np.arange(n) / RATE_HZ, fmt="%.3f")
+    rig = np.eye(4)
+    rig[0, 3] = SPACING_M
+    np.savetxt(folder / "T_p_a.txt", rig[:3].reshape(1, 12))
+    row = [FOCAL_PX, FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, WIDTH, HEIGHT]
+    np.savetxt(folder / "calib.txt", [row, row])
+
+
+def settings(folder: Path, speed: float, own_disk: bool) -> Config:
+    """The configuration; limits on the frames' clock are stretched as that is."""
+    recording = {"segment_s": 2.0, "keep_free_percent": 0.0, "keep_free_gib": 0.03}
+    return merge(
+        Config(),
+        {
+            "backbone": {"name": f"scripted:{folder}", "resolve_windows": 20},
+            "scale": {"spacing_m": SPACING_M},
+            "capture": {"stale_after_ms": 500.0 * speed},
+            "frontend": {"lost_after_ms": 300.0 * speed},
+            "loops": {"enabled": False},
+            "posegraph": {"optimise": False},
+            "recording": recording if own_disk else {"segment_s": 5.0},
+        },
+    )
+
+
+class Sampler:
+    """Resident memory of the three processes, twice a second."""
+
+    def __init__(self) -> None:
+        self.samples: dict[str, list[int]] = {"capture": [], "tracker": [], "estimator": []}
+        self._desk: Switchboard | None = None
+        self._end = threading.Event()
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def __call__(self, desk: Switchboard, _: str) -> None:
+        self._desk = desk
+
+    def end(self) -> None:
+        self._end.set()
+
+    def _run(self) -> None:
+        while not self._end.wait(SAMPLE_S):
+            if (desk := self._desk) is not None:
+                pids = (None, desk.tracker.child.pid, desk.estimator.child.pid)
+                for name, pid in zip(self.samples, pids, strict=True):
+                    self.samples[name].append(resident_bytes(pid))
+
+    def growth_mib(self, name: str) -> float:
+        """From the second to the last quarter of the run, each by its median."""
+        values = [v for v in self.samples[name] if v]
+        quarter = max(1, len(values) // 4)
+        first, last = values[quarter : 2 * quarter] or values, values[-quarter:]
+        return float(np.median(last) - np.median(first)) / (1 << 20)
+
+
+def run(hours: float, speed: float, folder: Path) -> dict[str, object]:
+    """The figures."""
+    n = round(hours * 3600 * RATE_HZ)
+    made = pictures()
+    truth(folder / "truth", n)
+    clock = FastClock(START_NS, speed)
+
+    def cameras() -> tuple[Camera, Camera]:
+        clock.restart()
+        stale_ms = 500.0 * speed
+        first, second = (
+            open_camera(
+                CameraSpec(eye, "replay", "wall", stale_after_ms=stale_ms),
+                clock,
+                frames=frames_of(eye, n, made),
+                epoch_ns=START_NS,
+                origin_ns=START_NS,
+            )
+            for eye in Eye
+        )
+        return first, second
+
+    source = Source(cameras, clock, True, "wall")
+    sampler = Sampler()
+    with small_disk(folder / "disk", "80m") as disk:
+        root = disk or folder / "root"
+        old, kept = new_drive(root), new_drive(root)
+        for drive in (old, kept):
+            (drive / "0000.mcap").write_bytes(b"\0" * OLD_BYTES)
+        set_kept(kept, True)
+        out = new_drive(root)
+        result, said = record(
+            folder / "truth",
+            out,
+            lockstep=False,
+            config=settings(folder / "truth", speed, disk is not None),
+            during=sampler,
+            source=source,
+            root=root if disk else None,
+        )
+        sampler.end()
+        recording = Recording(out)
+        on_disk = [sequences(recording, eye) for eye in Eye]
+        numbers = [int(p.name.split(".")[0]) for p in sorted(out.glob("*.mcap*"))]
+        rest = {"old_gone": not old.exists(), "kept_there": (kept / "0000.mcap").exists()}
+    unexplained = 2 * n - sum(result.frames) - result.overflowed - result.camera_drops
+    for found in on_disk:
+        gaps = sum(b - a - 1 for a, b in itertools.pairwise(found))
+        unexplained += gaps + n - 1 - found[-1]
+    return {
+        "frames": n,
+        "unexplained": unexplained - result.unrecorded,
+        "unrecorded": result.unrecorded,
+        "overflowed": result.overflowed,
+        "untracked": result.untracked,
+        "windows": result.windows,
+        "submaps": result.submaps,
+        "poses": result.poses,
+        "removed_segments": numbers[0],
+        "own_disk": disk is not None,
+        "growth_mib": {name: sampler.growth_mib(name) for name in sampler.samples},
+        "losses": result.losses(),
+        "said": said[-3:],
+        **rest,
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(float(sys.argv[1]), float(sys.argv[2]), Path(sys.argv[3]))))

@@ -1,0 +1,103 @@
+"""The fault table of this machine: `python -m tests.faults.table [WORD ...]`, or `make faults`.
+
+Each row does one thing to the daemon and prints what came of it beside what was promised; words
+choose the rows whose names hold one of them. Exit code 1 when a promise is broken. The rows of
+the emulated machine (power cut, dm-flakey, unplugged cameras) are in `make vm-test`.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.faults import isolation_rows, process_rows, storage_rows, time_rows
+from tests.faults.endurance_rows import endurance
+from tests.faults.independent_reader import build_rust
+from tests.faults.malformed_rows import malformed
+from tests.faults.row import Row
+from tests.replay.small_drive import write_drive
+
+PROJECT = Path(__file__).parents[2]
+SHORT, LONG = 100, 250
+MALFORMED = 10_000
+
+Fault = Callable[[Path, int, Path], Row]
+
+
+def table(short: Path, long: Path) -> dict[str, Callable[[Path], Row]]:
+    """Name -> the row, done in a folder of its own. short, long: drives of so many frames."""
+
+    def on_short(fault: Fault) -> Callable[[Path], Row]:
+        return lambda folder: fault(short, SHORT, folder)
+
+    def lying(kind: str) -> Callable[[Path], Row]:
+        return lambda folder: time_rows.lying_stamps(short, SHORT, folder, kind)
+
+    def damaged(kind: str) -> Callable[[Path], Row]:
+        return lambda _: malformed(kind, MALFORMED)
+
+    return {
+        "kill": lambda folder: process_rows.kill_9(long, folder, times=20, longest_s=12.0),
+        "sigterm": lambda folder: process_rows.terminated(long, folder, after_s=6.0),
+        "hang": lambda folder: process_rows.hung(long, folder),
+        "disk-full": on_short(storage_rows.full_disk),
+        "disk-error": on_short(storage_rows.failing_disk),
+        "disk-read-only": on_short(storage_rows.read_only_disk),
+        "disk-stands": on_short(isolation_rows.standing_disk),
+        "disk-stands-for-ever": on_short(isolation_rows.endless_disk),
+        "estimator-stands": on_short(isolation_rows.standing_estimator),
+        "tracker-stands": on_short(isolation_rows.standing_tracker),
+        "serial-stalled": on_short(isolation_rows.stalled_serial),
+        "stamps-future": lying("from the future"),
+        "stamps-backwards": lying("backwards"),
+        "stamps-none": lying("without a clock"),
+        "wall-clock": on_short(time_rows.wall_clock),
+        "throttling": lambda folder: time_rows.throttling(long, LONG, folder),
+        **{f"malformed-{kind}": damaged(kind) for kind in ("recordings", "configs", "models")},
+        "malformed-serial": damaged("serial"),
+        "endurance": lambda folder: endurance(4.0, 20.0, folder),
+    }
+
+
+def text_of(row: Row) -> str:
+    """A row of the table."""
+    verdict = "skipped" if row.skipped else "kept" if row.kept else "BROKEN"
+    return f"| {row.fault} | {row.figure} | {row.promise} | {verdict} |"
+
+
+def main(words: list[str]) -> int:
+    """Prints the table as it comes."""
+    # what is said in a fault is part of the fault; the table says what came of it
+    logging.disable(logging.CRITICAL)
+    build_rust(PROJECT / "build" / "interop")
+    broken = 0
+    with tempfile.TemporaryDirectory(prefix="calm-edge-faults-") as work:
+        place = Path(work)
+        short = write_drive(place / "short", SHORT)
+        long = write_drive(place / "long", LONG)
+        print("| fault | what came of it | promised | |\n|---|---|---|---|", flush=True)
+        for name, fault in table(short, long).items():
+            if words and not any(word in name for word in words):
+                continue
+            folder = place / name
+            folder.mkdir()
+            started = time.monotonic()
+            try:
+                row = fault(folder)
+            except Exception as error:
+                # one row that cannot be done must not hide the others
+                traceback.print_exc()
+                row = Row(name, f"{type(error).__name__}: {error}", "the row can be done", False)
+            broken += not (row.kept or row.skipped)
+            print(text_of(row), flush=True)
+            print(f"{name}: {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
