@@ -49,14 +49,21 @@ def expect(condition: bool, what: str) -> None:
         raise Unexpected(what)
 
 
-def make_tree() -> str:
-    """A fresh copy of a bare Debian, fetched once, without network from then on."""
+def fetch_base() -> Path:
+    """A bare Debian tree, fetched once; raises Unexpected."""
     if not (BASE / "bin").exists():
+        WORK.mkdir(parents=True, exist_ok=True)
         partly = WORK / "debian.part"
         shutil.rmtree(partly, ignore_errors=True)
         how = ["--variant=minbase", f"--include={PACKAGES}"]
         run("debootstrap", *how, SUITE, partly, "http://deb.debian.org/debian")
         partly.rename(BASE)
+    return BASE
+
+
+def make_tree() -> str:
+    """A fresh copy of the bare Debian, without network from here on."""
+    fetch_base()
     shutil.rmtree(TREE, ignore_errors=True)
     run("cp", "-a", BASE, TREE)
     (TREE / "dev" / "shm").mkdir(exist_ok=True)

@@ -1,0 +1,131 @@
+"""The power goes ten times while a drive is recorded onto ext4: what is lost, what is damaged.
+
+Nine times the machine is frozen between two instructions and its disk copied as it is at that
+moment, then it goes on; the tenth time the emulator is killed. The host caches nothing of the disk,
+so either way what the guest did not sync is gone.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from calm_edge.recording.reader import Recording
+from device.frame import Eye
+from hil_tests.report import Row, judged
+from hil_tests.vm.kernel import MachineError
+from hil_tests.vm.machine import Machine, Outcome
+
+NAME = "power cut"
+VIVID = "vivid n_devs=2 node_types=0x1,0x1 num_inputs=1,1 input_types=0x0,0x0"
+CUTS = 10
+MOST_LOST_S = 2.0
+BOOT_LIMIT_S = 240.0
+BETWEEN_S = (4.0, 9.0)
+ROOT = Path(__file__).resolve().parents[2]
+SEGMENT_S = 10
+
+# /proc/uptime is the clock that frames are stamped with: what it showed last is when the power went
+GUEST = f"""
+mkdir -p /tmp/data && mount /dev/vda /tmp/data
+cd {ROOT}
+tell() {{ cut -d' ' -f1 /proc/uptime > /mnt/clock.new; mv /mnt/clock.new /mnt/clock; }}
+(while true; do tell; sleep 0.1; done) &
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
+exec .venv/bin/python -m calm_edge.cli record --out /tmp/data/drive \\
+    --set capture.primary=v4l2:platform:vivid-000 --set capture.assistant=v4l2:platform:vivid-001 \\
+    --set capture.width_px=320 --set capture.height_px=180 --set capture.rate_hz=5 \\
+    --set recording.segment_s={SEGMENT_S} --set recording.keep_free_gib=0.05
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """The disk as it was, and the guest's clock then [s]."""
+
+    image: Path
+    clock_s: float
+
+
+def rows(out: Path) -> Iterator[Row]:
+    """A row a cut; raises MachineError."""
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    disk = out / "disk.img"
+    with disk.open("wb") as file:
+        file.truncate(1 << 30)
+    tool("mke2fs", "-q", "-F", "-t", "ext4", disk)
+    for number, cut in enumerate(cuts(disk, out), 1):
+        yield judge(cut, f"cut {number} of {CUTS}", out / f"read{number}")
+        cut.image.unlink()
+
+
+def cuts(disk: Path, out: Path) -> list[Cut]:
+    """Records in the guest, and takes the power away; raises MachineError."""
+    pid_file, found = out / "qemu.pid", []
+    machine = Machine((VIVID,), disks=(disk,), extra=("-pidfile", str(pid_file)))
+    ended: list[Outcome] = []
+
+    def boot() -> None:
+        ended.append(machine.run(GUEST, out, timeout_s=900))
+
+    thread = threading.Thread(target=boot, daemon=True)
+    thread.start()
+    limit_s = time.monotonic() + BOOT_LIMIT_S
+    while not tool("debugfs", "-R", "ls /drive", disk).count(".mcap"):
+        if time.monotonic() > limit_s or ended:
+            kill(pid_file, signal.SIGKILL)
+            thread.join()
+            raise MachineError(f"nothing was recorded; see {out / 'guest.log'}")
+        time.sleep(1.0)
+    moments = random.Random(0)
+    for number in range(1, CUTS + 1):
+        time.sleep(moments.uniform(*BETWEEN_S))
+        last = number == CUTS
+        kill(pid_file, signal.SIGKILL if last else signal.SIGSTOP)
+        if last:
+            thread.join()
+        copy = out / f"cut{number}.img"
+        tool("cp", "--sparse=always", disk, copy)
+        found.append(Cut(copy, float((out / "clock").read_text())))
+        if not last:
+            kill(pid_file, signal.SIGCONT)
+    return found
+
+
+def judge(cut: Cut, what: str, folder: Path) -> Row:
+    """Mends the file system as a boot would, reads what is there."""
+    mended = subprocess.run(["e2fsck", "-p", cut.image], capture_output=True, check=False)
+    clean = subprocess.run(["e2fsck", "-f", "-n", cut.image], capture_output=True, check=False)
+    folder.mkdir()
+    tool("debugfs", "-R", f"rdump /drive {folder}", cut.image)
+    drive = Recording(folder / "drive")
+    ends_s = [drive.frame_times(eye).max() / 1e9 for eye in Eye]
+    lost_s = cut.clock_s - min(ends_s)
+    finished = sorted((folder / "drive").glob("*.mcap"))
+    damaged = [path.name for path in finished if Recording(path).losses]
+    good = lost_s <= MOST_LOST_S and clean.returncode == 0 and mended.returncode <= 1
+    said = (
+        f"{lost_s:.2f} s lost; e2fsck -p {mended.returncode}, then -fn {clean.returncode}; "
+        f"{len(finished)} earlier segments, {len(damaged)} damaged"
+    )
+    wanted = f"at most {MOST_LOST_S:g} s, clean, none damaged"
+    shutil.rmtree(folder)
+    return judged(NAME, what, good and not damaged, said, wanted)
+
+
+def kill(pid_file: Path, number: signal.Signals) -> None:
+    os.kill(int(pid_file.read_text()), number)
+
+
+def tool(*command: str | Path) -> str:
+    """What a command prints, however it ends."""
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout

@@ -1,0 +1,60 @@
+"""The package on a booted machine: installed, started from virtual cameras, hung, stopped, its disk
+taken away, removed. systemd is process 1; the guest's part is `service_guest.sh`.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from deploy.try_deb import Unexpected, fetch_base
+from hil_tests.report import Row, Verdict, judged
+from hil_tests.vm.kernel import MachineError, command
+from hil_tests.vm.machine import Machine
+
+NAME = "service"
+VIVID = "vivid n_devs=2 node_types=0x1,0x1 num_inputs=1,1 input_types=0x0,0x0"
+MODULES = (VIVID, "usbserial", "cdc_acm", "dm-flakey")
+GUEST = Path(__file__).with_name("service_guest.sh")
+ROOT = Path(__file__).resolve().parents[2]
+# the floor that recordings keep free is a gigabyte
+DISK_BYTES = 3 << 30
+LIMIT_S = 1500.0
+
+
+def rows(out: Path) -> Iterator[Row]:
+    """A row for each `ROW name|verdict|seen` of the guest; raises MachineError."""
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    command(sys.executable, ROOT / "deploy" / "build_deb.py", "--no-oak", "--out", out)
+    disk = out / "data.img"
+    with disk.open("wb") as file:
+        file.truncate(DISK_BYTES)
+    command("mke2fs", "-q", "-F", "-t", "ext4", disk)
+    try:
+        tree = fetch_base()
+    except Unexpected as error:
+        raise MachineError(str(error)) from None
+    machine = Machine(MODULES, root=tree, disks=(disk,), systemd=True, memory_mib=3072)
+    outcome = machine.run(GUEST.read_text(), out, LIMIT_S)
+    disk.unlink()
+    log = out / "service.log"
+    for line in log.read_text(errors="replace").splitlines() if log.exists() else ():
+        if line.startswith("ROW "):
+            what, verdict, seen = line.removeprefix("ROW ").split("|", 2)
+            yield Row(NAME, what, Verdict(verdict), seen)
+    ended = "to its last line" if outcome.rc == 0 else f"ended with {outcome.rc}; see {log}"
+    yield judged(NAME, "guest script", outcome.rc == 0, ended, "runs to its last line")
+
+
+def lacks() -> str:
+    """What this needs and does not find, in words; empty when all is there."""
+    tools = ("qemu-system-x86_64", "debootstrap", "mke2fs", "debugfs", "busybox", "cpio")
+    missing = [name for name in tools if not shutil.which(name)]
+    if missing:
+        return f"{', '.join(missing)} not installed; see hil_tests/vm/README.md"
+    root = subprocess.run(["id", "-u"], capture_output=True, text=True, check=True).stdout.strip()
+    return "" if root == "0" else "needs root"
