@@ -92,13 +92,29 @@ def test_a_recording_replays_to_the_same_windows(
     assert (tmp_path / "again" / "record_trajectory.tum").read_text() == text_of(result)
 
 
-def test_real_time_records_all_and_ages_are_small(small_drive: Path, tmp_path: Path) -> None:
+def test_real_time_records_all_and_says_how_it_goes_every_second(
+    small_drive: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "rec"
-    result, _ = record(small_drive, out, lockstep=False)
+    said: list[str] = []
+    result, _ = record(small_drive, out, lockstep=False, during=lambda _, text: said.append(text))
     assert result.frames == [N, N] and result.unrecorded == 0
     assert result.trajectory is not None
     recording = Recording(out)
     assert [recording.count(f"/{e.name.lower()}/image") for e in Eye] == [N, N]
+
+    seconds = list(recording.json_messages("/health"))
+    assert len(seconds) >= 3
+    assert seconds[0]["state"] in ("STARTING", "RUNNING")
+    assert sum(second["tick"]["ticks"] for second in seconds) > 100
+    assert all(0 <= s["tick"]["p50_ms"] <= s["tick"]["max_ms"] for s in seconds)
+    assert seconds[-1]["counts"]["primary_frames"] >= N // 2
+    assert {"images_not_recorded", "not_tracked", "windows_left_to_map"} <= set(seconds[0]["drops"])
+    assert {"estimator_windows", "recording_fill"} <= set(seconds[0]["queues"])
+    assert "loop_frames" in seconds[0]["stage_ms"] and seconds[0]["disk"]["free_bytes"] > 0
+    lines = [text for text in said if text != "watchdog"]
+    assert lines[0] == "STARTING" and lines[-1] == "STOPPING"
+    assert any("frames, none lost" in line for line in lines[1:-1])
 
 
 def test_capture_never_loads_a_solver() -> None:
