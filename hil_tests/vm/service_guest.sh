@@ -63,6 +63,9 @@ threads=$(for t in /proc/$PID/task/*; do chrt -p "${t##*/}"; done | grep -c FIFO
 judge "real-time capture" '[ "$threads" -ge 3 ]' "$threads threads are SCHED_FIFO"
 for f in tcp tcp6 udp udp6; do tail -n +2 /proc/net/$f; done > /tmp/sockets
 judge "nothing listens" '[ ! -s /tmp/sockets ]' "$(wc -l < /tmp/sockets) internet sockets in the machine"
+complaints=$(journalctl -b -u systemd-udevd -o cat | grep -c 99-calm-edge)
+judge "udev rules" '[ "$complaints" = 0 ] && ls /dev/calm-edge/camera-* >/dev/null' \
+    "$complaints complaints; $(ls -m /dev/calm-edge)"
 entries=$(journalctl -u "$UNIT" CALM_EDGE_STATE=STARTING -o cat | wc -l)
 judge "journal fields" '[ "$entries" -ge 1 ]' "$(journalctl -u "$UNIT" -F CALM_EDGE_STATE | tr '\n' ' ')"
 
@@ -114,4 +117,3 @@ dpkg -P calm-edge; rc=$?
 judge "purge" "[ $rc = 0 ] && [ ! -e /opt/calm-edge ] && [ $before = $(size) ] && [ $before -gt 100000 ]" \
     "exit $rc; $(size) bytes of recordings kept"
 journalctl -u "$UNIT" --no-pager -o short-monotonic | tail -80
-journalctl -b --no-pager -u systemd-udevd -p warning
