@@ -1,0 +1,50 @@
+"""A child hangs: it is ended and started again, and recording goes on meanwhile."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from calm_edge.daemon import estimator_link, tracker_link
+from calm_edge.daemon.switchboard import Switchboard
+from tests.replay.daemon_run import record
+from tests.replay.small_drive import write_drive
+
+
+def test_a_hung_tracker_is_ended_and_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tracker_link, "HUNG_S", 1.0)
+    drive = write_drive(tmp_path / "drive", 40)
+    hung: list[int] = []
+
+    def hang_once(desk: Switchboard, _: str) -> None:
+        if not hung and desk.result.frames[0] > 5:
+            hung.append(desk.tracker.child.pid)
+            os.kill(hung[0], signal.SIGSTOP)
+
+    result, said = record(drive, tmp_path / "rec", lockstep=False, during=hang_once)
+    assert hung and result.tracker_restarts == 1
+    assert any("has said nothing for 1 s" in line for line in said)
+    assert result.frames == [40, 40] and result.unrecorded == 0
+
+
+def test_a_hung_estimator_is_ended_and_started_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(estimator_link, "HUNG_S", 1.0)
+    drive = write_drive(tmp_path / "drive", 40)
+    hung: list[int] = []
+
+    def hang_once(desk: Switchboard, _: str) -> None:
+        if not hung and desk.result.frames[0] > 5:
+            hung.append(desk.estimator.child.pid)
+            os.kill(hung[0], signal.SIGSTOP)
+
+    result, said = record(drive, tmp_path / "rec", lockstep=False, during=hang_once)
+    assert hung and result.estimator_restarts == 1
+    assert any("has not answered for 1 s" in line for line in said)
+    assert result.frames == [40, 40] and len(result.lost_windows) == 1
