@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +48,26 @@ class ThermalReader:
             kind = _text(device / "type").lower().removeprefix("thermal-")
             # idle ones say 0 or -1; fans cool without slowing anything
             yield kind.startswith(_PROCESSOR) and (_number(device / "cur_state") or 0) > 0
+
+
+class ThermalWatch:
+    """Reads by a thread of its own: some sensors take many milliseconds to answer."""
+
+    def __init__(self, reader: ThermalReader, period_s: float) -> None:
+        self._reader, self._period_s = reader, period_s
+        self._stopping = threading.Event()
+        # replaced whole, so that whoever reads it needs no lock
+        self.latest = Thermal()
+        threading.Thread(target=self._run, name="thermal", daemon=True).start()
+
+    def stop(self) -> None:
+        """Ends the thread after the reading that is under way; does not wait for it."""
+        self._stopping.set()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            self.latest = self._reader.read()
+            self._stopping.wait(self._period_s)
 
 
 def _text(path: Path) -> str:

@@ -19,7 +19,7 @@ from calm_edge.daemon.switchboard import Switchboard
 from calm_edge.recording.schema import HEALTH
 from device.camera_thread import CameraState, CameraThread
 from device.service import Notifier
-from device.thermal import Thermal, ThermalReader
+from device.thermal import Thermal, ThermalReader, ThermalWatch
 
 PERIOD_S = 1.0
 
@@ -46,7 +46,7 @@ class Monitor:
     ) -> None:
         self._desk, self._notifier, self._serial = desk, notifier, serial
         degrade = desk.config.degrade
-        self._thermal = ThermalReader(Path(degrade.thermal_root))
+        self._thermal: ThermalWatch | None = None
         self._ladder = Ladder(degrade, depth=desk.config.recording.log_depth)
         self._threads: Sequence[CameraThread] = ()
         self._looked_s = time.monotonic()
@@ -56,11 +56,15 @@ class Monitor:
         notifier.status(str(self.standing), self.standing.state.value)
 
     def watch(self, threads: Sequence[CameraThread]) -> None:
-        """The cameras of this run, the primary first."""
+        """The cameras of this run, the primary first, and from now on the temperature."""
         self._threads = threads
+        reader = ThermalReader(Path(self._desk.config.degrade.thermal_root))
+        self._thermal = ThermalWatch(reader, PERIOD_S)
 
     def stop(self) -> None:
         """No more frames: the last windows and the joint optimum are left."""
+        if self._thermal is not None:
+            self._thermal.stop()
         self.standing = advance(self.standing.state, Conditions(stopping=True))
         self._notifier.stopping()
         self._notifier.status(str(self.standing), self.standing.state.value)
@@ -82,7 +86,7 @@ class Monitor:
         if now_s - self._looked_s < PERIOD_S:
             return
         self._looked_s = now_s
-        thermal = self._thermal.read()
+        thermal = self._thermal.latest if self._thermal is not None else Thermal()
         self._climb(now_s, thermal)
         standing = advance(self.standing.state, self._conditions(ticks_late))
         changed = standing.state is not self.standing.state

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
-from device.thermal import Thermal, ThermalReader
+from device.thermal import Thermal, ThermalReader, ThermalWatch
 
 
 def entry(root: Path, name: str, **files: str) -> None:
@@ -47,3 +49,23 @@ def test_only_what_slows_the_processor_is_throttling(
 
 def test_a_machine_without_sensors_is_neither_hot_nor_cold(tmp_path: Path) -> None:
     assert ThermalReader(tmp_path / "none").read() == Thermal()
+
+
+def test_a_watch_follows_and_waits_for_no_slow_sensor(tmp_path: Path) -> None:
+    class Slow(ThermalReader):
+        def read(self) -> Thermal:
+            assert go.wait(10)
+            return super().read()
+
+    go = threading.Event()
+    entry(tmp_path, "thermal_zone0", type="cpu", temp="61000")
+    watch = ThermalWatch(Slow(tmp_path), 0.001)
+    assert watch.latest == Thermal()
+    go.set()
+    for celsius in (61.0, 92.0):
+        (tmp_path / "thermal_zone0" / "temp").write_text(f"{celsius * 1000:.0f}")
+        end = time.monotonic() + 10
+        while watch.latest.celsius != celsius:
+            assert time.monotonic() < end
+            time.sleep(0.001)
+    watch.stop()
