@@ -1,0 +1,128 @@
+"""Clips: six views of one random world by a random kit on a random drive, with exact depth.
+
+    python clips.py --textures build/textures.npz --out build/clips --count 3000
+
+Views 0 to 3 are the primary's, in driving order; 4 and 5 the assistant's, near views 1 and 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+from textures import load
+from world import TextureBank, random_scene, render
+
+VIEWS = 6
+SIZE = (192, 352)
+SHARD = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """grey (6, H, W) uint8; depth (6, H, W) float16 m; steady (6, H, W) bool; K (6, 3, 3) px;
+    T_w_c (6, 4, 4)."""
+
+    grey: np.ndarray
+    depth: np.ndarray
+    steady: np.ndarray
+    K: np.ndarray
+    T_w_c: np.ndarray
+
+
+def _camera(random: np.random.Generator, hfov_deg: float) -> np.ndarray:
+    height, width = SIZE
+    focal = width / 2 / np.tan(np.radians(hfov_deg) / 2)
+    off = random.uniform(-0.02, 0.02, 2) * width
+    return np.array([[focal, 0, (width - 1) / 2 + off[0]], [0, focal, (height - 1) / 2 + off[1]], [0, 0, 1]])
+
+
+def _pose(rotation: Rotation, centre: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation.as_matrix(), centre
+    return T
+
+
+def _kit(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """K of both eyes and T_p_a."""
+    hfov = random.uniform(40, 100)
+    ratio = 2 ** random.uniform(-1, 1) if random.random() < 0.5 else 2 ** random.uniform(-0.2, 0.2)
+    other = np.degrees(2 * np.arctan(np.tan(np.radians(hfov) / 2) * ratio))
+    most = 8 if random.random() < 0.6 else 20
+    turn = Rotation.from_euler("yxz", random.uniform(-most, most, 3) * [0.7, 0.5, 1], degrees=True)
+    side = random.choice([-1, 1]) * random.uniform(0.15, 1.3)
+    T_p_a = _pose(turn, np.array([side, random.uniform(-0.1, 0.1), random.uniform(-0.2, 0.2)]))
+    return _camera(random, hfov), _camera(random, float(np.clip(other, 25, 110))), T_p_a
+
+
+def random_clip(random: np.random.Generator, bank: TextureBank, device: torch.device) -> Clip:
+    """One clip; everything about it is drawn from `random`."""
+    scene = random_scene(random, bank.count, device)
+    K_p, K_a, T_p_a = _kit(random)
+    speed = random.uniform(2, 25)
+    steps = np.r_[0, random.uniform(0.15, 3.0) * random.uniform(0.5, 1.5, 3)]
+    bend = random.normal(0, 0.04)
+    tilt = Rotation.from_euler("yx", random.uniform(-6, 6, 2), degrees=True)
+    up = random.uniform(1.0, 2.2)
+
+    def driven(s: float) -> np.ndarray:
+        heading = bend * s
+        centre = np.array([0.5 * bend * s * s, -up, s])
+        shake = Rotation.from_euler("yxz", random.normal(0, 0.4, 3), degrees=True)
+        return _pose(Rotation.from_rotvec([0, heading, 0]) * shake * tilt, centre)
+
+    s = np.cumsum(steps)
+    primary = [driven(x) for x in s]
+    late = random.uniform(-0.03, 0.03) * speed if random.random() < 0.5 else 0.0
+    assistant = [driven(s[k] + late) @ T_p_a for k in (1, 2)]
+    poses = np.stack(primary + assistant)
+    K = np.stack([K_p] * 4 + [K_a] * 2)
+    seconds = np.r_[s, s[1] + late, s[2] + late] / speed
+    views = [
+        render(
+            scene, bank, torch.from_numpy(T).to(device, torch.float32),
+            torch.from_numpy(k).to(device, torch.float32), SIZE, float(t),
+        )
+        for T, k, t in zip(poses, K, seconds, strict=True)
+    ]  # fmt: skip
+    grey = torch.stack([v.grey for v in views]).mul(255).round().byte().cpu().numpy()
+    depth = torch.stack([v.depth for v in views]).half().cpu().numpy()
+    steady = torch.stack([v.steady for v in views]).cpu().numpy()
+    return Clip(grey, depth, steady, K.astype(np.float32), poses.astype(np.float32))
+
+
+def save_shard(path: Path, clips: list[Clip]) -> None:
+    """SHARD clips as one plain archive."""
+    part = path.with_suffix(".part.npz")
+    fields = Clip.__dataclass_fields__
+    np.savez(part, **{name: np.stack([getattr(c, name) for c in clips]) for name in fields})
+    part.rename(path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--textures", type=Path, default=Path("build/textures.npz"))
+    parser.add_argument("--out", type=Path, default=Path("build/clips"))
+    parser.add_argument("--count", type=int, default=3000)
+    parser.add_argument("--first", type=int, default=0, help="the first clip's number: its seed")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    device = torch.device(arguments.device)
+    bank = TextureBank(load(arguments.textures), device)
+    began = time.monotonic()
+    for first in range(arguments.first, arguments.first + arguments.count, SHARD):
+        path = arguments.out / f"{first:06d}.npz"
+        if not path.exists():
+            seeds = range(first, first + SHARD)
+            save_shard(path, [random_clip(np.random.default_rng(s), bank, device) for s in seeds])
+            print(f"{path} {time.monotonic() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
