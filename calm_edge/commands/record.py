@@ -113,7 +113,8 @@ def open_source(arguments: argparse.Namespace, config: Config) -> Source:
 
 
 def check_target(arguments: argparse.Namespace, config: Config) -> None:
-    """Before anything is started: raises RecordingError where nothing could be recorded."""
+    """Before anything is started: raises ConfigError, RecordingError where nothing could run."""
+    from calm_edge.daemon import ladder
     from calm_edge.recording.errors import RecordingError
     from calm_edge.recording.room import check_room
     from calm_edge.recording.segment import segment_files
@@ -121,6 +122,7 @@ def check_target(arguments: argparse.Namespace, config: Config) -> None:
     out: Path | None = arguments.out
     if out is not None and out.exists() and (not out.is_dir() or segment_files(out)):
         raise RecordingError(f"{out}: already holds a recording; choose another output folder")
+    ladder.check(config.degrade)
     check_room(out or arguments.root, config.recording, arguments.root)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from calm_edge.config import DegradeConfig
+from calm_edge.config import ConfigError, DegradeConfig
 from device.thermal import Thermal
 
 # a step back up must be earned for longer than a step down, or the two would alternate
@@ -40,6 +40,19 @@ class Load:
 
     thermal: Thermal
     waiting: int
+
+
+def check(config: DegradeConfig) -> None:
+    """Raises ConfigError for limits that leave no way back."""
+    if not config.cool_c < config.hot_c:
+        raise ConfigError(
+            f"degrade.cool_c = {config.cool_c:g}: must be below degrade.hot_c = {config.hot_c:g}"
+        )
+    if not config.step_s > 0 or config.behind_windows < 1:
+        raise ConfigError(
+            f"degrade.step_s = {config.step_s:g}, behind_windows = {config.behind_windows}: must "
+            "be above 0"
+        )
 
 
 class Ladder:

@@ -9,6 +9,7 @@ import os
 import re
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.health import boot_id
@@ -19,6 +20,13 @@ KEEP_FLAG = "KEEP"
 # what `record` leaves beside the segments, and what therefore goes with the last of them
 TRAJECTORY_FILE = "record_trajectory.tum"
 _NAME = re.compile(r"(\d{6,})-[0-9a-z]+")
+
+
+class Removed(NamedTuple):
+    """A segment that is gone, and how many bytes it had."""
+
+    path: Path
+    size: int
 
 
 def drives(root: Path) -> list[Path]:
@@ -79,7 +87,7 @@ def set_kept(drive: Path, kept: bool) -> None:
         raise RecordingError(f"{drive}: cannot be written ({error.strerror})") from None
 
 
-def remove_oldest(root: Path, present: Path) -> Path | None:
+def remove_oldest(root: Path, present: Path) -> Removed | None:
     """Removes the oldest segment of the oldest drive not kept; None when nothing may go.
 
     The drive `present` is the last one in turn, and its newest segment, which is being written,
@@ -94,6 +102,7 @@ def remove_oldest(root: Path, present: Path) -> Path | None:
                 segments = segments[:-1]
             elif len(segments) <= 1:
                 (drive / TRAJECTORY_FILE).unlink(missing_ok=True)
+            size = segments[0].stat().st_size if segments else 0
             if segments:
                 segments[0].unlink()
             if drive != present and len(segments) <= 1:
@@ -104,5 +113,5 @@ def remove_oldest(root: Path, present: Path) -> Path | None:
             # a drive that cannot be removed must not hold up the others
             continue
         if segments:
-            return segments[0]
+            return Removed(segments[0], size)
     return None

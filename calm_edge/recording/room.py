@@ -55,12 +55,14 @@ class Room:
 
     def _make_room(self) -> tuple[int | None, int]:
         free, floor = measure(self._folder, self._config)
-        while self._root is not None and free is not None and free < floor + HEADROOM_BYTES:
-            gone = remove_oldest(self._root, self._folder)
-            if gone is None:
-                break
-            self._removed.append(gone)
+        if self._root is None or free is None:
+            return free, floor
+        missing = floor + HEADROOM_BYTES - free
+        while missing > 0 and (gone := remove_oldest(self._root, self._folder)) is not None:
+            self._removed.append(gone.path)
             free, floor = measure(self._folder, self._config)
+            # some file systems count what was removed only later: no more goes than is missing
+            missing = min(missing - gone.size, floor + HEADROOM_BYTES - (free or 0))
         return free, floor
 
 
@@ -75,8 +77,13 @@ def measure(folder: Path, config: RecordingConfig) -> tuple[int | None, int]:
     return disk.f_bavail * disk.f_frsize, floor
 
 
-def check_floors(config: RecordingConfig) -> None:
-    """Raises ConfigError for floors that no disk can keep."""
+def check_settings(config: RecordingConfig) -> None:
+    """Raises ConfigError for floors that no disk can keep, and segments that never fill."""
+    for key in ("segment_s", "chunk_bytes", "flush_s"):
+        if not getattr(config, key) > 0:
+            raise ConfigError(f"recording.{key} = {getattr(config, key):g}: must be above 0")
+    if not 1 <= config.jpeg_quality <= 100:
+        raise ConfigError(f"recording.jpeg_quality = {config.jpeg_quality}: must be 1 to 100")
     if config.keep_free_gib < 0 or not 0 <= config.keep_free_percent < 100:
         raise ConfigError(
             f"recording.keep_free_gib = {config.keep_free_gib:g}, keep_free_percent = "
@@ -86,7 +93,7 @@ def check_floors(config: RecordingConfig) -> None:
 
 def check_room(folder: Path, config: RecordingConfig, root: Path | None = None) -> None:
     """Before a recording into `folder`, which need not exist; raises RecordingError."""
-    check_floors(config)
+    check_settings(config)
     above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     room = Room(above, config, root)
     if room.look(0.0, 0):

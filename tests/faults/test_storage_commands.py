@@ -63,3 +63,25 @@ def test_recover_has_a_target_of_its_own(
     capsys.readouterr()
     assert main(["recover", str(tmp_path / "rec")]) == 1
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("setting", "key"),
+    [
+        ("recording.flush_s=0", "recording.flush_s"),
+        ("recording.segment_s=-1", "recording.segment_s"),
+        ("recording.chunk_bytes=0", "recording.chunk_bytes"),
+        ("recording.jpeg_quality=200", "recording.jpeg_quality"),
+        ("recording.keep_free_gib=-1", "recording.keep_free_gib"),
+        ("recording.keep_free_percent=nan", "keep_free_percent"),
+        ("degrade.cool_c=90", "degrade.cool_c"),
+        ("degrade.step_s=0", "degrade.step_s"),
+    ],
+)
+def test_a_setting_that_cannot_work_is_one_line_and_leaves_nothing(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], setting: str, key: str
+) -> None:
+    assert start(drive, "--root", str(tmp_path / "root"), "--set", setting) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert key in line
+    assert list(tmp_path.iterdir()) == []

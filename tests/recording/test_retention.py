@@ -53,8 +53,9 @@ def test_the_oldest_goes_first_and_what_is_kept_or_not_ours_stays(tmp_path: Path
     stranger.mkdir()
     (stranger / "0000.mcap").touch()
     gone = []
-    while (path := remove_oldest(tmp_path, present)) is not None:
-        gone.append(path)
+    while (removed := remove_oldest(tmp_path, present)) is not None:
+        gone.append(removed.path)
+        assert removed.size == 1
     assert gone == [*(old / n for n in ("0000.mcap", "0001.mcap")),
                     *(mine / n for n in ("0000.mcap", "0001.mcap")),
                     present / "0000.mcap"]  # fmt: skip
@@ -64,7 +65,7 @@ def test_the_oldest_goes_first_and_what_is_kept_or_not_ours_stays(tmp_path: Path
     assert [p.name for p in present.iterdir()] == ["0001.mcap"]
     assert (stranger / "0000.mcap").exists()
     set_kept(kept, False)
-    assert remove_oldest(tmp_path, present) == kept / "0000.mcap"
+    assert remove_oldest(tmp_path, present) == (kept / "0000.mcap", 1)
 
 
 def test_a_drive_that_is_kept_while_it_is_recorded_loses_nothing(tmp_path: Path) -> None:
@@ -86,7 +87,7 @@ def test_a_drive_that_cannot_be_removed_does_not_hold_up_the_next(
         unlink(path, missing_ok)
 
     monkeypatch.setattr(Path, "unlink", failing)
-    assert remove_oldest(tmp_path, present) == loose / "0000.mcap"
+    assert remove_oldest(tmp_path, present) == (loose / "0000.mcap", 1)
     assert remove_oldest(tmp_path, present) is None
 
 

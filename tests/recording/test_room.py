@@ -73,6 +73,19 @@ def test_old_drives_make_room_and_no_more_than_needed_goes(
     assert sorted(p.name for p in kept.glob("*.mcap")) == ["0000.mcap", "0001.mcap"]
 
 
+def test_a_disk_that_counts_later_loses_no_more_than_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, present = with_drives(tmp_path, 5, 1)
+    for segment in old.iterdir():
+        segment.write_bytes(b"\0" * HEADROOM_BYTES)
+    full = SimpleNamespace(f_blocks=100 * GIB, f_bavail=2 * GIB - HEADROOM_BYTES // 2, f_frsize=1)
+    monkeypatch.setattr(os, "statvfs", lambda _: full)
+    room = Room(present, CONFIG, tmp_path)
+    assert not room.look(0.0, 0)
+    assert room.take_removed() == [old / "0000.mcap", old / "0001.mcap"]
+
+
 def test_nothing_is_removed_when_told_or_when_the_disk_does_not_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
