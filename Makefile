@@ -1,7 +1,7 @@
 # make demo: from nothing to a map. The other targets: setup test lint bench eval deb deb-test hil
 # vm-test interop faults.
 .DEFAULT_GOAL := demo
-.PHONY: setup demo test lint bench eval deb deb-test hil vm-test interop faults
+.PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test interop faults
 
 PYTHON_SOURCES := calm_edge device tests deploy hil_tests
 CALM_EDGE := .venv/bin/python -m calm_edge.cli
@@ -83,3 +83,7 @@ hil: setup
 # the package, power cuts and failing disks on an emulated machine; hil_tests/vm/README.md
 vm-test: setup
 	@.venv/bin/python -m hil_tests.vm $(VM)
+
+# what the learned model has to beat on pictures with exact truth, and whether it does
+eval-model: setup
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.model

@@ -1,0 +1,56 @@
+"""`python -m calm_edge.evaluation.model`: what the learned model has to beat, and whether it does.
+
+Rendered drives give exact truth: of every query point that the other picture shows, how many are
+found within one and three pixels. A model takes part as `--ours MODULE:FACTORY`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from pathlib import Path
+
+from calm_edge.evaluation.model import match_table
+from calm_edge.evaluation.model.matchers import BASELINES
+from calm_edge.evaluation.model.protocols import Matcher
+from calm_edge.evaluation.tables import OUT, publish
+from calm_edge.evaluation.trajectory_file import EvaluationError
+from calm_edge.types import CalmEdgeError
+
+
+def loaded(spec: str) -> Matcher:
+    """What MODULE:FACTORY makes; raises EvaluationError."""
+    module, colon, factory = spec.partition(":")
+    try:
+        made: Matcher = getattr(importlib.import_module(module), factory)()
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise EvaluationError(f"--ours {spec}: {error}; expected MODULE:FACTORY") from None
+    if not colon or not hasattr(made, "match"):
+        raise EvaluationError(f"--ours {spec}: what it makes has no match()")
+    return made
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, print and keep the table; 1 when a promise is broken."""
+    parser = argparse.ArgumentParser(prog="calm_edge.evaluation.model", description=__doc__)
+    parser.add_argument("--ours", metavar="MODULE:FACTORY", help="the learned matcher")
+    parser.add_argument("--matcher", action="append", choices=list(BASELINES))
+    parser.add_argument("--only", action="append", metavar="DRIVE")
+    parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args(argv)
+    try:
+        matchers = {name: BASELINES[name]() for name in options.matcher or BASELINES}
+        if options.ours:
+            matchers = {match_table.OURS: loaded(options.ours), **matchers}
+        table = match_table.run(matchers, options.held_out, options.only, options.out)
+    except CalmEdgeError as error:
+        print(error, file=sys.stderr)
+        return 1
+    publish(table, options.out)
+    return 0 if all(check.passed for check in table.checks) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

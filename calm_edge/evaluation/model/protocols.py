@@ -1,0 +1,48 @@
+"""What is measured: anything that matches two pictures, or makes depth of posed ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.types import Bytes, Float, Float32, Int
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Where N query points are in the other picture.
+
+    uv_b: (N, 2) px, anything where not found. found: (N,) what the matcher stands for.
+    sigma_px: (N,) one sigma of each image axis, NaN where it claims none.
+    """
+
+    uv_b: Float
+    found: NDArray[np.bool_]
+    sigma_px: Float
+
+
+class Matcher(Protocol):
+    """Finds given points of one picture in another; the same input gives the same answer."""
+
+    def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
+        """Pictures (H, W, 3) BGR, which may differ in size; query_uv (N, 2) px of a."""
+        ...
+
+
+class DepthMaker(Protocol):
+    """Makes the depth of one of several posed pictures."""
+
+    def depth(
+        self, images: Sequence[Bytes], K: Float, T_w_c: Float, eyes: Int, reference: int
+    ) -> tuple[Float32, Float32]:
+        """z-depth (h, w), 0 unknown, in the poses' unit, and confidence (h, w), larger is better.
+
+        images: N of (H, W, 3) BGR, of one eye in order of time, then of the other. K: (N, 3, 3) px.
+        T_w_c: (N, 4, 4). eyes: (N,). reference: whose depth. h, w may be smaller than the
+        picture; pixel centres scale as cv2.resize does.
+        """
+        ...
