@@ -65,7 +65,7 @@ class Monitor:
         """No more frames: the last windows and the joint optimum are left."""
         if self._thermal is not None:
             self._thermal.stop()
-        self.standing = advance(self.standing.state, Conditions(stopping=True))
+        self._stand(advance(self.standing.state, Conditions(stopping=True)))
         self._notifier.stopping()
         self._notifier.status(str(self.standing), self.standing.state.value)
         self._desk.recording.write_log(logging.INFO, str(self.standing), "state")
@@ -90,13 +90,18 @@ class Monitor:
         self._climb(now_s, thermal)
         standing = advance(self.standing.state, self._conditions(ticks_late))
         changed = standing.state is not self.standing.state
-        self.standing = standing
+        self._stand(standing)
         health = self._health(standing, thermal, skipped)
         line = health.line()
         self._notifier.status(line, standing.state.value)
         self._desk.recording.write_status(health.message(), HEALTH)
         if changed:
             self._desk.recording.write_log(logging.INFO, line, "state")
+
+    def _stand(self, standing: Standing) -> None:
+        self.standing = standing
+        if self._desk.publisher is not None:
+            self._desk.publisher.report(standing.state.value, standing.reasons)
 
     def _climb(self, now_s: float, thermal: Thermal) -> None:
         before = self._desk.shed
@@ -123,7 +128,7 @@ class Monitor:
             )
         silent_s = (desk.source.clock.now_ns() - desk.live_ns) / 1e9
         if desk.result.pose_lost or silent_s > desk.config.frontend.lost_after_ms / 1e3:
-            return f"no pose for {silent_s:.1f} s"
+            return f"no pose for {silent_s:.0f} s"
         return ""
 
     def _faults(self) -> Iterator[str]:

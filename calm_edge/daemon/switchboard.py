@@ -63,7 +63,7 @@ class Switchboard:
         # when each eye last gave a frame, and the tracker a live pose
         self.frame_ns, self.live_ns = [now_ns, now_ns], now_ns
         self.say_to_user = say
-        self._open_writer, self._publisher = open_writer, publisher
+        self._open_writer, self.publisher = open_writer, publisher
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
         self.tracker = TrackerLink(config.frontend, self._events, self.say)
         self.estimator = EstimatorLink(config, self._events, self.say, lockstep=lockstep)
@@ -131,8 +131,8 @@ class Switchboard:
         if self.estimator.lagging != self.lagging:
             self.lagging = self.estimator.lagging
             self.tracker.lag(self.lagging and not self.lockstep)
-        if not poses and self._publisher is not None:
-            self._publisher.publish(None, self.source.clock.now_ns())
+        if not poses and self.publisher is not None:
+            self.publisher.publish(None, self.source.clock.now_ns())
         return poses
 
     def _next(self) -> tuple[Child, Any]:
@@ -162,8 +162,8 @@ class Switchboard:
     def _pose(self, sample: PoseSample) -> None:
         self.recording.write_pose(sample)
         now_ns = self.source.clock.now_ns()
-        if self._publisher is not None:
-            self._publisher.publish(sample, now_ns)
+        if self.publisher is not None:
+            self.publisher.publish(sample, now_ns)
         age_ms = None if self.lockstep else (now_ns - sample.t_ns) / 1e6
         self.result.note_pose(sample.status is PoseStatus.LOST, age_ms)
         if sample.status is not PoseStatus.LOST:
