@@ -27,6 +27,8 @@ from tests.faults.row import Row, sequences
 PROJECT = Path(__file__).parents[2]
 # of the unit
 WATCHDOG_S, RESTART_S = 5.0, 2.0
+# of the small drive
+FIRST_STAMP_NS = 10**9
 
 
 def command(drive: Path, *target: str) -> list[str]:
@@ -73,15 +75,15 @@ def lost_s(recording: Recording, killed_ns: int) -> dict[str, float]:
     Of what comes at a steady pace: a message every period was due, so what is missing begins a
     period after the newest one. Poses and sub-maps come when they are ready: see `forgotten`.
     """
-    pair = next(iter(recording.json_messages(schema.CLOCK)))
+    # the replay's clock runs beside the machine's, from the first frame on
+    *_, pair = recording.json_messages(schema.CLOCK)
     logged = [p.log_time for p in recording._places(schema.CLOCK)]
-    # the replay's clock runs beside the machine's
-    killed_stamp_ns = killed_ns - pair["monotonic_ns"] + logged[0]
+    killed_stamp_ns = killed_ns - pair["monotonic_ns"] + logged[-1]
     lost = {}
     for topic in (*schema.IMAGE_TOPICS.values(), schema.CLOCK, schema.HEALTH):
         times = np.array([p.log_time for p in recording._places(topic)], np.int64)
         period_ns = float(np.median(np.diff(times))) if len(times) > 1 else 1e9
-        newest = int(times[-1]) if len(times) else logged[0]
+        newest = int(times[-1]) if len(times) else FIRST_STAMP_NS
         lost[topic] = max(0.0, (killed_stamp_ns - newest - period_ns) / 1e9)
     return lost
 
