@@ -86,4 +86,8 @@ vm-test: setup
 
 # what the learned model has to beat on pictures with exact truth, and whether it does
 eval-model: setup
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.model
+	@failed=0; \
+	for part in model model.depth; do \
+		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.$$part || failed=1; \
+	done; \
+	exit $$failed

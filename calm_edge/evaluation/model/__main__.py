@@ -7,28 +7,14 @@ found within one and three pixels. A model takes part as `--ours MODULE:FACTORY`
 from __future__ import annotations
 
 import argparse
-import importlib
 import sys
 from pathlib import Path
 
 from calm_edge.evaluation.model import match_table
+from calm_edge.evaluation.model.loading import loaded
 from calm_edge.evaluation.model.matchers import BASELINES
-from calm_edge.evaluation.model.protocols import Matcher
 from calm_edge.evaluation.tables import OUT, publish
-from calm_edge.evaluation.trajectory_file import EvaluationError
 from calm_edge.types import CalmEdgeError
-
-
-def loaded(spec: str) -> Matcher:
-    """What MODULE:FACTORY makes; raises EvaluationError."""
-    module, colon, factory = spec.partition(":")
-    try:
-        made: Matcher = getattr(importlib.import_module(module), factory)()
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise EvaluationError(f"--ours {spec}: {error}; expected MODULE:FACTORY") from None
-    if not colon or not hasattr(made, "match"):
-        raise EvaluationError(f"--ours {spec}: what it makes has no match()")
-    return made
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -43,7 +29,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         matchers = {name: BASELINES[name]() for name in options.matcher or BASELINES}
         if options.ours:
-            matchers = {match_table.OURS: loaded(options.ours), **matchers}
+            matchers = {match_table.OURS: loaded(options.ours, "match"), **matchers}
         table = match_table.run(matchers, options.held_out, options.only, options.out)
     except CalmEdgeError as error:
         print(error, file=sys.stderr)
