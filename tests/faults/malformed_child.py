@@ -191,7 +191,7 @@ KINDS: dict[str, Callable[[Path], Feed]] = {
 
 
 def main(kind: str, count: int, seed: int) -> None:
-    """Prints {told, slowest_ms, peak_mib} as JSON."""
+    """Prints as JSON how many were told, the slowest [ms of processor time], the memory grown."""
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     with tempfile.TemporaryDirectory() as work:
         feed = KINDS[kind](Path(work))
@@ -199,7 +199,7 @@ def main(kind: str, count: int, seed: int) -> None:
         told, slowest_s = 0, 0.0
         for k in range(count):
             rng = random.Random(f"{seed}:{k}")
-            started = time.perf_counter()
+            started = time.process_time()
             signal.alarm(LIMIT_S)
             try:
                 told += feed(rng)
@@ -211,7 +211,7 @@ def main(kind: str, count: int, seed: int) -> None:
                 raise
             finally:
                 signal.alarm(0)
-            slowest_s = max(slowest_s, time.perf_counter() - started)
+            slowest_s = max(slowest_s, time.process_time() - started)
     peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(
         json.dumps(

@@ -25,7 +25,7 @@ def malformed(kind: str, count: int, seed: int = 1) -> Row:
     found = json.loads(run.stdout)
     return Row(
         fault,
-        f"{found['told']:,} told, slowest {found['slowest_ms']:.0f} ms, memory "
+        f"{found['told']:,} told, slowest {found['slowest_ms']:.0f} ms of processor time, memory "
         f"+{found['grown_mib']:.0f} MiB",
         promise,
         found["told"] > 0 and found["grown_mib"] < MOST_GROWN_MIB,
