@@ -87,7 +87,7 @@ vm-test: setup
 # what the learned model has to beat on pictures with exact truth, and whether it does
 eval-model: setup
 	@failed=0; \
-	for part in model model.depth; do \
+	for part in model model.depth model.place_table; do \
 		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.$$part || failed=1; \
 	done; \
 	exit $$failed

@@ -1,0 +1,87 @@
+"""Whether a picture's place is found again: recall at a precision, on drives of two laps."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.geometry import sift
+from calm_edge.types import Bytes, Float, Float32
+
+# The same place: so near, and looking the same way.
+NEAR_M, TURN_DEG = 10.0, 30.0
+PRECISION = 0.99
+WORDS, FEATURES = 64, 500
+
+
+def same_place(T_w_c: Float, min_gap: int) -> NDArray[np.bool_]:
+    """(N, N): whether picture i (row) shows the place of an earlier j, at least min_gap before."""
+    centre, ahead = T_w_c[:, :3, 3], T_w_c[:, :3, 2]
+    near = np.linalg.norm(centre[:, None] - centre[None], axis=2) <= NEAR_M
+    alike = ahead @ ahead.T >= np.cos(np.radians(TURN_DEG))
+    return np.asarray(near & alike & earlier(len(T_w_c), min_gap))
+
+
+def earlier(count: int, min_gap: int) -> NDArray[np.bool_]:
+    """(N, N): whether j (column) was taken at least min_gap pictures before i (row)."""
+    step = np.arange(count)
+    return np.asarray(step[:, None] - step[None] >= min_gap)
+
+
+def recall_at_one(
+    likeness: Float, same: NDArray[np.bool_], allowed: NDArray[np.bool_], precision: float
+) -> float:
+    """Share of the pictures that come back somewhere whose best candidate is right and accepted.
+
+    likeness, same, allowed: (N, N), rows are queries. Accepted is what is at least as alike as a
+    threshold, chosen so that of all accepted ones, returns or not, `precision` are right.
+    """
+    ask = allowed.any(1)
+    best = np.where(allowed, likeness, -np.inf).argmax(1)
+    rows = np.flatnonzero(ask)
+    value, right = likeness[rows, best[rows]], same[rows, best[rows]]
+    returns = int(same[rows].any(1).sum())
+    order = np.argsort(-value, kind="stable")
+    correct = np.cumsum(right[order])
+    count = np.arange(1, len(rows) + 1)
+    # ties are accepted together
+    last = np.append(np.diff(value[order]) != 0, True)
+    good = last & (correct >= precision * count)
+    return float(correct[good].max() / returns) if good.any() and returns else 0.0
+
+
+class SiftVlad:
+    """Vectors of locally aggregated SIFT descriptors, with words learnt from other pictures."""
+
+    worth_a_look = 0.0
+
+    def __init__(self, pictures: list[Bytes], words: int = WORDS, seed: int = 0) -> None:
+        """pictures: (H, W, 3) BGR of other drives, with at least `words` features in all."""
+        vector = np.concatenate([_vectors(picture) for picture in pictures])
+        cv2.setRNGSeed(seed)
+        criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 20, 1e-3)
+        labels = np.zeros((len(vector), 1), np.int32)
+        _, _, centres = cv2.kmeans(vector, words, labels, criteria, 1, cv2.KMEANS_PP_CENTERS)
+        self.words = np.asarray(centres, np.float32)
+
+    def describe(self, image: Bytes) -> Float32:
+        """(H, W, 3) BGR -> (words * 128,) of unit length; each word's part counts alike."""
+        vector = _vectors(image)
+        total: NDArray[np.float32] = np.zeros_like(self.words)
+        if len(vector):
+            # the nearest word: |x - c|^2 less what all words share
+            nearest = ((self.words**2).sum(1) - 2 * vector @ self.words.T).argmin(1)
+            np.add.at(total, nearest, vector - self.words[nearest])
+        total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)
+        flat = total.ravel()
+        return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-9), np.float32)
+
+    def similarity(self, queries: Float32, places: Float32) -> Float32:
+        """(Q, D) and (P, D) -> (Q, P): the cosine."""
+        return np.asarray(queries @ places.T, np.float32)
+
+
+def _vectors(image: Bytes) -> Float32:
+    gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    return sift.detect(gray, FEATURES).vector
