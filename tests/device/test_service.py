@@ -6,6 +6,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -117,3 +118,14 @@ def test_log_lines_go_to_the_journal_only_when_it_holds_our_stderr(
     handler.handle(logging.LogRecord("device.stream", logging.ERROR, "f", 1, "gone", None, None))
     assert sent[0]["CALM_EDGE_LOGGER"] == "device.stream" and sent[0]["PRIORITY"] == "3"
     assert sent[0]["SYSLOG_IDENTIFIER"] == "calm-edge"
+
+
+def test_the_watchdog_is_not_fed_faster_than_it_is_hungry(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = [100.0]
+    monkeypatch.setattr("device.service.time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    told: list[float] = []
+    notifier = SystemdNotifier(lambda _: told.append(now_s[0]), 5.0)
+    for tick in range(200):
+        now_s[0] = 100.0 + tick * 0.01
+        notifier.watchdog()
+    assert told == pytest.approx([100.0, 100.5, 101.0, 101.5])
