@@ -17,6 +17,8 @@ class CaptureConfig:
     """device/ and the fixed-rate loop. primary / assistant: `driver:address`.
 
     realtime_priority: SCHED_FIFO of the capture threads, 1 to 99; 0 leaves them ordinary.
+    exposure_us, gain, white_balance_k, focus: a number, `auto`, `auto-then-lock` (after two
+    seconds) or `lock` (as it stands): device/camera, CameraControls. Autofocus only by `auto`.
     """
 
     primary: str = "v4l2:"
@@ -26,6 +28,10 @@ class CaptureConfig:
     height_px: int = 720
     stale_after_ms: float = 500.0
     realtime_priority: int = 0
+    exposure_us: int | str = "auto"
+    gain: int | str = "auto"
+    white_balance_k: int | str = "auto"
+    focus: int | str = "lock"
 
 
 @dataclass(frozen=True, slots=True)

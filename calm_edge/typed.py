@@ -14,13 +14,14 @@ def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any
     """`value`, read from TOML, as a `kind`; `where` names it in the one line of `error` raised.
 
     Known kinds: str, bool, int, float, Any, Literal, tuple[X, ...] (a lone number is a tuple of
-    one), dict[str, X], X | None, and dataclasses of these.
+    one), dict[str, X], X | None, int | str, and dataclasses of these.
     """
     origin = get_origin(kind)
     if kind is Any:
         return value
     if origin is UnionType:
-        return coerce(where, next(k for k in get_args(kind) if k is not NoneType), value, error)
+        kinds = [k for k in get_args(kind) if k is not NoneType]
+        return coerce(where, next((k for k in kinds if type(value) is k), kinds[0]), value, error)
     if origin is Literal:
         if value not in get_args(kind):
             raise error(f"{where} = {value!r}: expected one of {', '.join(get_args(kind))}")

@@ -3,23 +3,99 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import json
 import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calm_edge.commands.exit_codes import ERROR, OK
 
+if TYPE_CHECKING:
+    from device.camera import FoundCamera
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """It has no arguments."""
+    """Its arguments."""
+    parser.add_argument("--json", action="store_true", help="all of it, for a program")
+    parser.add_argument(
+        "--identify", action="store_true", help="tell them apart by unplugging one at a time"
+    )
+    parser.add_argument(
+        "--write",
+        type=Path,
+        metavar="KIT.TOML",
+        help="put primary and assistant into [capture] of this file, and leave the rest as it is",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints an address a line."""
-    from device.drivers.v4l2_nodes import list_devices
+    """Lists the cameras, tells them apart, writes the config: as asked for."""
+    from device.camera import discover
 
-    devices = list_devices()
-    for device in devices:
-        print(f"v4l2:{device.address}  {device.card}  {device.path}")
-    if not devices:
-        print("calm-edge: no V4L2 camera found; plug one in, see: ls /dev/video*", file=sys.stderr)
+    found, troubles = discover(details=not arguments.identify)
+    for line in troubles:
+        print(f"calm-edge: {line}", file=sys.stderr)
+    pair = _identified() if arguments.identify else None
+    if arguments.write is not None:
+        pair = pair or _first_two(found)
+        _write(arguments.write, pair)
+    if arguments.json:
+        roles = dict(zip(("primary", "assistant"), pair, strict=True)) if pair else {}
+        cameras = [dataclasses.asdict(camera) for camera in found]
+        print(json.dumps({"cameras": cameras, **roles}, indent=1))
+    elif pair:
+        print(f'primary = "{pair[0]}"\nassistant = "{pair[1]}"')
+    else:
+        for camera in found:
+            print("\n".join(_lines(camera)))
+    if not found:
+        if not arguments.json and not troubles:
+            print("calm-edge: no camera found; plug one in, see: ls /dev/video*", file=sys.stderr)
         return ERROR
     return OK
+
+
+def _lines(camera: FoundCamera) -> list[str]:
+    serial = f"  serial {camera.serial}" if camera.serial else ""
+    lines = [f"{camera.address}  {camera.name}  {camera.path}{serial}"]
+    lines += [f"    {name}: {', '.join(sizes)}" for name, sizes in camera.formats.items()]
+    lines += [f"    {name} = {value}" for name, value in camera.controls.items()]
+    return lines + ([f"    {camera.note}"] if camera.note else [])
+
+
+def _identified() -> tuple[str, str]:
+    from calm_edge.commands.identify import IdentifyError, by_unplugging
+    from device.camera import discover
+    from device.clock import SystemClock
+
+    if not sys.stderr.isatty():
+        raise IdentifyError(
+            "no terminal: --identify asks somebody to unplug a camera; run it in one (ssh -t), "
+            "or write the addresses that `calm-edge cameras` lists into the config"
+        )
+
+    def look() -> set[str]:
+        return {camera.address for camera in discover(details=False)[0]}
+
+    return by_unplugging(look, SystemClock(), lambda line: print(line, file=sys.stderr))
+
+
+def _first_two(found: list[FoundCamera]) -> tuple[str, str]:
+    from calm_edge.types import CalmEdgeError
+
+    if len(found) != 2:
+        raise CalmEdgeError(f"{len(found)} camera(s) found, --write needs two; or add --identify")
+    first, second = sorted(camera.address for camera in found)
+    print(
+        "calm-edge: the first by port is written as the primary; --identify makes sure",
+        file=sys.stderr,
+    )
+    return first, second
+
+
+def _write(path: Path, pair: tuple[str, str]) -> None:
+    from calm_edge.config_file import write_keys
+
+    write_keys(path, "capture", {"primary": pair[0], "assistant": pair[1]})
+    print(f"calm-edge: {path}: [capture] has primary and assistant", file=sys.stderr)

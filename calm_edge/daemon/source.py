@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from calm_edge.config import Config
-from device.camera import Camera, CameraSpec, open_camera, parse_address
+from device.camera import Camera, CameraControls, CameraSpec, open_camera, parse_address
 from device.clock import Clock, SystemClock
 from device.frame import Eye, Frame
 
@@ -78,12 +78,17 @@ def replayed(
 
 
 def live(config: Config) -> Source:
-    """The configured cameras; raises CameraError for an unknown driver."""
+    """The configured cameras; raises CameraError for an unknown driver or control."""
     clock, capture = SystemClock(), config.capture
+
+    controls = CameraControls(
+        capture.exposure_us, capture.gain, capture.white_balance_k, capture.focus
+    )
 
     def spec(eye: Eye, text: str) -> CameraSpec:
         size = capture.width_px, capture.height_px
-        return CameraSpec(eye, *parse_address(text), *size, capture.rate_hz, capture.stale_after_ms)
+        timing = capture.rate_hz, capture.stale_after_ms
+        return CameraSpec(eye, *parse_address(text), *size, *timing, controls)
 
     specs = spec(Eye.PRIMARY, capture.primary), spec(Eye.ASSISTANT, capture.assistant)
 

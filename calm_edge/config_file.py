@@ -1,0 +1,75 @@
+"""Changing keys of a config file by hand, as it were: comments and all else stay as they are."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+from calm_edge.config import ConfigError
+
+
+def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
+    """A TOML text whose `[section]` has these strings; raises ConfigError where that cannot be
+    done without touching anything else.
+    """
+    try:
+        before = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"not valid TOML: {error}") from None
+    lines = text.splitlines(keepends=True)
+    if lines and not lines[-1].endswith("\n"):
+        lines[-1] += "\n"
+    header = re.compile(rf"\s*\[\s*{re.escape(section)}\s*\]\s*(#.*)?$")
+    start = next((i for i, line in enumerate(lines) if header.match(line.rstrip("\n"))), None)
+    if start is None:
+        lines += (["\n"] if lines else []) + [f"[{section}]\n"]
+        start = len(lines) - 1
+    end = next(
+        (i for i in range(start + 1, len(lines)) if lines[i].lstrip().startswith("[")), len(lines)
+    )
+    missing = []
+    for key, value in values.items():
+        # the comment behind a value is kept
+        pattern = re.compile(rf"""(\s*{re.escape(key)}\s*=\s*)("[^"]*"|'[^']*')(.*)$""", re.DOTALL)
+        for i in range(start + 1, end):
+            if found := pattern.match(lines[i]):
+                lines[i] = found[1] + json.dumps(value) + found[3]
+                break
+        else:
+            missing.append(f"{key} = {json.dumps(value)}\n")
+    lines[start + 1 : start + 1] = missing
+    changed = "".join(lines)
+    try:
+        after = tomllib.loads(changed)
+    except tomllib.TOMLDecodeError:
+        after = {}
+    old = before.get(section, {})
+    if not isinstance(old, dict) or after != before | {section: old | dict(values)}:
+        raise ConfigError(f"[{section}] cannot be changed as it is written; edit it by hand")
+    return changed
+
+
+def write_keys(path: Path, section: str, values: Mapping[str, str]) -> None:
+    """The same in a file, made where there is none, replaced whole or not at all; ConfigError."""
+    half = path.with_name(path.name + ".part")
+    try:
+        text = path.read_text() if path.exists() else ""
+        changed = with_keys(text, section, values)
+        with half.open("w") as file:
+            file.write(changed)
+            file.flush()
+            os.fsync(file.fileno())
+        if path.exists():
+            half.chmod(path.stat().st_mode & 0o7777)
+        half.replace(path)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not valid TOML: not text") from None
+    except OSError as error:
+        half.unlink(missing_ok=True)
+        raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None
