@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from device.drivers.v4l2_nodes import list_devices
+from device.drivers.v4l2_nodes import SERIAL, list_devices
 from device.errors import DeviceError
 from hil_tests.kit import Kit
 from hil_tests.report import Row, judged, skipped
@@ -37,7 +37,9 @@ def rows(kit: Kit) -> Iterator[Row]:
         if not address:
             yield skipped(NAME, eye, f"capture.{eye} names no port: the first found is taken")
         else:
-            here = [node for node in nodes if address in (node.address, node.path)]
+            here = [
+                node for node in nodes if address in (node.address, node.path, SERIAL + node.serial)
+            ]
             good = len(here) == 1 and not address.startswith("/dev/video")
             yield judged(
                 NAME, eye, good, f"{address}: {here[0].path if here else 'not here'}", wanted
