@@ -61,6 +61,7 @@ class Capture:
         """Every frame is tracked, and every window solved, before the next frame is read."""
         for camera in self._cameras:
             camera.start()
+        self._desk.open_recording()
         self._notifier.ready()
         for frame in merged(self._cameras):
             self._desk.frame(frame)
@@ -75,6 +76,8 @@ class Capture:
         threads = [CameraThread(camera, realtime_priority=priority) for camera in self._cameras]
         for thread in threads:
             thread.start()
+        # the first frames wait in the threads for this
+        self._desk.open_recording()
         self._monitor.watch(threads)
         # the watchdog runs from here on, and opening a camera may take longer than it waits
         self._notifier.ready()

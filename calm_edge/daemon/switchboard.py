@@ -37,8 +37,9 @@ class DaemonError(CalmEdgeError):
 class Switchboard:
     """Owner of the links to both children, and of the recording.
 
-    open_writer is called once both children are ready, so that a refused configuration leaves no
-    empty recording behind. Nothing here waits, but for `until`.
+    open_writer is called once both children are ready and the cameras are open, so that neither a
+    refused configuration nor an absent camera leaves an empty recording behind. Nothing here
+    waits, but for `until`.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class Switchboard:
         self.estimator = EstimatorLink(config, self._events, self.say, lockstep=lockstep)
 
     def start(self) -> None:
-        """Waits for both children, opens the recording; raises CalmEdgeError."""
+        """Waits for both children; raises CalmEdgeError."""
         self.until(
             lambda: (
                 (self.tracker.ready and self.estimator.ready)
@@ -80,6 +81,9 @@ class Switchboard:
         )
         if not (self.tracker.ready and self.estimator.ready):
             raise DaemonError("the tracker or the estimator did not start; see the lines above")
+
+    def open_recording(self) -> None:
+        """From now on what is handed over is recorded; raises CalmEdgeError."""
         self.writer = self._open_writer()
 
     def stop(self) -> None:

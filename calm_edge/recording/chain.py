@@ -77,13 +77,14 @@ class SegmentChain:
                 self.fail(_reason(error))
 
     def settle(self) -> None:
-        """To the disk; then ends the segment when it is long enough, or when room runs out."""
+        """Into the file and on its way to the disk; then ends a segment that is long enough, or
+        that has no more room.
+        """
         if self._segment is None:
             return
         try:
-            started = time.monotonic()
-            self._segment.sync()
-            self.sync_ms = 1e3 * (time.monotonic() - started)
+            self._segment.sync_behind()
+            self.sync_ms = self._segment.sync_ms
         except OSError as error:
             self.fail(_reason(error))
             return

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -85,6 +87,9 @@ class Segment:
         self._sink = _Sink(self._fd, write)
         self._pending: list[LogMessage] = []
         self._kept_bytes = 0
+        self._syncing: threading.Thread | None = None
+        self._sync_error: OSError | None = None
+        self.sync_ms = 0.0
         self.kept_messages = 0
         try:
             self._writer: Any = Writer(
@@ -118,11 +123,41 @@ class Segment:
         if self._sink.position != before:
             self._keep()
 
-    def sync(self) -> None:
-        """Everything so far to the file, and the file to the disk."""
+    def flush(self) -> None:
+        """All that was written is in the file: a kill does not cost it, a power cut may."""
         self._writer.flush()
         self._keep()
+
+    def sync(self) -> None:
+        """All that was written is on the disk."""
+        self.flush()
         os.fdatasync(self._fd)
+
+    def sync_behind(self) -> None:
+        """All that was written is in the file, and on its way to the disk by a thread of its own.
+
+        A disk may take seconds for it, in which a kill would cost all that came meanwhile. Raises
+        what an earlier one met.
+        """
+        self.flush()
+        if self._sync_error is not None:
+            error, self._sync_error = self._sync_error, None
+            raise error
+        if self._syncing is None or not self._syncing.is_alive():
+            # a descriptor of its own: the segment may be closed meanwhile
+            copy = os.dup(self._fd)
+            self._syncing = threading.Thread(target=self._sync_copy, args=(copy,), daemon=True)
+            self._syncing.start()
+
+    def _sync_copy(self, fd: int) -> None:
+        started = time.monotonic()
+        try:
+            os.fdatasync(fd)
+        except OSError as error:
+            self._sync_error = error
+        finally:
+            os.close(fd)
+        self.sync_ms = 1e3 * (time.monotonic() - started)
 
     @property
     def size(self) -> int:

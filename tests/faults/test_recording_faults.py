@@ -160,6 +160,26 @@ def test_lossless_raises_one_line_instead_of_waiting_for_ever(tmp_path: Path) ->
     writer.close()
 
 
+def test_a_disk_that_takes_its_time_holds_up_no_flush(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go, real = threading.Event(), os.fdatasync
+
+    def slow(fd: int) -> None:
+        assert go.wait(20)
+        real(fd)
+
+    writer = RecordingWriter(tmp_path, samples.config(flush_s=0.05))
+    monkeypatch.setattr(os, "fdatasync", slow)
+    for k in range(5):
+        writer.write_frame(samples.frame(Eye.PRIMARY, k))
+        # what a kill would now leave
+        until(lambda k=k: Recording(tmp_path).count("/primary/image") == k + 1)
+    go.set()
+    assert writer.close().ok
+    assert Recording(tmp_path).losses == []
+
+
 def test_a_flush_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writer = RecordingWriter(tmp_path, samples.config(flush_s=0.05))
     writer.write_frame(samples.frame(Eye.PRIMARY, 0))

@@ -7,8 +7,14 @@ from pathlib import Path
 import pytest
 
 from calm_edge.cli import main
+from calm_edge.daemon.source import Source
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.retention import KEEP_FLAG
+from device.camera import Camera, CameraSpec
+from device.drivers.replay import ReplayCamera
+from device.errors import CameraError
+from device.frame import Eye
+from tests.replay.daemon_run import config_for, record, source_of
 from tests.replay.small_drive import write_drive
 
 
@@ -63,6 +69,25 @@ def test_recover_has_a_target_of_its_own(
     capsys.readouterr()
     assert main(["recover", str(tmp_path / "rec")]) == 1
     assert "exists already" in capsys.readouterr().err
+
+
+def test_a_camera_that_does_not_open_leaves_no_empty_drive(drive: Path, tmp_path: Path) -> None:
+    config = config_for(drive)
+    source = source_of(drive, config, paced=True)
+
+    class Absent(ReplayCamera):
+        def start(self) -> None:
+            raise CameraError("primary camera: not there")
+
+    def cameras() -> tuple[Camera, Camera]:
+        clock = source.clock
+        spec = CameraSpec(Eye.PRIMARY, "replay")
+        return Absent(spec, clock, frames=()), source.open()[1]
+
+    absent = Source(cameras, source.clock, False, "absent")
+    with pytest.raises(CameraError, match="not there"):
+        record(drive, tmp_path / "rec", lockstep=False, config=config, source=absent)
+    assert not (tmp_path / "rec").exists()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,61 @@
+"""From the driver's buffer to the file: the camera's own bytes, and every loss accounted for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.writer import RecordingWriter
+from device.camera import CameraSpec, open_camera
+from device.clock import ManualClock
+from device.frame import Eye
+from tests.device.fake_video import FakeCamera, FakeVideoIO, Shot
+from tests.recording import samples
+
+S, MS = 1_000_000_000, 1_000_000
+
+
+def test_mjpeg_bytes_are_recorded_as_the_cameras_sent_them_over_an_unplug(tmp_path: Path) -> None:
+    random = np.random.default_rng(7)
+    clock = ManualClock(10 * S)
+    # odd lengths, and a tail behind the picture, as cameras pad their buffers
+    sent = [b"\xff\xd8" + random.bytes(int(n)) for n in random.integers(100, 9000, 40)]
+    fakes = FakeCamera("usb-1"), FakeCamera("usb-2")
+    io = FakeVideoIO(clock, {"/dev/video0": fakes[0], "/dev/video2": fakes[1]})
+    cameras = [
+        open_camera(CameraSpec(eye, "v4l2", bus), clock, io=io)
+        for eye, bus in ((Eye.PRIMARY, "usb-1"), (Eye.ASSISTANT, "usb-2"))
+    ]
+    for camera in cameras:
+        camera.start()
+
+    def shoot(fake: FakeCamera, k: int, sequence: int) -> None:
+        t_ns = clock.now_ns() + MS
+        fake.shots.append(Shot(t_ns, sequence, sent[k], t_ns))
+
+    with RecordingWriter(tmp_path, samples.config()) as writer:
+        for k in range(0, 40, 2):
+            if k == 20:
+                fakes[0].gone = True
+                assert cameras[0].read(0.1) is None
+                # both change places: the numbers lie, the ports do not
+                fakes = FakeCamera("usb-1"), fakes[1]
+                io.cameras = {"/dev/video2": fakes[0], "/dev/video0": fakes[1]}
+                assert cameras[0].read(2.0) is None and cameras[0].connected
+            for eye in Eye:
+                # the third picture of each eye never arrives
+                if k == 4:
+                    continue
+                shoot(fakes[eye], k + eye, (k - 20 if k >= 20 and eye is Eye.PRIMARY else k) // 2)
+                frame = cameras[eye].read(1.0)
+                assert frame is not None
+                writer.write_frame(frame)
+
+    recording = Recording(tmp_path)
+    for eye in Eye:
+        stored = [frame.image for frame in recording.frames(eye)]
+        assert stored == [sent[k + eye] for k in range(0, 40, 2) if k != 4]
+        assert cameras[eye].stats().drops == 1
+    assert [c.stats().reconnects for c in cameras] == [1, 0]
