@@ -76,6 +76,7 @@ class Localizer:
         self._stale = False
         self._placed_anew = 0
         self._replacement: Replacement | None = None
+        self._said: set[str] = set()
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
@@ -124,7 +125,8 @@ class Localizer:
                 self._loops.remember(window)
         with _timed(stage_ms, "resolve"):
             self._memory.add(submap.id, prediction, hints)
-            notices = self._kit_prior.contradicted(self._memory.taught())
+            changed = self._kit_prior.contradicted(self._memory.taught())
+            notices = self._unsaid((*prediction.notices, *changed))
             self._memory.remembered = self._kit_prior.belief
             self._stale |= learned
             grown = len(atlas) >= REPLACE_GROWTH * self._placed_anew
@@ -224,6 +226,12 @@ class Localizer:
             log.info("sub-map %d: loop to keyframe %d contradicted", submap.id, match.id)
             return None
         return LoopClosure(submap.primary_ids[query], match.id, T_match_query)
+
+    def _unsaid(self, lines: Sequence[str]) -> tuple[str, ...]:
+        """Those that this drive has not brought yet."""
+        new = tuple(line for line in dict.fromkeys(lines) if line not in self._said)
+        self._said.update(new)
+        return new
 
     def _skip(self, window: SubmapWindow, reason: str) -> None:
         log.warning("sub-map %d skipped: %s", window.submap_id, reason)

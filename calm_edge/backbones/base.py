@@ -37,11 +37,9 @@ class Backbone(Protocol):
 
 
 def _bundle(config: Config) -> Backbone:
-    if ":" in config.backbone.name:
-        raise BackboneError(f"backbone.name = {config.backbone.name!r}: bundle takes no model")
     from calm_edge.backbones.bundle.backbone import BundleBackbone
 
-    return BundleBackbone(config.backbone)
+    return BundleBackbone.from_config(config)
 
 
 def _scripted(config: Config) -> Backbone:

@@ -8,16 +8,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.backbones import verdict, window_parts
+from calm_edge.backbones import window_parts
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle.loop_view import has_loop
 from calm_edge.backbones.decode.decoder import Decoded, prediction
 from calm_edge.backbones.manifest import Manifest, Precision
-from calm_edge.backbones.model_folder import find_model, read_manifest, verify
 from calm_edge.backbones.network import Network
 from calm_edge.backbones.picture_input import Fit, fit_pictures
 from calm_edge.backbones.place import GradientLayout
-from calm_edge.backbones.precision import chosen, model_of, most_views
+from calm_edge.backbones.precision import model_of, most_views, opened
 from calm_edge.config import Config
 from calm_edge.types import Bytes, Hints, Int, Prediction
 from device.frame import Eye
@@ -48,23 +47,11 @@ class FeedforwardBackbone:
 
         Refuses a folder that is damaged, or that `model check` refused on this machine.
         """
-        name = model_of(config)
-        if not name:
+        if not model_of(config):
             raise BackboneError("backbone.name = 'feedforward': name a model, feedforward:NAME")
-        manifest = read_manifest(find_model(name))
-        precision = chosen(manifest, config.backbone.precision)
-        found = verdict.load(manifest)
-        if found is not None and found.refusal:
-            raise BackboneError(f"{manifest.name}: refused by model check: {found.refusal}")
-        verify(manifest, [precision])
-        notices: tuple[str, ...] = ()
-        if found is None:
-            notices = (
-                f"{manifest.name} runs in {precision}, never checked on this machine: "
-                f"calm-edge model check {name}",
-            )
-        views = most_views(manifest, precision, config.backbone.max_views)
-        return cls(manifest, precision, views, notices)
+        model = opened(config)
+        views = most_views(model.manifest, model.precision, config.backbone.max_views)
+        return cls(model.manifest, model.precision, views, model.notices)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, K, depth and confidence; raises BackboneError."""

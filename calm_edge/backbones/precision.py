@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from calm_edge.backbones import verdict
-from calm_edge.backbones.base import BACKBONES
+from calm_edge.backbones.base import BACKBONES, BackboneError
 from calm_edge.backbones.manifest import Manifest, ManifestError, Precision
-from calm_edge.backbones.model_folder import find_model, model_names, read_manifest
+from calm_edge.backbones.model_folder import find_model, model_names, read_manifest, verify
 from calm_edge.config import Config
 
 # backbones whose argument is a model
@@ -39,6 +39,33 @@ def chosen(manifest: Manifest, asked: str, *, deterministic: bool = False) -> Pr
     if measured is not None and measured.precision in have:
         return measured.precision
     return have[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """The model that a config asks for, fit to run. notices: lines for every prediction."""
+
+    manifest: Manifest
+    precision: Precision
+    notices: tuple[str, ...]
+
+
+def opened(config: Config) -> Opened:
+    """Refuses a folder that is damaged, or that `model check` refused here: BackboneError."""
+    name = model_of(config)
+    manifest = read_manifest(find_model(name))
+    precision = chosen(manifest, config.backbone.precision)
+    found = verdict.load(manifest)
+    if found is not None and found.refusal:
+        raise BackboneError(f"{manifest.name}: refused by model check: {found.refusal}")
+    verify(manifest, [precision])
+    notices: tuple[str, ...] = ()
+    if found is None:
+        notices = (
+            f"{manifest.name} runs in {precision}, never checked on this machine: "
+            f"calm-edge model check {name}",
+        )
+    return Opened(manifest, precision, notices)
 
 
 def most_views(manifest: Manifest, precision: Precision, asked: int) -> int:

@@ -86,3 +86,17 @@ def follow(
     good &= np.linalg.norm(back - start, axis=1) < how.backward_px
     good &= (ahead >= how.margin_px).all(1) & (ahead <= last).all(1)
     return np.asarray(ahead, np.float32), np.asarray(good, bool)
+
+
+def neighbouring_flow(uv: Float32, flow: Float32, known: NDArray[np.bool_]) -> Float32:
+    """Flow (N, 2) at uv (N, 2) px, unknown entries being the median of the nearest known ones."""
+    if not known.any():
+        return np.zeros_like(flow)
+    if known.all():
+        return flow
+    distance = np.linalg.norm(uv[~known][:, None] - uv[known][None], axis=2)
+    k = min(5, int(known.sum()))
+    nearest = np.argpartition(distance, k - 1, axis=1)[:, :k]
+    filled = flow.copy()
+    filled[~known] = np.median(flow[known][nearest], axis=1)
+    return filled

@@ -132,7 +132,7 @@ def test_models_are_backbones_by_name(folder, monkeypatch):
     [
         ("feedforward", "name a model, feedforward:NAME"),
         ("feedforward:/nowhere", "model '/nowhere': neither in"),
-        ("bundle:painted", "bundle takes no model"),
+        ("bundle:painted", "model 'painted': neither in"),
     ],
 )
 def test_a_name_that_means_nothing_is_one_line(name, line):

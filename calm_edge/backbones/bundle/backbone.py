@@ -20,8 +20,9 @@ from calm_edge.backbones.bundle import kit, loop_view, window
 from calm_edge.backbones.bundle.initialise import initial_state, triangulated
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
 from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
+from calm_edge.backbones.bundle.tracks import Matching
 from calm_edge.backbones.kit_belief import product
-from calm_edge.config import BackboneConfig
+from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, KitBelief, Prediction
 
@@ -50,8 +51,29 @@ class BundleBackbone:
 
     name = "bundle"
 
-    def __init__(self, config: BackboneConfig) -> None:
-        self._seed = config.seed
+    def __init__(
+        self,
+        config: BackboneConfig,
+        matching: Matching | None = None,
+        notices: tuple[str, ...] = (),
+    ) -> None:
+        """matching: a network's; None is Lucas-Kanade. notices: lines for every prediction."""
+        self._seed, self._matching, self._notices = config.seed, matching, notices
+
+    @classmethod
+    def from_config(cls, config: Config) -> BundleBackbone:
+        """`bundle`, or `bundle:NAME_OR_FOLDER` with a model's network; raises BackboneError."""
+        from calm_edge.backbones.precision import model_of, opened
+
+        if not model_of(config):
+            return cls(config.backbone)
+        # without a network, ONNX Runtime need not be there
+        from calm_edge.backbones.bundle.features import FeatureNet
+        from calm_edge.backbones.bundle.learned import LearnedMatching
+
+        model = opened(config)
+        matching = LearnedMatching(FeatureNet(model.manifest, model.precision))
+        return cls(config.backbone, matching, model.notices)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, K and landmarks; depth comes with `densify`. Raises BackboneError."""
@@ -64,10 +86,11 @@ class BundleBackbone:
         rig_known = bool(sigma[8:11].max() < RIG_KNOWN_RAD)
         known = rig_known and bool(sigma[list(kit.LOG_FOCAL)].max() < FOCAL_KNOWN)
         with _determined():
-            m = window.measure(images, hints, belief.mean, rig_known)
+            m = window.measure(images, hints, belief.mean, rig_known, self._matching)
             ties = rig_ties(m)
             start = _first_guess(m, ties, belief, known)
-            return _prediction(m, ties, belief, _solve(start, m, ties, belief))
+            solved = _prediction(m, ties, belief, _solve(start, m, ties, belief))
+        return replace(solved, notices=self._notices)
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
         """The same views again under the kit of `hints`, from landmarks; raises BackboneError."""

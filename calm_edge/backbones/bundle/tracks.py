@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry.flow import Gray, LucasKanade, away_from, follow
+from calm_edge.backbones.bundle.correspond import Found
+from calm_edge.geometry.flow import Gray, LucasKanade, away_from, follow, neighbouring_flow
 from calm_edge.types import Float, Float32, Int
 
 CORNERS_PER_VIEW = 320
 GRID = (8, 4)  # columns, rows: corners are spread over the picture
 EPIPOLAR_PX = 1.0
+# What a followed corner is off by, an axis, drift along its track included.
+FOLLOWED_PX = 0.5
 MATCHING = LucasKanade(
     window_px=17,
     levels=4,
@@ -32,11 +36,28 @@ MATCHING = LucasKanade(
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Observations as rows: track (O,), view (O,) batch index, uv (O, 2) px."""
+    """Observations as rows: track (O,), view (O,) batch index, uv (O, 2) px, sigma_px (O,)."""
 
     track: Int
     view: Int
     uv: Float
+    sigma_px: Float
+
+
+class Matching(Protocol):
+    """Finds points without a guess, in place of Lucas-Kanade from one."""
+
+    def along(self, source: Gray, target: Gray, uv: Float32) -> Found:
+        """Points uv (N, 2) px of a picture in a later one of the same eye."""
+        ...
+
+    def homography(self, primary: Gray, assistant: Gray) -> Float | None:
+        """Rough H_a_p (3, 3) px, the rotation and the zoom between the eyes; None where unsure."""
+        ...
+
+    def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Found:
+        """Primary points uv (N, 2) px in the assistant's picture, which H_a_p makes alike."""
+        ...
 
 
 def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) -> Float32:
@@ -81,20 +102,6 @@ def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np
     return np.asarray(mask.ravel() > 0)
 
 
-def _smoothed_guess(uv: Float32, flow: Float32, known: NDArray[np.bool_]) -> Float32:
-    """Flow (N, 2) with unknown entries filled from the nearest known ones' median."""
-    if not known.any():
-        return np.zeros_like(flow)
-    if known.all():
-        return flow
-    distance = np.linalg.norm(uv[~known][:, None] - uv[known][None], axis=2)
-    k = min(5, int(known.sum()))
-    nearest = np.argpartition(distance, k - 1, axis=1)[:, :k]
-    filled = flow.copy()
-    filled[~known] = np.median(flow[known][nearest], axis=1)
-    return filled
-
-
 def sift_homography(primary: Gray, assistant: Gray) -> Float | None:
     """Rough H_a_p (3, 3) taking primary pixels to assistant pixels, from wide-baseline matches.
 
@@ -123,22 +130,27 @@ def _apply(H: Float, uv: Float32) -> Float32:
     return np.asarray(q[:, :2] / q[:, 2:], np.float32)
 
 
-def temporal_tracks(pictures: list[Gray]) -> list[tuple[Int, Float32]]:
-    """Corner tracks through consecutive pictures: per view the track ids (n,) and uv (n, 2)."""
+def temporal_tracks(
+    pictures: list[Gray], matching: Matching | None = None
+) -> list[tuple[Int, Float32, Float32]]:
+    """Corner tracks through consecutive pictures.
+
+    Per view the track ids (n,), uv (n, 2) px and sigma (n,) px.
+    """
     uv = detect_corners(pictures[0], np.zeros((0, 2), np.float32))
     ids = np.arange(len(uv))
     flow = np.zeros_like(uv)
     known = np.zeros(len(uv), bool)
     n_tracks = len(uv)
-    views = [(ids, uv)]
+    sigma = np.full(len(uv), FOLLOWED_PX, np.float32)
+    views = [(ids, uv, sigma)]
     for source, target in pairwise(pictures):
-        moved, ok = follow(source, target, uv, uv + _smoothed_guess(uv, flow, known), MATCHING)
-        if not known.any() and ok.sum() > 20:
-            # the first pair had no guess: let its neighbours' flow give a second chance
-            again, ok_again = follow(
-                source, target, uv, uv + _smoothed_guess(uv, moved - uv, ok), MATCHING
-            )
-            moved, ok = np.where(ok[:, None], moved, again), ok | ok_again
+        if matching is None:
+            moved, ok = _followed(source, target, uv, flow, known)
+            sigma = np.full(len(uv), FOLLOWED_PX, np.float32)
+        else:
+            found = matching.along(source, target, uv)
+            moved, ok, sigma = found.uv, found.sure, found.sigma_px
         inlier = np.flatnonzero(ok)
         inlier = inlier[on_epipolar_lines(uv[inlier], moved[inlier], EPIPOLAR_PX)]
         flow, uv, ids = (moved - uv)[inlier], moved[inlier], ids[inlier]
@@ -148,8 +160,22 @@ def temporal_tracks(pictures: list[Gray]) -> list[tuple[Int, Float32]]:
         known = np.r_[np.ones(len(uv), bool), np.zeros(len(new), bool)]
         flow = np.concatenate([flow, np.zeros_like(new)])
         uv = np.concatenate([uv, new])
-        views.append((ids, uv))
+        sigma = np.concatenate([sigma[inlier], np.full(len(new), FOLLOWED_PX, np.float32)])
+        views.append((ids, uv, sigma))
     return views
+
+
+def _followed(
+    source: Gray, target: Gray, uv: Float32, flow: Float32, known: NDArray[np.bool_]
+) -> tuple[Float32, NDArray[np.bool_]]:
+    """Lucas-Kanade from where the flow (N, 2) of the known ones (N,) leads."""
+    moved, ok = follow(source, target, uv, uv + neighbouring_flow(uv, flow, known), MATCHING)
+    if not known.any() and ok.sum() > 20:
+        # the first pair had no guess: let its neighbours' flow give a second chance
+        guess = uv + neighbouring_flow(uv, moved - uv, ok)
+        again, ok_again = follow(source, target, uv, guess, MATCHING)
+        moved, ok = np.where(ok[:, None], moved, again), ok | ok_again
+    return moved, ok
 
 
 def across_eyes(
@@ -183,40 +209,60 @@ def across_eyes(
 
 
 def window_tracks(
-    primary: list[Gray], assistant: list[Gray], partner: list[int], H_a_p: Float | None
+    primary: list[Gray],
+    assistant: list[Gray],
+    partner: list[int],
+    H_a_p: Float | None,
+    matching: Matching | None = None,
 ) -> Tracks:
     """All tracks of a window. partner: for each assistant view the primary index nearest in time.
 
-    H_a_p: the infinite homography when the kit is known, else it is found by SIFT.
+    H_a_p: the infinite homography when the kit is known, else it is found from matches.
     """
-    views = temporal_tracks(primary)
-    track = [ids for ids, _ in views]
-    view = [np.full(len(ids), i) for i, (ids, _) in enumerate(views)]
-    uv = [p for _, p in views]
+    views = temporal_tracks(primary, matching)
+    rows = [(ids, np.full(len(ids), i), uv, sigma) for i, (ids, uv, sigma) in enumerate(views)]
+    homography = sift_homography if matching is None else matching.homography
     if H_a_p is None:
         for j in _spread(len(assistant)):
-            H_a_p = sift_homography(primary[partner[j]], assistant[j])
+            H_a_p = homography(primary[partner[j]], assistant[j])
             if H_a_p is not None:
                 break
     if H_a_p is not None:
         parallax: dict[int, Float32] = {}
         for j, gray in enumerate(assistant):
-            ids, points = views[partner[j]]
-            known = np.array([i in parallax for i in ids], bool)
-            flow = np.zeros_like(points)
-            if known.any():
-                flow[known] = [parallax[i] for i in ids[known]]
-            there, ok = across_eyes(
-                primary[partner[j]], gray, H_a_p, points, _smoothed_guess(points, flow, known)
-            )
-            back = _apply(np.asarray(np.linalg.inv(H_a_p), np.float64), there[ok])
-            parallax.update(zip(ids[ok].tolist(), back - points[ok], strict=True))
-            track.append(ids[ok])
-            view.append(np.full(int(ok.sum()), len(primary) + j))
-            uv.append(there[ok])
-    return Tracks(
-        np.concatenate(track), np.concatenate(view), np.concatenate(uv).astype(np.float64)
-    )
+            ids, points, _ = views[partner[j]]
+            if matching is None:
+                there, ok = _across_from(parallax, ids, primary[partner[j]], gray, H_a_p, points)
+                sigma = np.full(len(ids), FOLLOWED_PX, np.float32)
+            else:
+                found = matching.across(primary[partner[j]], gray, H_a_p, points)
+                there, ok, sigma = found.uv, found.sure, found.sigma_px
+                index = np.flatnonzero(ok)
+                ok[index[~on_epipolar_lines(points[index], there[index], EPIPOLAR_PX)]] = False
+            view = np.full(int(ok.sum()), len(primary) + j)
+            rows.append((ids[ok], view, there[ok], sigma[ok]))
+    track, view, uv, sigma_px = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return Tracks(track, view, uv.astype(np.float64), sigma_px.astype(np.float64))
+
+
+def _across_from(
+    parallax: dict[int, Float32],
+    ids: Int,
+    primary: Gray,
+    assistant: Gray,
+    H_a_p: Float,
+    points: Float32,
+) -> tuple[Float32, NDArray[np.bool_]]:
+    """across_eyes from the parallax of the view before, which is brought up to date."""
+    known = np.array([i in parallax for i in ids], bool)
+    flow = np.zeros_like(points)
+    if known.any():
+        flow[known] = [parallax[i] for i in ids[known]]
+    guess = neighbouring_flow(points, flow, known)
+    there, ok = across_eyes(primary, assistant, H_a_p, points, guess)
+    back = _apply(np.asarray(np.linalg.inv(H_a_p), np.float64), there[ok])
+    parallax.update(zip(ids[ok].tolist(), back - points[ok], strict=True))
+    return there, ok
 
 
 def _spread(n: int) -> list[int]:

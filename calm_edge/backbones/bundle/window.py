@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import kit
 from calm_edge.backbones.bundle.problem import Measurements, State, project
-from calm_edge.backbones.bundle.tracks import Tracks, window_tracks
+from calm_edge.backbones.bundle.tracks import FOLLOWED_PX, Matching, Tracks, window_tracks
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
 
-SIGMA_PX = 0.5
 MIN_VIEWS_OF_A_POINT = 3
 MIN_POINTS = 40
 FARTHEST = 1e6  # spacings: where a point at infinity is written down
@@ -40,11 +39,16 @@ def seconds(hints: Hints) -> Float:
 
 
 def measure(
-    images: Sequence[NDArray[np.uint8]], hints: Hints, theta: Float, rig_known: bool
+    images: Sequence[NDArray[np.uint8]],
+    hints: Hints,
+    theta: Float,
+    rig_known: bool,
+    matching: Matching | None = None,
 ) -> Measurements:
     """Matches of all pictures (H, W, 3) as measurements; raises BackboneError when too few.
 
-    theta: (15,) kit, which guides the search across the eyes when `rig_known`.
+    theta: (15,) kit, which guides the search across the eyes when `rig_known`. matching: a
+    network's; None is Lucas-Kanade.
     """
     primary, assistant = split_eyes(hints)
     gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
@@ -52,7 +56,8 @@ def measure(
     partner = [int(np.argmin(np.abs(t[primary] - t[j]))) for j in assistant]
     size = np.array([gray[primary[0]].shape[::-1], gray[assistant[0]].shape[::-1]])
     H_a_p = _infinite_homography(theta, size) if rig_known else None
-    tracks = window_tracks([gray[i] for i in primary], [gray[j] for j in assistant], partner, H_a_p)
+    eyes = [[gray[i] for i in views] for views in (primary, assistant)]
+    tracks = window_tracks(eyes[0], eyes[1], partner, H_a_p, matching)
     return _measurements(tracks, hints, size)
 
 
@@ -68,12 +73,11 @@ def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
     ids, point = np.unique(tracks.track[keep], return_inverse=True)
     if len(ids) < MIN_POINTS:
         raise BackboneError(f"bundle: only {len(ids)} points could be followed (dark or blurred?)")
-    sigma = np.full(int(keep.sum()), SIGMA_PX)
     return Measurements(
         tracks.view[keep],
         point,
         tracks.uv[keep],
-        sigma,
+        np.maximum(tracks.sigma_px[keep], FOLLOWED_PX),
         np.asarray(hints.eyes),
         seconds(hints),
         size,
@@ -107,7 +111,7 @@ def from_prediction(
     marks = prediction.landmarks
     if marks is None or hints.sizes is None:
         raise BackboneError("bundle: a prediction without landmarks cannot be solved again")
-    sigma = np.full(len(marks.index), SIGMA_PX)
+    sigma = np.full(len(marks.index), FOLLOWED_PX)
     m = Measurements(
         marks.view, marks.index, marks.uv.astype(np.float64), sigma,
         np.asarray(hints.eyes), seconds(hints), hints.sizes,

@@ -1,0 +1,99 @@
+"""Where points of one picture are in another, by learned features: no guess is needed.
+
+Every query is compared with all cells of the other picture; the best cell must find its way back;
+the finer features then place it within the cell and say how sure that is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.backbones.bundle.features import FeatureNet, Features
+from calm_edge.types import Float32, Int
+
+Bool = NDArray[np.bool_]
+
+STRIDE = 8
+# A match has to return within so many cells of its query.
+RETURN_CELLS = 1.5
+# Below this the encoder itself says that a point is none to rely on.
+MIN_RELIABILITY = 0.05
+ROUNDS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """uv: (N, 2) px of the other picture. sure: (N,) there and back agree. sigma_px: (N,) an axis.
+
+    uv holds the best there is where not sure.
+    """
+
+    uv: Float32
+    sure: Bool
+    sigma_px: Float32
+
+
+def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:
+    """Points uv (N, 2) px of a's picture in b's; raises BackboneError."""
+    if len(uv) == 0:
+        return Found(uv, np.zeros(0, bool), np.zeros(0, np.float32))
+    uv_a = a.to_input(uv)
+    query = sampled(a.coarse, uv_a)
+    cells, guess = _best(query, b.coarse)
+    columns_b = b.coarse.shape[1]
+    there = b.coarse[cells // columns_b, cells % columns_b]
+    _, back = _best(there, a.coarse)
+    sure = np.linalg.norm(back - uv_a, axis=1) < RETURN_CELLS * STRIDE
+    sure &= _nearest(a.reliability, uv_a) > MIN_RELIABILITY
+    sigma = np.full(len(uv), np.inf, np.float32)
+    for _ in range(ROUNDS):
+        guess, sigma = net.refined(a, uv_a, b, guess)
+    width, height = b.fit.input
+    sure &= (guess >= 0).all(1) & (guess <= np.array([width - 1, height - 1])).all(1)
+    return Found(b.to_picture(guess), sure, np.asarray(sigma * b.pixel, np.float32))
+
+
+def sampled(maps: Float32, uv: Float32) -> Float32:
+    """Coarse map (h, w, C) bilinearly at uv (N, 2) px of the input -> (N, C) of unit length."""
+    height, width = maps.shape[:2]
+    at = np.clip((uv + 0.5) / STRIDE - 0.5, 0, [width - 1, height - 1])
+    low = np.minimum(np.floor(at).astype(np.int64), [width - 2, height - 2])
+    fx, fy = np.asarray(at - low, np.float32).T[:, :, None]
+    x, y = low.T
+    top = maps[y, x] * (1 - fx) + maps[y, x + 1] * fx
+    bottom = maps[y + 1, x] * (1 - fx) + maps[y + 1, x + 1] * fx
+    out = top * (1 - fy) + bottom * fy
+    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True), np.float32)
+
+
+def _best(query: Float32, maps: Float32) -> tuple[Int, Float32]:
+    """The likest cell (N,) of a map (h, w, C), and its centre moved towards its likest
+    neighbours, (N, 2) px of the input."""
+    height, width = maps.shape[:2]
+    likeness = query @ maps.reshape(height * width, -1).T
+    cell = likeness.argmax(1)
+    x, y = cell % width, cell // width
+    steps = np.arange(-1, 2)
+    near_x = np.clip(x[:, None, None] + steps[None, None, :], 0, width - 1)
+    near_y = np.clip(y[:, None, None] + steps[None, :, None], 0, height - 1)
+    near = np.take_along_axis(likeness, (near_y * width + near_x).reshape(len(x), 9), 1)
+    weight = np.exp((near - near.max(1, keepdims=True)) / TEMPERATURE)
+    weight /= weight.sum(1, keepdims=True)
+    centre = np.stack(
+        [(weight * n.reshape(-1, 9)).sum(1) for n in (near_x + 0 * near_y, near_y + 0 * near_x)], 1
+    )
+    return cell, np.asarray((centre + 0.5) * STRIDE - 0.5, np.float32)
+
+
+# The encoder is trained with cosines over this.
+TEMPERATURE = 0.05
+
+
+def _nearest(values: Float32, uv: Float32) -> Float32:
+    """Map (h, w) at the cell of each of uv (N, 2) px of the input -> (N,)."""
+    height, width = values.shape
+    cell = np.clip(np.floor((uv + 0.5) / STRIDE).astype(np.int64), 0, [width - 1, height - 1])
+    return values[cell[:, 1], cell[:, 0]]

@@ -1,0 +1,149 @@
+"""The learned encoder, run once a picture: what matching and place look-up read of it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from calm_edge.backbones.manifest import Manifest, ManifestError, Precision
+from calm_edge.backbones.picture_input import Fit, fit_pictures, input_tensor
+from calm_edge.backbones.session import Session
+from calm_edge.config import BackboneConfig, Config
+from calm_edge.geometry.flow import Gray
+from calm_edge.types import Bytes, Float32
+
+# Pictures whose features are kept: windows overlap, and so do a loop's and the next one's.
+KEPT = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Of one picture. Cell k of a map is centred on (k + 0.5) * stride - 0.5 px of the input.
+
+    fit: how the picture lies in the input. coarse: (h8, w8, 64) of unit length a cell.
+    reliability: (h8, w8) in [0, 1]. fine: (1, 32, h4, w4). place: (256,) of unit length.
+    """
+
+    fit: Fit
+    coarse: Float32
+    reliability: Float32
+    fine: Float32
+    place: Float32
+
+    def to_input(self, uv: Float32) -> Float32:
+        """(N, 2) px of the picture -> px of the input."""
+        scale = np.array(self.fit.scale, np.float32)
+        return np.asarray((uv + 0.5) * scale - 0.5, np.float32)
+
+    def to_picture(self, uv: Float32) -> Float32:
+        """(N, 2) px of the input -> px of the picture."""
+        scale = np.array(self.fit.scale, np.float32)
+        return np.asarray((uv + 0.5) / scale - 0.5, np.float32)
+
+    @property
+    def pixel(self) -> float:
+        """Picture pixels an input pixel, the mean of both axes."""
+        return 2 / sum(self.fit.scale)
+
+
+class FeatureNet:
+    """The `encoder` and `refine` graphs of a model of kind bundle.
+
+    The same picture gives the same features, kept or not: to its users it is stateless.
+    """
+
+    def __init__(self, manifest: Manifest, precision: Precision) -> None:
+        """Raises BackboneError."""
+        missing = [role for role in ("encoder", "refine") if role not in manifest.graphs]
+        if missing:
+            raise ManifestError(f"{manifest.name}: bundle needs the graph {missing[0]}")
+        self._spec = manifest.input
+        encoder, refine = manifest.graphs["encoder"], manifest.graphs["refine"]
+        self._encoder = Session(
+            manifest.graph_path("encoder", precision),
+            needs_inputs=[self._spec.name, *encoder.inputs],
+            needs_outputs=["coarse", "reliability", "fine", "place", *encoder.outputs],
+        )
+        self._refine = Session(
+            manifest.graph_path("refine", precision),
+            needs_inputs=["fine_a", "uv_a", "fine_b", "uv_b", *refine.inputs],
+            needs_outputs=["offset", "sigma", *refine.outputs],
+        )
+        self._kept: OrderedDict[bytes, Features] = OrderedDict()
+
+    @classmethod
+    def of_model(cls, name: str, precision: Precision | None = None) -> FeatureNet:
+        """A folder of `models/`, in the precision measured best here unless one is asked for.
+
+        Raises BackboneError.
+        """
+        from calm_edge.backbones.precision import opened
+
+        asked = BackboneConfig(name=f"bundle:{name}", precision=precision or "auto")
+        model = opened(Config(backbone=asked))
+        return cls(model.manifest, model.precision)
+
+    def of(self, pictures: Sequence[Bytes | Gray]) -> list[Features]:
+        """Features of (H, W, 3) BGR or (H, W) grey pictures; raises BackboneError."""
+        return [self._one(picture) for picture in pictures]
+
+    def _one(self, picture: Bytes | Gray) -> Features:
+        gray = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        gray = np.ascontiguousarray(gray)
+        key = hashlib.blake2b(gray.tobytes(), digest_size=16).digest() + bytes(
+            str(gray.shape), "ascii"
+        )
+        known = self._kept.get(key)
+        if known is None:
+            known = self._kept[key] = self._encoded(np.asarray(gray, np.uint8))
+            while len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        else:
+            self._kept.move_to_end(key)
+        return known
+
+    def _encoded(self, gray: Gray) -> Features:
+        height, width = gray.shape
+        (fit,) = fit_pictures(self._spec, [(width, height)])
+        colours = np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8)
+        out = self._encoder.run({self._spec.name: input_tensor(self._spec, [colours], [fit])})
+        return Features(
+            fit,
+            np.ascontiguousarray(out["coarse"][0].transpose(1, 2, 0), np.float32),
+            np.asarray(out["reliability"][0, 0], np.float32),
+            np.asarray(out["fine"], np.float32),
+            np.asarray(out["place"][0], np.float32),
+        )
+
+    def refined(
+        self, a: Features, uv_a: Float32, b: Features, uv_b: Float32
+    ) -> tuple[Float32, Float32]:
+        """Guesses uv_b for uv_a, (N, 2) px of the inputs -> better ones and their sigma (N,)."""
+        if len(uv_a) == 0:
+            return uv_b, np.zeros(0, np.float32)
+        inputs = {"fine_a": a.fine, "uv_a": uv_a[None], "fine_b": b.fine, "uv_b": uv_b[None]}
+        out = self._refine.run(inputs)
+        return np.asarray(uv_b + out["offset"], np.float32), np.asarray(out["sigma"], np.float32)
+
+
+class LearnedPlace:
+    """The encoder's own word for a place, for `loops` in place of a layout of gradients."""
+
+    # of unrelated pictures it seldom is above this
+    worth_a_look = 0.35
+
+    def __init__(self, net: FeatureNet) -> None:
+        self._net = net
+
+    def describe(self, image: Bytes) -> Float32:
+        """(H, W, 3) uint8 BGR -> (256,) of unit length; raises BackboneError."""
+        return self._net.of([image])[0].place
+
+    def similarity(self, queries: Float32, places: Float32) -> Float32:
+        """(Q, 256) and (P, 256) -> (Q, P) cosines."""
+        return np.asarray(queries @ places.T, np.float32)

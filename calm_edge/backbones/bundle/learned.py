@@ -1,0 +1,166 @@
+"""Learned matches brought to a part of a pixel: what the tracks of bundle start from.
+
+The features find a point wherever it went; Lucas-Kanade from there measures it. Where pictures are
+turned or zoomed against each other, one is warped to look like the other, and read again.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.backbones.bundle.correspond import Bool, Found, find
+from calm_edge.backbones.bundle.features import FeatureNet, LearnedPlace
+from calm_edge.backbones.bundle.tracks import MATCHING, detect_corners
+from calm_edge.geometry.flow import Gray, LucasKanade, follow, neighbouring_flow
+from calm_edge.types import Float, Float32
+
+# From a guess this good the upper levels of the pyramid only lead astray.
+FINISH = LucasKanade(
+    window_px=17, levels=1, iterations=30, step_px=0.01, backward_levels=1, backward_px=0.5,
+    margin_px=2.0,
+)  # fmt: skip
+# Of what Lucas-Kanade measures; of what the features alone placed, their own claim counts.
+MEASURED_PX = 0.4
+# Lucas-Kanade that leaves the guess by more sigmas, or input pixels, found something else.
+MAX_SIGMAS, MAX_MOVE = 4.0, 3.0
+# Features alone are believed where they claim to be this good.
+MAX_SIGMA_PX = 1.5
+# Turned or zoomed by less, patches are alike as they are.
+SAME_TURN_RAD, SAME_ZOOM = 0.07, 0.12
+MIN_FOR_WARP, MIN_ZOOM = 12, 0.2
+WARP_INLIER = 0.03  # of the picture's width: parallax stays outside of the homography
+# With fewer sure matches, other turns and zooms of the second picture are tried.
+ENOUGH_SURE = 0.35
+TURNS_DEG, ZOOMS = (-20.0, 0.0, 20.0), (0.5, 1.0, 2.0)
+
+
+class LearnedMatching:
+    """What `tracks.window_tracks` asks of a network."""
+
+    def __init__(self, net: FeatureNet) -> None:
+        self.net = net
+
+    def along(self, source: Gray, target: Gray, uv: Float32) -> Found:
+        """See tracks.Matching; raises BackboneError."""
+        return finished(source, target, uv, _found(self.net, source, target, uv))
+
+    def homography(self, primary: Gray, assistant: Gray) -> Float | None:
+        """See tracks.Matching; raises BackboneError."""
+        uv = detect_corners(primary, np.zeros((0, 2), np.float32))
+        return homography(uv, _any_way_up(self.net, primary, assistant, uv), primary.shape[1])
+
+    def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Found:
+        """See tracks.Matching; raises BackboneError."""
+        alike = warped(assistant, H_a_p, primary)
+        found = finished(primary, alike, uv, _found(self.net, primary, alike, uv))
+        return _through(found, H_a_p, assistant)
+
+    def match(self, a: Gray, b: Gray, uv: Float32) -> Found:
+        """Points uv (N, 2) px of any picture in any other; raises BackboneError."""
+        found = _any_way_up(self.net, a, b, uv)
+        H_b_a = homography(uv, found, a.shape[1])
+        if H_b_a is None or _alike(H_b_a, uv[found.sure].mean(0)):
+            return finished(a, b, uv, found)
+        return self.across(a, b, H_b_a, uv)
+
+
+def finished(a: Gray, b: Gray, uv: Float32, found: Found) -> Found:
+    """Matches of uv (N, 2) px, measured on pictures that are alike; neighbours help the rest."""
+    moved, ok = follow(a, b, uv, found.uv, FINISH)
+    near = np.maximum(MAX_SIGMAS * found.sigma_px, MAX_MOVE)
+    ok &= found.sure & (np.linalg.norm(moved - found.uv, axis=1) < near)
+    rest = np.flatnonzero(~ok)
+    start = uv + neighbouring_flow(uv, moved - uv, ok)
+    again, ok_again = follow(a, b, uv[rest], start[rest], MATCHING)
+    # a point the features are sure of is not where something else looks alike
+    again_near = np.linalg.norm(again - found.uv[rest], axis=1) < near[rest]
+    moved[rest], ok[rest] = again, ok_again & (again_near | ~found.sure[rest])
+    alone = found.sure & ~ok & (found.sigma_px < MAX_SIGMA_PX)
+    uv_b = np.where(ok[:, None], moved, found.uv)
+    sigma = np.where(ok, MEASURED_PX, np.maximum(found.sigma_px, MEASURED_PX))
+    return Found(np.asarray(uv_b, np.float32), ok | alone, np.asarray(sigma, np.float32))
+
+
+def homography(uv: Float32, found: Found, width: int) -> Float | None:
+    """H_b_a (3, 3) px through the sure ones of N matches, parallax left out; None where too few."""
+    sure = found.sure
+    if sure.sum() < MIN_FOR_WARP:
+        return None
+    H, _ = cv2.findHomography(uv[sure], found.uv[sure], cv2.RANSAC, WARP_INLIER * width)
+    if H is None or not MIN_ZOOM < _zoom_and_turn(H, uv[sure].mean(0))[0] < 1 / MIN_ZOOM:
+        return None
+    return np.asarray(H, np.float64)
+
+
+def _alike(H_b_a: Float, middle: NDArray[Any]) -> bool:
+    """Patches around `middle` (2,) px of a look the same in b."""
+    zoom, turn = _zoom_and_turn(H_b_a, middle)
+    return abs(np.log(zoom)) < SAME_ZOOM and abs(turn) < SAME_TURN_RAD
+
+
+def _zoom_and_turn(H: NDArray[Any], at: NDArray[Any]) -> tuple[float, float]:
+    """What H (3, 3) px does around a pixel (2,): its zoom, and its turn in radians."""
+    x, y, w = H @ np.array([*at, 1.0])
+    local = (H[:2, :2] - np.outer([x / w, y / w], H[2, :2])) / w
+    turn = np.arctan2(local[1, 0] - local[0, 1], local[0, 0] + local[1, 1])
+    return float(np.sqrt(max(np.linalg.det(local), 1e-12))), float(turn)
+
+
+def warped(b: Gray, H_b_a: Float, a: Gray) -> Gray:
+    """b as a would show it."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpPerspective(b, H_b_a, a.shape[::-1], flags=flags), np.uint8)
+
+
+def _found(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Found:
+    features_a, features_b = net.of([a, b])
+    return find(net, features_a, features_b, uv)
+
+
+def _any_way_up(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Found:
+    """Points of a in b; where few are found, the best of several turns and zooms of b."""
+    best = _found(net, a, b, uv)
+    if best.sure.sum() >= ENOUGH_SURE * len(uv):
+        return best
+    for turn, zoom in product(TURNS_DEG, ZOOMS):
+        if (turn, zoom) != (0.0, 1.0):
+            H_b_a = _turned(a, b, turn, zoom)
+            there = _through(_found(net, a, warped(b, H_b_a, a), uv), H_b_a, b)
+            best = max(best, there, key=lambda each: int(each.sure.sum()))
+    return best
+
+
+def _turned(a: Gray, b: Gray, turn_deg: float, zoom: float) -> Float:
+    """H_b_a (3, 3) px: about the middles, b being zoomed and turned against a."""
+    (ha, wa), (hb, wb) = a.shape, b.shape
+    centred = np.array([[1, 0, -(wa - 1) / 2], [0, 1, -(ha - 1) / 2], [0, 0, 1]])
+    c, s = zoom * np.cos(np.radians(turn_deg)), zoom * np.sin(np.radians(turn_deg))
+    turned = np.array([[c, -s, (wb - 1) / 2], [s, c, (hb - 1) / 2], [0, 0, 1]])
+    return np.asarray(turned @ centred)
+
+
+def _through(found: Found, H_b_a: Float, b: Gray) -> Found:
+    """What was found in b as warped, in b; what lies outside is none."""
+    if len(found.uv) == 0:
+        return found
+    uv = cv2.perspectiveTransform(found.uv[None].astype(np.float64), H_b_a)[0]
+    height, width = b.shape
+    inside: Bool = (uv >= 0).all(1) & (uv <= np.array([width - 1, height - 1])).all(1)
+    zoom = np.sqrt(abs(np.linalg.det(H_b_a[:2, :2])))
+    sigma = np.asarray(found.sigma_px * zoom, np.float32)
+    return Found(np.asarray(uv, np.float32), found.sure & inside, sigma)
+
+
+def matcher(name: str = "calm-geo") -> LearnedMatching:
+    """What a folder of `models/` matches with; raises BackboneError."""
+    return LearnedMatching(FeatureNet.of_model(name))
+
+
+def place(name: str = "calm-geo") -> LearnedPlace:
+    """What a folder of `models/` knows places by; raises BackboneError."""
+    return LearnedPlace(FeatureNet.of_model(name))

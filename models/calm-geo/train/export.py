@@ -1,0 +1,193 @@
+"""From a checkpoint to the model folder: ONNX graphs, eight-bit encoder, golden values, manifest.
+
+    python export.py --checkpoint build/calm-geo/checkpoint.pt --clips build/clips --out ..
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import torch
+from network import FINE_STRIDE, Encoder, Refine, correlations
+from onnxruntime.quantization import (
+    CalibrationDataReader,
+    CalibrationMethod,
+    QuantFormat,
+    QuantType,
+    quantize_static,
+)
+from onnxruntime.quantization.shape_inference import quant_pre_process
+from pairs import Clips, degraded
+from place import Place, learned_place
+from torch import Tensor, nn
+from train import Model
+
+OPSET = 20
+CALIBRATION_PICTURES = 48
+GOLDEN_SIZES = {"n2": (2, 96, 640), "n3": (3, 64, 640)}
+SCRATCH = ("encoder.prepared.onnx",)
+
+
+class EncoderGraph(nn.Module):
+    """What is run once a picture."""
+
+    def __init__(self, encoder: Encoder, place: Place) -> None:
+        super().__init__()
+        self.encoder, self.place = encoder, place
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        coarse, reliability, fine, deep = self.encoder(image)
+        return coarse, reliability, fine, self.place(deep)
+
+
+class RefineGraph(nn.Module):
+    """fine_a, fine_b (1, 32, h, w); uv_a, uv_b (1, M, 2) px of the encoder's pictures -> offset
+    (M, 2) px to add to uv_b, sigma (M,) px an axis."""
+
+    def __init__(self, refine: Refine) -> None:
+        super().__init__()
+        self.refine = refine
+
+    def forward(self, fine_a: Tensor, uv_a: Tensor, fine_b: Tensor, uv_b: Tensor) -> tuple[Tensor, Tensor]:
+        there, here = correlations(fine_a, uv_a, fine_b, uv_b)
+        offset, log_sigma = self.refine(there[0], here[0])
+        return offset * FINE_STRIDE, torch.exp(log_sigma) * FINE_STRIDE
+
+
+def pictures(clips: Clips, count: int, seed: int) -> Iterator[np.ndarray]:
+    """(1, 1, H, W) float32 in [0, 1], as the network was trained on."""
+    random = np.random.default_rng(seed)
+    for _ in range(count):
+        grey = clips.draw(random)["grey"]
+        yield degraded(grey[random.integers(len(grey))], random)[None, None]
+
+
+class _Calibration(CalibrationDataReader):
+    def __init__(self, images: Iterator[np.ndarray]) -> None:
+        self.images = images
+
+    def get_next(self) -> dict[str, np.ndarray] | None:
+        image = next(self.images, None)
+        return None if image is None else {"image": image}
+
+
+def export_encoder(graph: EncoderGraph, path: Path) -> None:
+    free = torch.export.Dim("views", min=1, max=256)
+    rows, columns = (torch.export.Dim(name, min=2, max=256) for name in ("rows", "columns"))
+    torch.onnx.export(
+        graph, (torch.rand(3, 1, 96, 160),), path, opset_version=OPSET, dynamo=True,
+        external_data=False, input_names=["image"],
+        output_names=["coarse", "reliability", "fine", "place"],
+        dynamic_shapes={"image": {0: free, 2: 16 * rows, 3: 16 * columns}},
+    )  # fmt: skip
+
+
+def export_refine(graph: RefineGraph, path: Path) -> None:
+    points, dim = torch.export.Dim("points", min=1, max=100_000), torch.export.Dim
+    shapes = {
+        f"{kind}_{eye}": {1: points} if kind == "uv" else {2: dim(f"h_{eye}"), 3: dim(f"w_{eye}")}
+        for eye in "ab"
+        for kind in ("fine", "uv")
+    }
+    fine_a, fine_b = torch.rand(1, 32, 40, 60), torch.rand(1, 32, 44, 70)
+    uv_a, uv_b = torch.rand(1, 17, 2) * 200, torch.rand(1, 17, 2) * 200
+    torch.onnx.export(
+        graph, (fine_a, uv_a, fine_b, uv_b), path, opset_version=OPSET, dynamo=True,
+        external_data=False, input_names=["fine_a", "uv_a", "fine_b", "uv_b"],
+        output_names=["offset", "sigma"], dynamic_shapes=shapes,
+    )  # fmt: skip
+
+
+def quantise(fp32: Path, int8: Path, clips: Clips) -> None:
+    """Static, weights a channel, convolutions alone: sums, norms and sampling stay in float."""
+    prepared = fp32.with_name(SCRATCH[0])
+    quant_pre_process(fp32, prepared, skip_symbolic_shape=True)
+    quantize_static(
+        prepared, int8, _Calibration(pictures(clips, CALIBRATION_PICTURES, seed=1)),
+        quant_format=QuantFormat.QDQ, op_types_to_quantize=["Conv"], per_channel=True,
+        activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8, reduce_range=False,
+        calibrate_method=CalibrationMethod.Percentile,
+        extra_options={"CalibPercentile": 99.99},
+    )  # fmt: skip
+    prepared.unlink()
+
+
+def golden(encoder: EncoderGraph, refine: RefineGraph, clips: Clips) -> dict[str, np.ndarray]:
+    """Two cases a role, of unlike shape, from torch in float32."""
+    random = np.random.default_rng(2)
+    out: dict[str, np.ndarray] = {}
+    for case, (views, height, width) in GOLDEN_SIZES.items():
+        grey = clips.draw(random)["grey"][:views]
+        tiled = np.tile(grey, (1, 1, 2))[:, :height, :width]
+        shown = np.stack([tiled] * 3, -1)
+        image = torch.from_numpy(tiled).float()[:, None] / 255
+        with torch.no_grad():
+            coarse, reliability, fine, place = encoder(image)
+            points = torch.from_numpy(random.uniform(4, 60, (1, 20 + views, 2))).float()
+            near = points + torch.from_numpy(random.normal(0, 3, points.shape)).float()
+            offset, sigma = refine(fine[:1], points, fine[1:2], near)
+        out[f"encoder/{case}/pictures"] = shown
+        for name, value in zip(("coarse", "reliability", "fine", "place"), (coarse, reliability, fine, place), strict=True):
+            out[f"encoder/{case}/out/{name}"] = value.numpy()
+        inputs = {"fine_a": fine[:1], "uv_a": points, "fine_b": fine[1:2], "uv_b": near}
+        out |= {f"refine/{case}/in/{name}": value.numpy() for name, value in inputs.items()}
+        out |= {f"refine/{case}/out/offset": offset.numpy(), f"refine/{case}/out/sigma": sigma.numpy()}
+    return out
+
+
+def write_manifest(folder: Path, int8_encoder: bool) -> None:
+    """manifest.toml with the hashes of what lies in the folder."""
+
+    def entry(file: str) -> str:
+        digest = hashlib.sha256((folder / file).read_bytes()).hexdigest()
+        return f'{{ file = "{file}", sha256 = "{digest}" }}'
+
+    int8 = ["int8 = " + entry("encoder.int8.onnx")] if int8_encoder else []
+    lines = [
+        "format = 1", 'name = "calm-geo"', 'kind = "bundle"', 'license = "LICENSE"',
+        'source = "trained by train/ on random worlds"', "", "[graphs.encoder]",
+        "fp32 = " + entry("encoder.onnx"), *int8, 'inputs = ["image"]',
+        'outputs = ["coarse", "reliability", "fine", "place"]', "", "[graphs.refine]",
+        "fp32 = " + entry("refine.onnx"),
+        *(["int8 = " + entry("refine.onnx")] if int8_encoder else []),
+        'inputs = ["fine_a", "uv_a", "fine_b", "uv_b"]', 'outputs = ["offset", "sigma"]', "",
+        "[input]", 'name = "image"', 'layout = "NCHW"', 'channels = "gray"',
+        'resize = "longest"', "size_px = 640", "multiple = 16", "",
+        "[frames]", "min = 1", "max = 64", "dynamic = true", "",
+        "[golden]", f'sha256 = "{hashlib.sha256((folder / "golden.npz").read_bytes()).hexdigest()}"',
+        "int8 = 0.3", "scene = false",
+    ]  # fmt: skip
+    (folder / "manifest.toml").write_text("\n".join(lines) + "\n")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--checkpoint", type=Path, required=True)
+    parser.add_argument("--clips", type=Path, default=Path("build/clips"))
+    parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parent.parent)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    model = Model()
+    model.load_state_dict(torch.load(arguments.checkpoint, map_location="cpu")["model"])
+    model.eval()
+    clips = Clips(arguments.clips, most=8)
+    clips.refresh()
+    encoder = EncoderGraph(model.encoder, learned_place(model.encoder, clips)).eval()
+    refine = RefineGraph(model.refine).eval()
+    export_encoder(encoder, arguments.out / "encoder.onnx")
+    export_refine(refine, arguments.out / "refine.onnx")
+    quantise(arguments.out / "encoder.onnx", arguments.out / "encoder.int8.onnx", clips)
+    np.savez_compressed(arguments.out / "golden.npz", **golden(encoder, refine, clips))
+    write_manifest(arguments.out, int8_encoder=True)
+    for path in sorted(arguments.out.glob("*.onnx")):
+        onnxruntime.InferenceSession(path)
+        print(f"{path.name}: {path.stat().st_size / 2**20:.2f} MiB")
+
+
+if __name__ == "__main__":
+    main()
