@@ -132,6 +132,11 @@ class Camera(Protocol):
         ...
 
     @property
+    def remarks(self) -> Sequence[str]:
+        """What the camera does not do as asked, a line each; grows, and no line comes twice."""
+        ...
+
+    @property
     def connected(self) -> bool:
         """False while the device is gone."""
         ...

@@ -192,9 +192,11 @@ def record(arguments: argparse.Namespace, notifier: Notifier) -> int:
         number: signal.signal(number, lambda *_: capture.request_stop())
         for number in (signal.SIGINT, signal.SIGTERM)
     }
+    reasons: tuple[str, ...] = ()
     try:
         result = capture.run()
-    except (CalmEdgeError, DeviceError):
+    except (CalmEdgeError, DeviceError) as error:
+        reasons = (str(error),)
         if out is not None and out != arguments.out and not any(desk.result.frames):
             # a service without cameras tries again every few seconds: no empty drive each time
             shutil.rmtree(out, ignore_errors=True)
@@ -202,7 +204,8 @@ def record(arguments: argparse.Namespace, notifier: Notifier) -> int:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        if port is not None:
+        if port is not None and publisher is not None:
+            publisher.last_words(reasons, source.clock.now_ns())
             port.stop()
     assert out is not None
     return report(result, out)

@@ -8,7 +8,9 @@ import os
 import signal
 import time
 import traceback
+from contextlib import suppress
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -31,6 +33,9 @@ from calm_edge.localizer import Localizer
 from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
 from calm_edge.recording.window_record import of_window
 from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
+
+# of -1000 (never) to 1000 (first); the capture process has that of its unit, as a rule 0
+OOM_SCORE_ADJ = "500"
 
 
 class EstimatorWork:
@@ -86,11 +91,21 @@ class EstimatorWork:
         return dataclasses.replace(update, prediction=prediction, stage_ms=stage_ms)
 
 
+def _offer_itself() -> None:
+    """Where memory runs out the kernel ends this process first: it is started again, while what
+    the capture process has not yet written would be gone. Children inherit it.
+    """
+    # another system has no such file, and some containers do not let it be written
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE_ADJ, encoding="ascii")
+
+
 def run_estimator(connection: Connection, config: Config, lockstep: bool) -> None:
     """The process's main function; in lockstep every window waits for the joint optimum."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # a window may wait, a frame and its pose may not
     os.nice(10)
+    _offer_itself()
     # what it skips is said by capture, once, and logged into the recording
     logging.basicConfig(level=logging.ERROR)
     cv2.setNumThreads(1)

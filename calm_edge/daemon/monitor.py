@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
+from calm_edge.daemon.camera_notes import CameraNotes
 from calm_edge.daemon.estimator_link import LAGGING_WINDOWS
 from calm_edge.daemon.health import Health
 from calm_edge.daemon.ladder import Ladder, Load, Shed
@@ -49,6 +50,7 @@ class Monitor:
         self._thermal: ThermalWatch | None = None
         self._ladder = Ladder(degrade, depth=desk.config.recording.log_depth)
         self._threads: Sequence[CameraThread] = ()
+        self._notes = CameraNotes(desk, ())
         self._looked_s = time.monotonic()
         self._loop_ms = {"frames": 0.0, "poses": 0.0}
         self.lateness = LatenessMeter()
@@ -58,6 +60,8 @@ class Monitor:
     def watch(self, threads: Sequence[CameraThread]) -> None:
         """The cameras of this run, the primary first, and from now on the temperature."""
         self._threads = threads
+        self._notes = CameraNotes(self._desk, [t.camera for t in threads])
+        self._notes.look()
         reader = ThermalReader(Path(self._desk.config.degrade.thermal_root))
         self._thermal = ThermalWatch(reader, PERIOD_S)
 
@@ -66,6 +70,9 @@ class Monitor:
         if self._thermal is not None:
             self._thermal.stop()
         self._stand(advance(self.standing.state, Conditions(stopping=True)))
+        if self._desk.publisher is not None:
+            # nobody may come by for a while: what is left to do can be a window
+            self._desk.publisher.publish(None, self._desk.source.clock.now_ns())
         self._notifier.stopping()
         self._notifier.status(str(self.standing), self.standing.state.value)
         self._desk.recording.write_log(logging.INFO, str(self.standing), "state")
@@ -87,6 +94,7 @@ class Monitor:
             return
         self._looked_s = now_s
         thermal = self._thermal.latest if self._thermal is not None else Thermal()
+        self._notes.look()
         self._climb(now_s, thermal)
         standing = advance(self.standing.state, self._conditions(ticks_late))
         changed = standing.state is not self.standing.state

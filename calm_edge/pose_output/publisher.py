@@ -105,6 +105,12 @@ class PosePublisher:
         """What the daemon is doing and why; until it is said, the pose's own state is told."""
         self._reported = state, reasons
 
+    def last_words(self, reasons: tuple[str, ...], now_ns: int) -> None:
+        """Nothing follows: the state with a heartbeat of its own, and why if there is a reason."""
+        self.report("STOPPING", reasons)
+        self._next_heartbeat_ns = now_ns
+        self.publish(None, now_ns)
+
     def publish(self, sample: PoseSample | None, now_ns: int) -> None:
         """To be called every tick, with a sample if there is a new one; sends what is due."""
         if sample is not None:

@@ -35,7 +35,7 @@ class SegmentChain:
         on_error: Callable[[str], None],
         root: Path | None = None,
     ) -> None:
-        self._folder, self._config, self._metadata = folder, config, metadata
+        self._folder, self._config, self._metadata = folder, config, dict(metadata)
         self._now_ns, self._write, self._on_error = now_ns, write, on_error
         self._room = Room(folder, config, root)
         self._segment: Segment | None = None
@@ -75,6 +75,16 @@ class SegmentChain:
                 self._segment.write(message, time.monotonic_ns())
             except OSError as error:
                 self.fail(_reason(error))
+
+    def describe(self, name: str, values: dict[str, str]) -> None:
+        """Metadata into the segment and into each that follows."""
+        self._metadata[name] = values
+        if self._segment is None:
+            return
+        try:
+            self._segment.describe(name, values)
+        except OSError as error:
+            self.fail(_reason(error))
 
     def settle(self) -> None:
         """Into the file and on its way to the disk; then ends a segment that is long enough, or
@@ -142,11 +152,19 @@ class SegmentChain:
         return dropped
 
     def _begin(self) -> Segment:
-        chunk_bytes = self._config.chunk_bytes
-        segment = Segment(self._folder, self._number, chunk_bytes, self._metadata, self._write)
+        try:
+            segment = self._next_segment()
+        except FileExistsError:
+            # an earlier try failed, and so did removing what it left: that is not the fault to tell
+            self._number += 1
+            segment = self._next_segment()
         self._number += 1
         self._opened_at = time.monotonic()
         return segment
+
+    def _next_segment(self) -> Segment:
+        chunk_bytes = self._config.chunk_bytes
+        return Segment(self._folder, self._number, chunk_bytes, self._metadata, self._write)
 
     def _look(self) -> bool:
         """Whether the disk has room for more; says what was removed for it."""

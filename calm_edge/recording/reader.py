@@ -72,6 +72,15 @@ class Recording:
         """What was said of the session: version, backbone, boot_id, cameras ..."""
         return self._metadata(schema.SESSION_METADATA)
 
+    def cameras(self, eye: Eye) -> dict[str, Any]:
+        """What the camera of an eye settled on at last, or nothing."""
+        text = self._metadata(schema.CAMERAS_METADATA, last=True).get(eye.name.lower(), "{}")
+        try:
+            found = json.loads(text)
+        except (ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
     @property
     def config(self) -> Config:
         """The effective configuration of the recording; raises RecordingError."""
@@ -145,12 +154,9 @@ class Recording:
         for _, data in self._messages(topic):
             yield json.loads(data)
 
-    def _metadata(self, name: str) -> dict[str, str]:
-        for index in self._segments:
-            for found in index.metadata:
-                if found.name == name:
-                    return dict(found.metadata)
-        return {}
+    def _metadata(self, name: str, *, last: bool = False) -> dict[str, str]:
+        named = [m for index in self._segments for m in index.metadata if m.name == name]
+        return dict(named[-1 if last else 0].metadata) if named else {}
 
     def _places(self, topic: str) -> Iterator[_Place]:
         expected = schema.topic_schema(topic).name

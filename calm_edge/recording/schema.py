@@ -46,6 +46,7 @@ HEALTH = "/health"
 
 CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
+CAMERAS_METADATA = "calm_edge.cameras"
 
 _PROTOBUF: dict[str, Any] = {
     **dict.fromkeys(IMAGE_TOPICS.values(), CompressedImage),

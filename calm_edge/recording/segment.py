@@ -123,6 +123,12 @@ class Segment:
         if self._sink.position != before:
             self._keep()
 
+    def describe(self, name: str, values: Mapping[str, str]) -> None:
+        """Metadata, in the file at once."""
+        self.flush()
+        self._writer.add_metadata(name, dict(values))
+        self._keep()
+
     def flush(self) -> None:
         """All that was written is in the file: a kill does not cost it, a power cut may."""
         self._writer.flush()

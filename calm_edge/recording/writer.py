@@ -144,6 +144,16 @@ class RecordingWriter:
         now, copy = self._now_ns(), dict(status)
         self._mailbox.put(lambda: [schema.json_message(topic, now, copy)], 2048, False)
 
+    def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Text about this session, new or changed: of one name the last holds."""
+        copy = dict(values)
+
+        def describe() -> list[LogMessage]:
+            self._chain.describe(name, copy)
+            return []
+
+        self._mailbox.put(describe, 512, False)
+
     def close(self) -> WriterHealth:
         """Write what is queued, finish the segment; returns the last health. Idempotent."""
         self._mailbox.close()

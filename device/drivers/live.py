@@ -56,7 +56,7 @@ class LiveCamera(ABC):
         self._heard_ns = 0
         self._sequence_offset = 0
         self._needs_offset = False
-        self._said: set[str] = set()
+        self._remarks: tuple[str, ...] = ()
         self._stream = Stream()
 
     @abstractmethod
@@ -79,6 +79,11 @@ class LiveCamera(ABC):
     @abstractmethod
     def settings(self) -> Mapping[str, int | float | str]:
         """What the device settled on, read back when it was last opened or locked."""
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the device does not do as asked, since start()."""
+        return self._remarks
 
     @property
     def connected(self) -> bool:
@@ -120,11 +125,10 @@ class LiveCamera(ABC):
         """The counts so far."""
         return self._stream.stats
 
-    def _say(self, line: str) -> None:
+    def _remark(self, line: str) -> None:
         """Once, however often the camera comes back."""
-        if line not in self._said:
-            self._said.add(line)
-            log.warning("%s", line)
+        if line not in self._remarks:
+            self._remarks += (line,)
 
     def _connect(self) -> None:
         self._open()

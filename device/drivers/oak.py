@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from device.camera import AUTO_THEN_LOCK, LOCK, CameraControls, CameraSpec, FoundCamera
+from device.camera import AUTO, AUTO_THEN_LOCK, LOCK, CameraControls, CameraSpec, FoundCamera
 from device.clock import NS_PER_S, Clock
 from device.drivers.live import LiveCamera, Taken
 from device.drivers.oak_rig import Factory, Pipeline, Queue, Wanted, shared
@@ -150,7 +150,9 @@ class OakCamera(LiveCamera):
 
     @property
     def settings(self) -> dict[str, int | float | str]:
-        """Device and format; exposure, gain, white balance and lens as the newest frame tells."""
+        """Device and format; of exposure, gain, white balance and lens what is held, as the newest
+        frame tells it.
+        """
         if self._pipeline is None:
             return {}
         asked = self._wanted
@@ -161,7 +163,10 @@ class OakCamera(LiveCamera):
             "height_px": asked.height_px,
             "rate_hz": asked.rate_hz,
         }
-        return told if self._newest is None else told | read_back(self._newest)
+        found = {} if self._newest is None else read_back(self._newest)
+        wanted = dataclasses.asdict(asked.controls)
+        moving = AUTO, AUTO_THEN_LOCK
+        return told | {k: AUTO if wanted[k] in moving else v for k, v in found.items()}
 
     def _open(self) -> None:
         try:

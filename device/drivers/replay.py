@@ -84,6 +84,11 @@ class ReplayCamera:
         return {}
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """None: nothing was asked of it."""
+        return ()
+
+    @property
     def connected(self) -> bool:
         """False inside the disconnect interval."""
         if not (self._running and self._paced and self._origin_ns is not None):

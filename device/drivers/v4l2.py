@@ -54,12 +54,12 @@ class V4l2Camera(LiveCamera):
             "rate_hz": round(device.rate_hz, 3),
         }
         if 0 < device.rate_hz < 0.99 * spec.rate_hz:
-            self._say(
+            self._remark(
                 f"{spec.name}: gives {device.rate_hz:g} Hz, not {spec.rate_hz:g}, as {got.fourcc} "
                 f"at {got.width_px}x{got.height_px}; a smaller size may be faster"
             )
         for remark in self._keeper.remarks:
-            self._say(remark)
+            self._remark(remark)
 
     def _close(self) -> None:
         device, self._device = self._device, None
@@ -73,6 +73,8 @@ class V4l2Camera(LiveCamera):
             self._device.settle()
         except OSError as error:
             raise explain(self.spec.name, error) from None
+        for remark in self._keeper.remarks:
+            self._remark(remark)
         return True
 
     def _take(self, timeout_s: float) -> Taken | None:

@@ -16,6 +16,7 @@ from calm_edge.recording.health import WriterHealth
 from device.camera import CameraStats
 from device.camera_thread import CameraState
 from device.clock import ManualClock
+from device.frame import Eye
 
 S = 10**9
 
@@ -30,6 +31,8 @@ class Heard:
         self.messages: list[dict[str, Any]] = []
         self.logged: list[str] = []
         self.states: list[str] = []
+        self.told: list[str] = []
+        self.described: list[dict[str, str]] = []
         self.health = WriterHealth("", 0, 0, 0, 0, 0.0, 0.0)
 
     def status(self, text: str, state: str = "") -> None:
@@ -45,13 +48,24 @@ class Heard:
     def write_log(self, level: int, text: str, name: str) -> None:
         self.logged.append(text)
 
+    def write_metadata(self, name: str, values: dict[str, str]) -> None:
+        assert name == "calm_edge.cameras"
+        self.described.append(values)
+
+    def publish(self, sample: None, now_ns: int) -> None:
+        self.told.append(self.states[-1])
+
     def report(self, state: str, reasons: tuple[str, ...]) -> None:
         self.states.append(state)
 
 
-def camera(name: str) -> SimpleNamespace:
+def camera(name: str, eye: Eye) -> SimpleNamespace:
     inner = SimpleNamespace(
-        spec=SimpleNamespace(name=name), connected=True, stats=lambda: CameraStats(drops=2)
+        spec=SimpleNamespace(name=name, eye=eye),
+        connected=True,
+        stats=lambda: CameraStats(drops=2),
+        settings={"gain": "auto"},
+        remarks=(),
     )
     return SimpleNamespace(
         camera=inner, state=CameraState.RUNNING, error=None, overflow=1, waiting=0
@@ -66,6 +80,7 @@ class Scene:
         self.clock, self.heard = ManualClock(100 * S), Heard()
         self.result = RecordResult(frames=[10, 10])
         self.left_out: list[Shed] = []
+        self.said: list[str] = []
         self.estimator = SimpleNamespace(
             waiting=0, given_up=False, left_to_map=[], lost=[], unsolved=[]
         )
@@ -81,10 +96,13 @@ class Scene:
             shed=Shed.NOTHING,
             live_ns=100 * S,
             frame_ns=[100 * S, 100 * S],
-            say=lambda text: None,
+            say=self.said.append,
         )
         self.monitor = Monitor(self.desk, self.heard)  # type: ignore[arg-type]
-        self.cameras = [camera("primary camera x"), camera("assistant camera y")]
+        self.cameras = [
+            camera("primary camera x", Eye.PRIMARY),
+            camera("assistant camera y", Eye.ASSISTANT),
+        ]
         self.monitor.watch(self.cameras)  # type: ignore[arg-type]
 
     def look(self, ticks_late: bool = False) -> str:
@@ -122,6 +140,30 @@ def test_a_drive_from_its_start_to_its_end(scene: Scene) -> None:
     assert [text.split()[0].rstrip(":") for text in scene.heard.logged] == [
         "RUNNING", "LOST", "LAGGING", "STOPPING"
     ]  # fmt: skip
+    # what follows may be a long window: the line hears of the end at once
+    assert scene.heard.told == ["STOPPING"]
+
+
+def test_the_cameras_settings_are_noted_at_once_and_when_they_change(scene: Scene) -> None:
+    auto = '{"gain": "auto"}'
+    assert scene.heard.described == [{"primary": auto, "assistant": auto, "since_ns": str(100 * S)}]
+    scene.look()
+    assert len(scene.heard.described) == 1
+    scene.clock.advance(S)
+    scene.cameras[0].camera.settings = {"gain": 7}
+    # a camera that is gone has no settings
+    scene.cameras[1].camera.settings = {}
+    scene.look()
+    assert scene.heard.described[1:] == [
+        {"primary": '{"gain": 7}', "assistant": auto, "since_ns": str(101 * S)}
+    ]
+
+
+def test_what_a_camera_does_not_do_as_asked_is_said_once(scene: Scene) -> None:
+    scene.cameras[1].camera.remarks = ("assistant camera y: has no gain, it stays as it is",)
+    scene.look()
+    scene.look()
+    assert scene.said == ["assistant camera y: has no gain, it stays as it is"]
 
 
 def test_what_is_missing_is_named(scene: Scene) -> None:

@@ -22,10 +22,13 @@ class Killer:
     def __init__(self, after: int) -> None:
         self.after = after
         self.killed = 0
+        self.first_to_go = 0
 
     def __call__(self, desk: Switchboard, _: str) -> None:
         if not self.killed and desk.result.submaps >= self.after:
             self.killed = desk.estimator.child.pid
+            adjusted = Path(f"/proc/{self.killed}/oom_score_adj")
+            self.first_to_go = int(adjusted.read_text(encoding="ascii"))
             # as if it died over a window that it had in hand
             os.kill(self.killed, signal.SIGKILL)
 
@@ -36,6 +39,8 @@ def test_a_killed_estimator_costs_no_frame_and_map_makes_it_good(tmp_path: Path)
     out = tmp_path / "rec"
     result, said = record(drive, out, lockstep=False, during=killer)
     assert killer.killed and result.estimator_restarts == 1
+    own = int(Path("/proc/self/oom_score_adj").read_text(encoding="ascii"))
+    assert killer.first_to_go == 500 > own
     assert any("estimator died" in line and "recording goes on" in line for line in said)
     assert result.frames == [N, N] and result.unrecorded == 0
     assert any("map mends it" in line for line in result.losses())

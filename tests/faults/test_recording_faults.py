@@ -136,6 +136,35 @@ def test_a_full_or_failing_disk_is_told_outlived_and_costs_nothing_that_fits_the
     assert sum(p.suffix == ".part" for p in tmp_path.iterdir()) == 1
 
 
+def test_a_disk_that_lets_nothing_be_removed_is_told_by_its_own_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(10**9)
+    writer = RecordingWriter(tmp_path, samples.config(flush_s=0.05), write=disk)
+    writer.write_frame(samples.frame(Eye.PRIMARY, 0))
+    until(lambda: Recording(tmp_path).count("/primary/image") == 1)
+    tries: list[Path] = []
+
+    def stuck(path: Path, missing_ok: bool = False) -> None:
+        tries.append(path)
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", stuck)
+        disk.room, disk.error = 0, errno.EIO
+        errors = set()
+        while len(tries) < 4:
+            errors.add(writer.health.error)
+            time.sleep(0.01)
+        errors.add(writer.health.error)
+    assert all(os.strerror(errno.EIO) in text for text in errors if text)
+    disk.room = 10**9
+    until(lambda: writer.health.ok)
+    writer.write_frame(samples.frame(Eye.PRIMARY, 1))
+    writer.close()
+    assert [f.sequence for f in Recording(tmp_path).frames(Eye.PRIMARY)] == [0, 1]
+
+
 def test_closing_on_a_full_disk_returns_and_counts_the_loss(tmp_path: Path) -> None:
     disk = Disk(60_000)
     writer = RecordingWriter(tmp_path, samples.config(chunk_bytes=8192), write=disk)

@@ -283,6 +283,17 @@ def test_the_last_word_does_not_wait_its_turn() -> None:
     ]
 
 
+def test_the_last_words_say_why() -> None:
+    bench = Bench()
+    bench.publisher.report("RUNNING")
+    bench.at(0, None)
+    bench.publisher.last_words(("camera x: no such camera",), START + 10 * MS)
+    states = [m.system_status for m in bench.port.take("HEARTBEAT")]
+    assert states == [peer.MAV_STATE_ACTIVE, peer.MAV_STATE_POWEROFF]
+    said = bench.port.take("STATUSTEXT")[-1].text
+    assert said == "calm-edge stopping: camera x: no such camera"
+
+
 def asked(ts1: int, **changes: Any) -> bytes:
     """A request of an autopilot, as the wire has it."""
     request = Timesync(**{"tc1_ns": 0, "ts1_ns": ts1, **changes})

@@ -91,6 +91,24 @@ def test_log_and_status_come_back(tmp_path: Path) -> None:
     assert status == [{"state": "lagging", "frames": 7, "where": "x"}]
 
 
+def test_what_the_cameras_settled_on_is_in_every_segment_and_the_last_word_holds(
+    tmp_path: Path,
+) -> None:
+    with RecordingWriter(tmp_path, samples.config(segment_s=0.1, flush_s=0.02)) as writer:
+        writer.write_frame(samples.frame(Eye.PRIMARY, 0))
+        writer.write_metadata(schema.CAMERAS_METADATA, {"primary": '{"gain": "auto"}'})
+        until(lambda: (tmp_path / "0001.mcap.part").exists())
+        writer.write_metadata(schema.CAMERAS_METADATA, {"primary": '{"gain": 9}'})
+        writer.write_frame(samples.frame(Eye.PRIMARY, 1))
+        until(lambda: (tmp_path / "0002.mcap.part").exists())
+    assert Recording(tmp_path / "0000.mcap").cameras(Eye.PRIMARY) == {"gain": "auto"}
+    assert Recording(tmp_path / "0002.mcap").cameras(Eye.PRIMARY) == {"gain": 9}
+    whole = Recording(tmp_path)
+    assert whole.losses == [] and whole.cameras(Eye.PRIMARY) == {"gain": 9}
+    assert whole.cameras(Eye.ASSISTANT) == {}
+    assert [f.sequence for f in whole.frames(Eye.PRIMARY)] == [0, 1]
+
+
 def test_one_bad_item_costs_only_itself(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path, samples.config()) as writer:
         writer.write_frame(samples.frame(Eye.PRIMARY, 0))
