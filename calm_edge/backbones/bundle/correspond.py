@@ -22,24 +22,29 @@ RETURN_CELLS = 1.5
 # Below this the encoder itself says that a point is none to rely on.
 MIN_RELIABILITY = 0.05
 ROUNDS = 2
+# Input pixels: what features of this stride tell apart, whatever the network claims.
+MIN_SIGMA = 0.67
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """uv: (N, 2) px of the other picture. sure: (N,) there and back agree. sigma_px: (N,) an axis.
+    """uv: (N, 2) px of the other picture, the best there is where not sure. sigma_px: (N,) an axis.
 
-    uv holds the best there is where not sure.
+    sure: (N,) there and back agree. measured: (N,) on the pictures themselves as well, and both
+    agree.
     """
 
     uv: Float32
     sure: Bool
     sigma_px: Float32
+    measured: Bool
 
 
 def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:
     """Points uv (N, 2) px of a's picture in b's; raises BackboneError."""
     if len(uv) == 0:
-        return Found(uv, np.zeros(0, bool), np.zeros(0, np.float32))
+        none = np.zeros(0, bool)
+        return Found(uv, none, np.zeros(0, np.float32), none)
     uv_a = a.to_input(uv)
     query = sampled(a.coarse, uv_a)
     cells, guess = _best(query, b.coarse)
@@ -53,7 +58,9 @@ def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:
         guess, sigma = net.refined(a, uv_a, b, guess)
     width, height = b.fit.input
     sure &= (guess >= 0).all(1) & (guess <= np.array([width - 1, height - 1])).all(1)
-    return Found(b.to_picture(guess), sure, np.asarray(sigma * b.pixel, np.float32))
+    sigma_px = np.maximum(sigma, MIN_SIGMA) * b.pixel
+    none = np.zeros(len(uv), bool)
+    return Found(b.to_picture(guess), sure, np.asarray(sigma_px, np.float32), none)
 
 
 def sampled(maps: Float32, uv: Float32) -> Float32:

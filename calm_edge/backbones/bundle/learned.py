@@ -6,6 +6,7 @@ turned or zoomed against each other, one is warped to look like the other, and r
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -16,23 +17,18 @@ from numpy.typing import NDArray
 from calm_edge.backbones.bundle.correspond import Bool, Found, find
 from calm_edge.backbones.bundle.features import FeatureNet, LearnedPlace
 from calm_edge.backbones.bundle.tracks import MATCHING, detect_corners
-from calm_edge.geometry.flow import Gray, LucasKanade, follow, neighbouring_flow
+from calm_edge.geometry.flow import Gray, follow, neighbouring_flow
 from calm_edge.types import Float, Float32
 
-# From a guess this good the upper levels of the pyramid only lead astray.
-FINISH = LucasKanade(
-    window_px=17, levels=1, iterations=30, step_px=0.01, backward_levels=1, backward_px=0.5,
-    margin_px=2.0,
-)  # fmt: skip
-# Of what Lucas-Kanade measures; of what the features alone placed, their own claim counts.
+# Of what Lucas-Kanade measures where the features agree.
 MEASURED_PX = 0.4
-# Lucas-Kanade that leaves the guess by more sigmas, or input pixels, found something else.
-MAX_SIGMAS, MAX_MOVE = 4.0, 3.0
-# Features alone are believed where they claim to be this good.
-MAX_SIGMA_PX = 1.5
+# Lucas-Kanade that leaves the features' place by more sigmas found something else.
+MAX_SIGMAS = 3.0
+# What neighbours alone led to, and what the features alone placed.
+UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
 # Turned or zoomed by less, patches are alike as they are.
 SAME_TURN_RAD, SAME_ZOOM = 0.07, 0.12
-MIN_FOR_WARP, MIN_ZOOM = 12, 0.2
+MIN_FOR_WARP, WARP_SHARE, MIN_ZOOM = 12, 0.3, 0.2
 WARP_INLIER = 0.03  # of the picture's width: parallax stays outside of the homography
 # With fewer sure matches, other turns and zooms of the second picture are tried.
 ENOUGH_SURE = 0.35
@@ -47,7 +43,8 @@ class LearnedMatching:
 
     def along(self, source: Gray, target: Gray, uv: Float32) -> Found:
         """See tracks.Matching; raises BackboneError."""
-        return finished(source, target, uv, _found(self.net, source, target, uv))
+        found = _found(self.net, source, target, uv)
+        return _twice_seen(finished(source, target, uv, found))
 
     def homography(self, primary: Gray, assistant: Gray) -> Float | None:
         """See tracks.Matching; raises BackboneError."""
@@ -56,34 +53,51 @@ class LearnedMatching:
 
     def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Found:
         """See tracks.Matching; raises BackboneError."""
-        alike = warped(assistant, H_a_p, primary)
-        found = finished(primary, alike, uv, _found(self.net, primary, alike, uv))
-        return _through(found, H_a_p, assistant)
+        return _twice_seen(self._across(primary, assistant, H_a_p, uv))
 
     def match(self, a: Gray, b: Gray, uv: Float32) -> Found:
-        """Points uv (N, 2) px of any picture in any other; raises BackboneError."""
+        """Points uv (N, 2) px of any picture in any other; raises BackboneError.
+
+        Their sigma says how they were found; `measured` are those to build on.
+        """
         found = _any_way_up(self.net, a, b, uv)
         H_b_a = homography(uv, found, a.shape[1])
-        if H_b_a is None or _alike(H_b_a, uv[found.sure].mean(0)):
-            return finished(a, b, uv, found)
-        return self.across(a, b, H_b_a, uv)
+        return finished(a, b, uv, found) if H_b_a is None else self._across(a, b, H_b_a, uv)
+
+    def _across(self, a: Gray, b: Gray, H_b_a: Float, uv: Float32) -> Found:
+        if _alike(H_b_a, np.array(a.shape[::-1]) / 2):
+            return finished(a, b, uv, _found(self.net, a, b, uv))
+        seen = warped(b, H_b_a, a)
+        return _through(finished(a, seen, uv, _found(self.net, a, seen, uv)), H_b_a, b)
 
 
 def finished(a: Gray, b: Gray, uv: Float32, found: Found) -> Found:
-    """Matches of uv (N, 2) px, measured on pictures that are alike; neighbours help the rest."""
-    moved, ok = follow(a, b, uv, found.uv, FINISH)
-    near = np.maximum(MAX_SIGMAS * found.sigma_px, MAX_MOVE)
+    """Matches of uv (N, 2) px, measured on pictures that are alike.
+
+    Two witnesses: where Lucas-Kanade and the features disagree, neither is believed. Where the
+    features say nothing, Lucas-Kanade from what neighbours do may stand for itself, less sure; so
+    may they, where there is nothing to measure.
+    """
+    near = MAX_SIGMAS * found.sigma_px
+    moved, ok = follow(a, b, uv, found.uv, MATCHING)
     ok &= found.sure & (np.linalg.norm(moved - found.uv, axis=1) < near)
     rest = np.flatnonzero(~ok)
     start = uv + neighbouring_flow(uv, moved - uv, ok)
-    again, ok_again = follow(a, b, uv[rest], start[rest], MATCHING)
-    # a point the features are sure of is not where something else looks alike
-    again_near = np.linalg.norm(again - found.uv[rest], axis=1) < near[rest]
-    moved[rest], ok[rest] = again, ok_again & (again_near | ~found.sure[rest])
+    again, returned = follow(a, b, uv[rest], start[rest], MATCHING)
+    agree = np.linalg.norm(again - found.uv[rest], axis=1) < near[rest]
+    moved[rest], ok[rest] = again, returned & agree
+    led = np.zeros(len(uv), bool)
+    led[rest] = returned & ~agree & ~found.sure[rest]
     alone = found.sure & ~ok & (found.sigma_px < MAX_SIGMA_PX)
-    uv_b = np.where(ok[:, None], moved, found.uv)
-    sigma = np.where(ok, MEASURED_PX, np.maximum(found.sigma_px, MEASURED_PX))
-    return Found(np.asarray(uv_b, np.float32), ok | alone, np.asarray(sigma, np.float32))
+    sigma = np.select([ok, led], [MEASURED_PX, UNSUPPORTED_PX], found.sigma_px)
+    uv_b = np.where((ok | led)[:, None], moved, found.uv)
+    sure = ok | led | alone
+    return Found(np.asarray(uv_b, np.float32), sure, np.asarray(sigma, np.float32), ok)
+
+
+def _twice_seen(found: Found) -> Found:
+    """Only what is measured: wrong matches cost a bundle more than missing ones."""
+    return replace(found, sure=found.measured)
 
 
 def homography(uv: Float32, found: Found, width: int) -> Float | None:
@@ -91,8 +105,10 @@ def homography(uv: Float32, found: Found, width: int) -> Float | None:
     sure = found.sure
     if sure.sum() < MIN_FOR_WARP:
         return None
-    H, _ = cv2.findHomography(uv[sure], found.uv[sure], cv2.RANSAC, WARP_INLIER * width)
-    if H is None or not MIN_ZOOM < _zoom_and_turn(H, uv[sure].mean(0))[0] < 1 / MIN_ZOOM:
+    H, fits = cv2.findHomography(uv[sure], found.uv[sure], cv2.RANSAC, WARP_INLIER * width)
+    if H is None or fits.sum() < max(MIN_FOR_WARP, WARP_SHARE * sure.sum()):
+        return None
+    if not MIN_ZOOM < _zoom_and_turn(H, uv[sure].mean(0))[0] < 1 / MIN_ZOOM:
         return None
     return np.asarray(H, np.float64)
 
@@ -113,7 +129,7 @@ def _zoom_and_turn(H: NDArray[Any], at: NDArray[Any]) -> tuple[float, float]:
 
 def warped(b: Gray, H_b_a: Float, a: Gray) -> Gray:
     """b as a would show it."""
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpPerspective(b, H_b_a, a.shape[::-1], flags=flags), np.uint8)
 
 
@@ -153,7 +169,7 @@ def _through(found: Found, H_b_a: Float, b: Gray) -> Found:
     inside: Bool = (uv >= 0).all(1) & (uv <= np.array([width - 1, height - 1])).all(1)
     zoom = np.sqrt(abs(np.linalg.det(H_b_a[:2, :2])))
     sigma = np.asarray(found.sigma_px * zoom, np.float32)
-    return Found(np.asarray(uv, np.float32), found.sure & inside, sigma)
+    return Found(np.asarray(uv, np.float32), found.sure & inside, sigma, found.measured & inside)
 
 
 def matcher(name: str = "calm-geo") -> LearnedMatching:
