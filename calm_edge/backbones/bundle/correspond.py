@@ -16,7 +16,9 @@ from calm_edge.types import Float32, Int
 
 Bool = NDArray[np.bool_]
 
-STRIDE = 8
+STRIDE, FINE_STRIDE = 8, 4
+# Fine cells on each side of a guess that are looked at.
+RADIUS = 4
 # A match has to return within so many cells of its query.
 RETURN_CELLS = 1.5
 # Below this the encoder itself says that a point is none to rely on.
@@ -46,7 +48,7 @@ def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:
         none = np.zeros(0, bool)
         return Found(uv, none, np.zeros(0, np.float32), none)
     uv_a = a.to_input(uv)
-    query = sampled(a.coarse, uv_a)
+    query = sampled(a.coarse, uv_a, STRIDE)
     cells, guess = _best(query, b.coarse)
     columns_b = b.coarse.shape[1]
     there = b.coarse[cells // columns_b, cells % columns_b]
@@ -54,8 +56,11 @@ def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:
     sure = np.linalg.norm(back - uv_a, axis=1) < RETURN_CELLS * STRIDE
     sure &= _nearest(a.reliability, uv_a) > MIN_RELIABILITY
     sigma = np.full(len(uv), np.inf, np.float32)
+    fine = sampled(a.fine, uv_a, FINE_STRIDE)
+    here = correlations(a.fine, uv_a, fine)
     for _ in range(ROUNDS):
-        guess, sigma = net.refined(a, uv_a, b, guess)
+        offset, sigma = net.refined(correlations(b.fine, guess, fine), here)
+        guess = np.asarray(guess + offset, np.float32)
     width, height = b.fit.input
     sure &= (guess >= 0).all(1) & (guess <= np.array([width - 1, height - 1])).all(1)
     sigma_px = np.maximum(sigma, MIN_SIGMA) * b.pixel
@@ -63,10 +68,10 @@ def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:
     return Found(b.to_picture(guess), sure, np.asarray(sigma_px, np.float32), none)
 
 
-def sampled(maps: Float32, uv: Float32) -> Float32:
-    """Coarse map (h, w, C) bilinearly at uv (N, 2) px of the input -> (N, C) of unit length."""
+def sampled(maps: Float32, uv: Float32, stride: int) -> Float32:
+    """Map (h, w, C) bilinearly at uv (N, 2) px of the input -> (N, C) of unit length."""
     height, width = maps.shape[:2]
-    at = np.clip((uv + 0.5) / STRIDE - 0.5, 0, [width - 1, height - 1])
+    at = np.clip((uv + 0.5) / stride - 0.5, 0, [width - 1, height - 1])
     low = np.minimum(np.floor(at).astype(np.int64), [width - 2, height - 2])
     fx, fy = np.asarray(at - low, np.float32).T[:, :, None]
     x, y = low.T
@@ -74,6 +79,29 @@ def sampled(maps: Float32, uv: Float32) -> Float32:
     bottom = maps[y + 1, x] * (1 - fx) + maps[y + 1, x + 1] * fx
     out = top * (1 - fy) + bottom * fy
     return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True), np.float32)
+
+
+def correlations(fine: Float32, uv: Float32, query: Float32) -> Float32:
+    """Query features (N, C) with the 9 x 9 cells of a fine map (h, w, C) around uv (N, 2) px of the
+    input, rows first -> (N, 81).
+
+    A cosine is linear in the map, so cells are compared first and interpolated after.
+    """
+    height, width = fine.shape[:2]
+    at = (uv + 0.5) / FINE_STRIDE - 0.5
+    low = np.floor(at).astype(np.int64)
+    part = np.asarray(at - low, np.float32)
+    steps = np.arange(-RADIUS, RADIUS + 2)
+    x = np.clip(low[:, :1] + steps, 0, width - 1)
+    y = np.clip(low[:, 1:] + steps, 0, height - 1)
+    cells = fine.reshape(height * width, -1)[y[:, :, None] * width + x[:, None, :]]
+    side = len(steps)
+    likeness = (cells.reshape(len(uv), side * side, -1) @ query[:, :, None])[..., 0]
+    grid = likeness.reshape(len(uv), side, side)
+    fx, fy = part[:, :1, None], part[:, 1:, None]
+    rows = grid[:, :-1] * (1 - fy) + grid[:, 1:] * fy
+    mixed = rows[:, :, :-1] * (1 - fx) + rows[:, :, 1:] * fx
+    return np.asarray(mixed.reshape(len(uv), -1), np.float32)
 
 
 def _best(query: Float32, maps: Float32) -> tuple[Int, Float32]:

@@ -26,7 +26,8 @@ class Features:
     """Of one picture. Cell k of a map is centred on (k + 0.5) * stride - 0.5 px of the input.
 
     fit: how the picture lies in the input. coarse: (h8, w8, 64) of unit length a cell.
-    reliability: (h8, w8) in [0, 1]. fine: (1, 32, h4, w4). place: (256,) of unit length.
+    reliability: (h8, w8) in [0, 1]. fine: (h4, w4, 32) of unit length a cell. place: (256,) of
+    unit length.
     """
 
     fit: Fit
@@ -71,7 +72,7 @@ class FeatureNet:
         )
         self._refine = Session(
             manifest.graph_path("refine", precision),
-            needs_inputs=["fine_a", "uv_a", "fine_b", "uv_b", *refine.inputs],
+            needs_inputs=["there", "here", *refine.inputs],
             needs_outputs=["offset", "sigma", *refine.outputs],
         )
         self._kept: OrderedDict[bytes, Features] = OrderedDict()
@@ -116,19 +117,15 @@ class FeatureNet:
             fit,
             np.ascontiguousarray(out["coarse"][0].transpose(1, 2, 0), np.float32),
             np.asarray(out["reliability"][0, 0], np.float32),
-            np.asarray(out["fine"], np.float32),
+            np.ascontiguousarray(out["fine"][0].transpose(1, 2, 0), np.float32),
             np.asarray(out["place"][0], np.float32),
         )
 
-    def refined(
-        self, a: Features, uv_a: Float32, b: Features, uv_b: Float32
-    ) -> tuple[Float32, Float32]:
-        """Guesses uv_b for uv_a, (N, 2) px of the inputs -> better ones and their sigma (N,)."""
-        if len(uv_a) == 0:
-            return uv_b, np.zeros(0, np.float32)
-        inputs = {"fine_a": a.fine, "uv_a": uv_a[None], "fine_b": b.fine, "uv_b": uv_b[None]}
-        out = self._refine.run(inputs)
-        return np.asarray(uv_b + out["offset"], np.float32), np.asarray(out["sigma"], np.float32)
+    def refined(self, there: Float32, here: Float32) -> tuple[Float32, Float32]:
+        """Correlations (N, 81), see `correspond.correlations` -> offset (N, 2), sigma (N,), px of
+        the input; raises BackboneError."""
+        out = self._refine.run({"there": there, "here": here})
+        return np.asarray(out["offset"], np.float32), np.asarray(out["sigma"], np.float32)
 
 
 class LearnedPlace:

@@ -39,7 +39,9 @@ def _camera(random: np.random.Generator, hfov_deg: float) -> np.ndarray:
     height, width = SIZE
     focal = width / 2 / np.tan(np.radians(hfov_deg) / 2)
     off = random.uniform(-0.02, 0.02, 2) * width
-    return np.array([[focal, 0, (width - 1) / 2 + off[0]], [0, focal, (height - 1) / 2 + off[1]], [0, 0, 1]])
+    return np.array(
+        [[focal, 0, (width - 1) / 2 + off[0]], [0, focal, (height - 1) / 2 + off[1]], [0, 0, 1]]
+    )
 
 
 def _pose(rotation: Rotation, centre: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """From a checkpoint to the model folder: ONNX graphs, eight-bit encoder, golden values, manifest.
 
-    python export.py --checkpoint build/calm-geo/checkpoint.pt --clips build/clips --out ..
+python export.py --checkpoint build/calm-geo/checkpoint.pt --clips build/clips --out ..
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import torch
-from network import FINE_STRIDE, Encoder, Refine, correlations
+from network import FINE_STRIDE, WINDOW, Encoder, Refine, correlations
 from onnxruntime.quantization import (
     CalibrationDataReader,
     CalibrationMethod,
@@ -46,16 +46,15 @@ class EncoderGraph(nn.Module):
 
 
 class RefineGraph(nn.Module):
-    """fine_a, fine_b (1, 32, h, w); uv_a, uv_b (1, M, 2) px of the encoder's pictures -> offset
-    (M, 2) px to add to uv_b, sigma (M,) px an axis."""
+    """there, here (M, 81), as `network.correlations` gives them -> offset (M, 2) px to add to the
+    guess, sigma (M,) px an axis, both of the encoder's pictures."""
 
     def __init__(self, refine: Refine) -> None:
         super().__init__()
         self.refine = refine
 
-    def forward(self, fine_a: Tensor, uv_a: Tensor, fine_b: Tensor, uv_b: Tensor) -> tuple[Tensor, Tensor]:
-        there, here = correlations(fine_a, uv_a, fine_b, uv_b)
-        offset, log_sigma = self.refine(there[0], here[0])
+    def forward(self, there: Tensor, here: Tensor) -> tuple[Tensor, Tensor]:
+        offset, log_sigma = self.refine(there, here)
         return offset * FINE_STRIDE, torch.exp(log_sigma) * FINE_STRIDE
 
 
@@ -88,18 +87,12 @@ def export_encoder(graph: EncoderGraph, path: Path) -> None:
 
 
 def export_refine(graph: RefineGraph, path: Path) -> None:
-    points, dim = torch.export.Dim("points", min=1, max=100_000), torch.export.Dim
-    shapes = {
-        f"{kind}_{eye}": {1: points} if kind == "uv" else {2: dim(f"h_{eye}"), 3: dim(f"w_{eye}")}
-        for eye in "ab"
-        for kind in ("fine", "uv")
-    }
-    fine_a, fine_b = torch.rand(1, 32, 40, 60), torch.rand(1, 32, 44, 70)
-    uv_a, uv_b = torch.rand(1, 17, 2) * 200, torch.rand(1, 17, 2) * 200
+    points = torch.export.Dim("points", min=1, max=100_000)
     torch.onnx.export(
-        graph, (fine_a, uv_a, fine_b, uv_b), path, opset_version=OPSET, dynamo=True,
-        external_data=False, input_names=["fine_a", "uv_a", "fine_b", "uv_b"],
-        output_names=["offset", "sigma"], dynamic_shapes=shapes,
+        graph, (torch.rand(17, WINDOW), torch.rand(17, WINDOW)), path, opset_version=OPSET,
+        dynamo=True, external_data=False, input_names=["there", "here"],
+        output_names=["offset", "sigma"],
+        dynamic_shapes={"there": {0: points}, "here": {0: points}},
     )  # fmt: skip
 
 
@@ -130,22 +123,32 @@ def golden(encoder: EncoderGraph, refine: RefineGraph, clips: Clips) -> dict[str
             coarse, reliability, fine, place = encoder(image)
             points = torch.from_numpy(random.uniform(4, 60, (1, 20 + views, 2))).float()
             near = points + torch.from_numpy(random.normal(0, 3, points.shape)).float()
-            offset, sigma = refine(fine[:1], points, fine[1:2], near)
+            there, here = (c[0] for c in correlations(fine[:1], points, fine[1:2], near))
+            offset, sigma = refine(there, here)
         out[f"encoder/{case}/pictures"] = shown
-        for name, value in zip(("coarse", "reliability", "fine", "place"), (coarse, reliability, fine, place), strict=True):
+        for name, value in zip(
+            ("coarse", "reliability", "fine", "place"),
+            (coarse, reliability, fine, place),
+            strict=True,
+        ):
             out[f"encoder/{case}/out/{name}"] = value.numpy()
-        inputs = {"fine_a": fine[:1], "uv_a": points, "fine_b": fine[1:2], "uv_b": near}
-        out |= {f"refine/{case}/in/{name}": value.numpy() for name, value in inputs.items()}
-        out |= {f"refine/{case}/out/offset": offset.numpy(), f"refine/{case}/out/sigma": sigma.numpy()}
+        out |= {f"refine/{case}/in/there": there.numpy(), f"refine/{case}/in/here": here.numpy()}
+        out |= {
+            f"refine/{case}/out/offset": offset.numpy(),
+            f"refine/{case}/out/sigma": sigma.numpy(),
+        }
     return out
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def write_manifest(folder: Path, int8_encoder: bool) -> None:
     """manifest.toml with the hashes of what lies in the folder."""
 
     def entry(file: str) -> str:
-        digest = hashlib.sha256((folder / file).read_bytes()).hexdigest()
-        return f'{{ file = "{file}", sha256 = "{digest}" }}'
+        return f'{{ file = "{file}", sha256 = "{_digest(folder / file)}" }}'
 
     int8 = ["int8 = " + entry("encoder.int8.onnx")] if int8_encoder else []
     lines = [
@@ -155,11 +158,11 @@ def write_manifest(folder: Path, int8_encoder: bool) -> None:
         'outputs = ["coarse", "reliability", "fine", "place"]', "", "[graphs.refine]",
         "fp32 = " + entry("refine.onnx"),
         *(["int8 = " + entry("refine.onnx")] if int8_encoder else []),
-        'inputs = ["fine_a", "uv_a", "fine_b", "uv_b"]', 'outputs = ["offset", "sigma"]', "",
+        'inputs = ["there", "here"]', 'outputs = ["offset", "sigma"]', "",
         "[input]", 'name = "image"', 'layout = "NCHW"', 'channels = "gray"',
         'resize = "longest"', "size_px = 640", "multiple = 16", "",
         "[frames]", "min = 1", "max = 64", "dynamic = true", "",
-        "[golden]", f'sha256 = "{hashlib.sha256((folder / "golden.npz").read_bytes()).hexdigest()}"',
+        "[golden]", f'sha256 = "{_digest(folder / "golden.npz")}"',
         "int8 = 0.3", "scene = false",
     ]  # fmt: skip
     (folder / "manifest.toml").write_text("\n".join(lines) + "\n")

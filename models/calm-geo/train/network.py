@@ -101,7 +101,9 @@ def windows(features: Tensor, uv: Tensor) -> Tensor:
     return sample(features, around.reshape(b, -1, 2), FINE_STRIDE).reshape(b, n, WINDOW, -1)
 
 
-def correlations(fine_a: Tensor, uv_a: Tensor, fine_b: Tensor, uv_b: Tensor) -> tuple[Tensor, Tensor]:
+def correlations(
+    fine_a: Tensor, uv_a: Tensor, fine_b: Tensor, uv_b: Tensor
+) -> tuple[Tensor, Tensor]:
     """What `Refine` reads for queries uv_a and guesses uv_b, both (B, N, 2): two of (B, N, 81)."""
     query = F.normalize(sample(fine_a, uv_a, FINE_STRIDE), dim=2)[..., None]
     there = (windows(fine_b, uv_b) @ query)[..., 0]

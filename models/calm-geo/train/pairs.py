@@ -1,4 +1,4 @@
-"""Training pairs out of rendered clips: two views, as bad cameras would show them, and the truth."""
+"""Training pairs out of rendered clips: two views as bad cameras would show them, and the truth."""
 
 from __future__ import annotations
 
@@ -34,9 +34,15 @@ def degraded(grey: np.ndarray, random: np.random.Generator) -> np.ndarray:
     height, width = grey.shape
     x = grey.astype(np.float32) / 255
     if random.random() < 0.5:
-        shade = cv2.resize(random.uniform(0.5, 1.3, (3, 4)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC)
+        shade = cv2.resize(
+            random.uniform(0.5, 1.3, (3, 4)).astype(np.float32),
+            (width, height),
+            interpolation=cv2.INTER_CUBIC,
+        )
         x = x * shade
-    x = np.clip(x * random.uniform(0.45, 1.25) + random.uniform(-0.05, 0.1), 0, 1) ** random.uniform(0.6, 1.6)
+    x = np.clip(
+        x * random.uniform(0.45, 1.25) + random.uniform(-0.05, 0.1), 0, 1
+    ) ** random.uniform(0.6, 1.6)
     if random.random() < 0.5:
         x = cv2.GaussianBlur(x, (0, 0), random.uniform(0.3, 1.3))
     if random.random() < 0.2:
@@ -44,8 +50,15 @@ def degraded(grey: np.ndarray, random: np.random.Generator) -> np.ndarray:
         kernel = np.zeros((length, length), np.float32)
         angle = random.uniform(0, np.pi)
         half = (length - 1) / 2
-        ends = half + half * np.array([[-np.cos(angle), -np.sin(angle)], [np.cos(angle), np.sin(angle)]])
-        cv2.line(kernel, tuple(np.round(ends[0]).astype(int).tolist()), tuple(np.round(ends[1]).astype(int).tolist()), 1.0)
+        ends = half + half * np.array(
+            [[-np.cos(angle), -np.sin(angle)], [np.cos(angle), np.sin(angle)]]
+        )
+        cv2.line(
+            kernel,
+            tuple(np.round(ends[0]).astype(int).tolist()),
+            tuple(np.round(ends[1]).astype(int).tolist()),
+            1.0,
+        )
         x = cv2.filter2D(x, -1, kernel / kernel.sum())
     if random.random() < 0.15:
         x = x * random.uniform(0.08, 0.3)
@@ -60,12 +73,19 @@ def degraded(grey: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 
 def truth(
-    uv: np.ndarray, depth_a: np.ndarray, depth_b: np.ndarray, K_a: np.ndarray, K_b: np.ndarray,
+    uv: np.ndarray,
+    depth_a: np.ndarray,
+    depth_b: np.ndarray,
+    K_a: np.ndarray,
+    K_b: np.ndarray,
     T_b_a: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where whole pixels uv (N, 2) of a lie in b, (N, 2) px, and whether b sees them, (N,)."""  # fmt: skip
+    """Where whole pixels uv (N, 2) of a lie in b, (N, 2) px, and whether b sees them."""
     z = depth_a[uv[:, 1], uv[:, 0]].astype(np.float64)
-    p = np.c_[uv, np.ones(len(uv))] @ np.linalg.inv(K_a).T * z[:, None] @ T_b_a[:3, :3].T + T_b_a[:3, 3]
+    p = (
+        np.c_[uv, np.ones(len(uv))] @ np.linalg.inv(K_a).T * z[:, None] @ T_b_a[:3, :3].T
+        + T_b_a[:3, 3]
+    )
     ahead = p[:, 2] > 0.1
     q = p @ K_b.T
     uv_b = q[:, :2] / np.where(ahead, q[:, 2], 1)[:, None]
@@ -99,7 +119,9 @@ class Clips:
         return {name: value[k] for name, value in shard.items()}
 
 
-def _pair(clip: dict[str, np.ndarray], points: int, random: np.random.Generator) -> tuple[np.ndarray, ...]:
+def _pair(
+    clip: dict[str, np.ndarray], points: int, random: np.random.Generator
+) -> tuple[np.ndarray, ...]:
     i, j = random.choice(TEMPORAL if random.random() < 0.4 else ACROSS)
     a, b = clip["grey"][i], clip["grey"][j]
     height, width = a.shape

@@ -78,7 +78,9 @@ def squares(image: NDArray[np.uint8], random: np.random.Generator) -> Iterator[N
         side = int(min(height, width) * random.uniform(0.35, 1)) if min(height, width) > 512 else 0
         side = max(side, min(height, width, SIZE))
         y, x = random.integers(height - side + 1), random.integers(width - side + 1)
-        crop = cv2.resize(image[y : y + side, x : x + side], (SIZE, SIZE), interpolation=cv2.INTER_AREA)
+        crop = cv2.resize(
+            image[y : y + side, x : x + side], (SIZE, SIZE), interpolation=cv2.INTER_AREA
+        )
         detail = float(np.abs(cv2.Laplacian(crop, cv2.CV_32F)).mean())
         if crop.std() > MIN_SPREAD and detail > MIN_DETAIL:
             yield np.asarray(crop, np.uint8)

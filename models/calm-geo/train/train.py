@@ -42,7 +42,9 @@ def coarse_target(uv: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
     low = torch.minimum(cells.floor(), limit - 1).clamp(min=0)
     part = cells - low
     x, y = low.long().unbind(-1)
-    index = torch.stack([y * width + x, y * width + x + 1, (y + 1) * width + x, (y + 1) * width + x + 1], -1)
+    index = torch.stack(
+        [y * width + x, y * width + x + 1, (y + 1) * width + x, (y + 1) * width + x + 1], -1
+    )
     fx, fy = part.unbind(-1)
     share = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], -1)
     return index, share
@@ -69,7 +71,9 @@ def losses(model: Model, pairs: Pairs) -> tuple[Tensor, dict[str, float]]:
     # what nobody could see again says nothing about reliability, but what moves or mirrors does
     told = (pairs.seen | ~pairs.steady).float()
     claim = sample(reliability[:n], pairs.uv_a, COARSE_STRIDE)[..., 0].clamp(1e-4, 1 - 1e-4)
-    reliability_loss = (F.binary_cross_entropy(claim, right.float(), reduction="none") * told).sum() / told.sum()
+    reliability_loss = (
+        F.binary_cross_entropy(claim, right.float(), reduction="none") * told
+    ).sum() / told.sum()
     guess = pairs.uv_b + torch.randn_like(pairs.uv_b) * GUESS_NOISE_PX
     there, here = correlations(fine[:n], pairs.uv_a, fine[n:], guess)
     flat = pairs.seen.reshape(-1)
@@ -94,7 +98,9 @@ def losses(model: Model, pairs: Pairs) -> tuple[Tensor, dict[str, float]]:
 def _rate(step: int, minutes: float, began: float, peak: float) -> float:
     """Warm-up, then a cosine over the minutes given."""
     done = min(1.0, (time.monotonic() - began) / (60 * minutes))
-    return peak * min(1.0, (step + 1) / WARM_UP) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * done)))
+    return (
+        peak * min(1.0, (step + 1) / WARM_UP) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * done)))
+    )
 
 
 def main() -> None:

@@ -112,7 +112,7 @@ class _Builder:
         )  # fmt: skip
 
     def box(self, centre: Array, size: Array, yaw: float, square_m: float, **paint: object) -> None:
-        """The four sides and the top of a box standing on the ground; size: width, height, length."""
+        """Sides and top of a box standing on the ground; size: width, height, length."""
         c, s = np.cos(yaw), np.sin(yaw)
         x, z = np.array([c, 0, -s]), np.array([s, 0, c])
         up = np.array([0, -size[1], 0])
@@ -140,7 +140,9 @@ def random_scene(random: np.random.Generator, n_textures: int, device: torch.dev
     fine = torch.from_numpy(random.random((MASKS, 1, 24, 24))).float()
     size = (MASK_SIZE, MASK_SIZE)
     resized = torch.nn.functional.interpolate
-    blobs = resized(noise, size=size, mode="bicubic") + 0.6 * resized(fine, size=size, mode="bicubic")
+    blobs = resized(noise, size=size, mode="bicubic") + 0.6 * resized(
+        fine, size=size, mode="bicubic"
+    )
     masks = (blobs[:, 0] > 0.75).to(device)
     return Scene(
         corner, right, down, texture[:, 0].long(), repeats, offset, gain[:, 0], bias[:, 0],
@@ -202,10 +204,17 @@ def _street(b: _Builder) -> None:
                 np.array([0, height * 0.85, 0]), **leaves,
             )  # fmt: skip
         pole = uniform(0.1, 0.4)
-        b.add(at - np.array([pole / 2, height, 0]), np.array([pole, 0, 0]), np.array([0, height, 0]), square_m=1)
+        b.add(
+            at - np.array([pole / 2, height, 0]),
+            np.array([pole, 0, 0]),
+            np.array([0, height, 0]),
+            square_m=1,
+        )
     for _ in range(random.integers(0, 5)):
         moving = random.random() < 0.4
-        lane = uniform(-half, half) if moving else random.choice([-1, 1]) * uniform(half - 1, half + 2)
+        lane = (
+            uniform(-half, half) if moving else random.choice([-1, 1]) * uniform(half - 1, half + 2)
+        )
         size = np.array([uniform(1.5, 2.3), uniform(1.2, 2.8), uniform(3, 6)])
         speed = (ahead * uniform(-12, 14)) if moving else None
         centre = uniform(5, 50) * ahead + lane * across
@@ -235,16 +244,14 @@ def _chaos(b: _Builder) -> None:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """grey (H, W) in [0, 1]; depth (H, W) m, z, FAR_M in the sky; steady (H, W): static and no mirror."""
+    """grey (H, W) in [0, 1]; depth (H, W) z [m], FAR_M in the sky; steady (H, W): rests, no mirror."""
 
     grey: Tensor
     depth: Tensor
     steady: Tensor
 
 
-def _in_sight(
-    scene: Scene, T_w_c: Tensor, K: Tensor, size: tuple[int, int], t_s: float
-) -> Scene:
+def _in_sight(scene: Scene, T_w_c: Tensor, K: Tensor, size: tuple[int, int], t_s: float) -> Scene:
     """The scene without rectangles that lie wholly behind a side of the view."""
     at = scene.corner + scene.velocity * t_s
     across, down = scene.right, scene.down
