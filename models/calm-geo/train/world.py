@@ -244,7 +244,7 @@ def _chaos(b: _Builder) -> None:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """grey (H, W) in [0, 1]; depth (H, W) z [m], FAR_M in the sky; steady (H, W): rests, no mirror."""
+    """grey (H, W) in [0, 1]; depth (H, W) z in m, FAR_M in the sky; steady (H, W): it rests."""
 
     grey: Tensor
     depth: Tensor
