@@ -96,12 +96,16 @@ class FrameRange:
 
 @dataclass(frozen=True, slots=True)
 class PoseOutput:
-    """quaternion: component order, of `t_quat`. direction: what the numbers do to points."""
+    """quaternion: component order, of `t_quat`. direction: what the numbers do to points.
+
+    rotation: of matrices; nearest, if any 3x3 may come and the rotation nearest to it is meant.
+    """
 
     name: str
     encoding: Literal["t_quatxyzw_fovhw", "mat3x4", "mat4x4", "t_quat"]
     direction: Literal["world_to_camera", "camera_to_world"]
     quaternion: Literal["xyzw", "wxyz"] = "xyzw"
+    rotation: Literal["exact", "nearest"] = "exact"
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,8 @@ from calm_edge.types import Float
 
 # what float16 and quantised weights leave of orthogonality; a mirror or a scale is farther off
 MAX_NOT_A_ROTATION = 0.2
+# a matrix of rank one has no nearest rotation: it leaves a turn about its axis open
+MIN_STRETCH = 1e-6
 
 
 def poses(spec: PoseOutput, raw: NDArray[Any], views: int) -> Float:
@@ -29,7 +31,7 @@ def poses(spec: PoseOutput, raw: NDArray[Any], views: int) -> Float:
         T = _of_quaternions(of_views(spec.name, raw, views, (7,)), spec.quaternion)
     else:
         rows = 3 if spec.encoding == "mat3x4" else 4
-        T = _of_matrices(of_views(spec.name, raw, views, (rows, 4)))
+        T = _of_matrices(of_views(spec.name, raw, views, (rows, 4)), spec.rotation == "nearest")
     T_w_c = se3.inverse(T) if spec.direction == "world_to_camera" else T
     T_s_c = se3.inverse(T_w_c[0]) @ T_w_c
     T_s_c[0] = np.eye(4)
@@ -45,10 +47,19 @@ def _of_quaternions(values: Float, order: str) -> Float:
     return se3.compose(rotation.as_matrix(), values[:, :3])
 
 
-def _of_matrices(values: Float) -> Float:
+def _of_matrices(values: Float, nearest: bool) -> Float:
+    """nearest: of any matrix the rotation that is least off it, else a matrix that is none is bad.
+
+    The least stretched axis turns around where the matrix is a mirror (Kabsch).
+    """
     if not np.isfinite(values).all():
         raise BackboneError("the network gave a pose that is not finite")
     U, stretch, Vt = np.linalg.svd(values[:, :3, :3])
+    if nearest:
+        if (stretch[:, 1] < MIN_STRETCH * stretch[:, 0]).any():
+            raise BackboneError("the network gave a pose matrix that is near to no one rotation")
+        U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+        return se3.compose(U @ Vt, values[:, :3, 3])
     R = U @ Vt
     if (np.linalg.det(R) < 0).any() or np.abs(stretch - 1).max() > MAX_NOT_A_ROTATION:
         raise BackboneError("the network gave a pose whose matrix is no rotation")

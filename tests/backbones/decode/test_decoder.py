@@ -12,6 +12,7 @@ import pytest
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.decode.decoder import decode, prediction
+from calm_edge.backbones.decode.pose import poses
 from calm_edge.backbones.manifest import (
     ConfidenceOutput,
     GeometryOutput,
@@ -21,7 +22,7 @@ from calm_edge.backbones.manifest import (
     PoseOutput,
 )
 from calm_edge.backbones.picture_input import fit_pictures
-from tests.backbones.raw_scene import RawScene, make_scene
+from tests.backbones.raw_scene import RawScene, make_scene, turn
 
 # pictures of two sizes, so that each eye has its own way into the input
 SIZES = [(160, 96), (160, 96), (120, 90)]
@@ -112,6 +113,26 @@ def test_poses(pose):
     assert out.T_s_c == pytest.approx(scene.T_s_c(), abs=1e-6)
     assert np.array_equal(out.T_s_c[0], np.eye(4))
     assert np.linalg.det(out.T_s_c[:, :3, :3]) == pytest.approx(np.ones(3))
+
+
+@pytest.mark.parametrize("stretch", [(1.9, 0.6, 0.3), (1.5, 1.0, -0.4)], ids=["skewed", "mirror"])
+def test_nearest_rotation(stretch):
+    """A = R P with P symmetric: R is nearest also if P has its least eigenvalue below zero."""
+    axes = turn(0, 25) @ turn(1, -40) @ turn(2, 10)
+    scene = make_scene(SIZES)
+    matrices = scene.T_w_c.copy()
+    matrices[:, :3, :3] = matrices[:, :3, :3] @ axes @ np.diag(stretch) @ axes.T
+    pose = PoseOutput("any", "mat4x4", "camera_to_world", rotation="nearest")
+    assert poses(pose, matrices, len(SIZES)) == pytest.approx(scene.T_s_c(), abs=1e-9)
+    with pytest.raises(BackboneError, match="no rotation"):
+        poses(replace(pose, rotation="exact"), matrices, len(SIZES))
+
+
+def test_a_matrix_near_to_no_one_rotation_is_refused():
+    pose = PoseOutput("any", "mat4x4", "camera_to_world", rotation="nearest")
+    flat = np.diag([1.0, 0.0, 0.0, 1.0])[None]
+    with pytest.raises(BackboneError, match="no one rotation"):
+        poses(pose, flat, 1)
 
 
 @pytest.mark.parametrize("spec", [INPUT, PADDED, CROPPED], ids=["stretch", "pad", "crop"])
