@@ -48,6 +48,7 @@ bench: setup
 	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace realtime --out build/bench
 	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.bench build/bench
+	.venv/bin/python -m calm_edge.evaluation.bench.load --pictures build/bench_pictures --drive $(DEMO_DRIVE)
 
 # every table of the report; one that misses a target stops none of the others
 eval: setup
@@ -84,10 +85,10 @@ hil: setup
 vm-test: setup
 	@.venv/bin/python -m hil_tests.vm $(VM)
 
-# what the learned model has to beat on pictures with exact truth, and whether it does
+# what the learned model has to beat, on pictures and on whole drives, and whether it does
 eval-model: setup
 	@failed=0; \
-	for part in model model.depth model.place_table; do \
+	for part in model model.depth model.place_table model.real_clips model.pipeline; do \
 		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.$$part || failed=1; \
 	done; \
 	exit $$failed

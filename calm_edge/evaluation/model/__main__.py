@@ -1,7 +1,8 @@
 """`python -m calm_edge.evaluation.model`: what the learned model has to beat, and whether it does.
 
 Rendered drives give exact truth: of every query point that the other picture shows, how many are
-found within one and three pixels. A model takes part as `--ours MODULE:FACTORY`.
+found within one and three pixels. The shipped model takes part where it is there, another one as
+`--ours MODULE:FACTORY`.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ import sys
 from pathlib import Path
 
 from calm_edge.evaluation.model import match_table
-from calm_edge.evaluation.model.loading import loaded
 from calm_edge.evaluation.model.matchers import BASELINES
+from calm_edge.evaluation.model.ours import contestant
 from calm_edge.evaluation.tables import OUT, publish
 from calm_edge.types import CalmEdgeError
 
@@ -28,9 +29,10 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         matchers = {name: BASELINES[name]() for name in options.matcher or BASELINES}
-        if options.ours:
-            matchers = {match_table.OURS: loaded(options.ours, "match"), **matchers}
-        table = match_table.run(matchers, options.held_out, options.only, options.out)
+        ours, missing = contestant(options.ours, "match")
+        if ours is not None:
+            matchers = {match_table.OURS: ours, **matchers}
+        table = match_table.run(matchers, options.held_out, options.only, options.out, missing)
     except CalmEdgeError as error:
         print(error, file=sys.stderr)
         return 1

@@ -17,7 +17,7 @@ from calm_edge.evaluation.model.protocols import Matcher, Matches
 from calm_edge.evaluation.model.scenes import Pair, Scene, pairs
 from calm_edge.evaluation.model.truth import transfer
 from calm_edge.evaluation.paired import PairedRatio, compare
-from calm_edge.types import CalmEdgeError, Float
+from calm_edge.types import Bytes, CalmEdgeError, Float
 
 # Of either kind: SIFT's own keypoints and Shi-Tomasi corners, so that nobody plays at home.
 QUERIES = 200
@@ -58,16 +58,20 @@ class Score:
 
 def query_points(pair: Pair) -> tuple[Float, NDArray[np.int64]]:
     """(N, 2) px of picture a, at most QUERIES of each kind, and their kind (N,) in KINDS."""
-    gray = described.gray_of(pair.a.image)
-    rng = np.random.default_rng(pair.a.seed)
-    own = np.array([p.pt for p in described.keypoints(gray, 4 * QUERIES)]).reshape(-1, 2)
     chosen = []
-    for points in (np.unique(own, axis=0), described.corners(gray, 2 * QUERIES)):
-        picked = rng.permutation(len(points))
-        _, seen = transfer(pair.a.truth, pair.b.truth, np.asarray(points, np.float64)[picked])
-        chosen.append(np.asarray(points, np.float64)[picked[seen][:QUERIES]])
+    for points in candidates(pair.a.image, pair.a.seed):
+        _, seen = transfer(pair.a.truth, pair.b.truth, points)
+        chosen.append(points[seen][:QUERIES])
     kind = np.repeat(np.arange(len(chosen)), [len(points) for points in chosen])
     return np.concatenate(chosen), kind
+
+
+def candidates(image: Bytes, seed: int) -> list[Float]:
+    """Of each of KINDS, (N, 2) px of a picture (H, W, 3) in an order drawn by the seed."""
+    gray, rng = described.gray_of(image), np.random.default_rng(seed)
+    own = np.array([p.pt for p in described.keypoints(gray, 4 * QUERIES)]).reshape(-1, 2)
+    kinds = np.unique(own, axis=0), described.corners(gray, 2 * QUERIES)
+    return [np.asarray(p, np.float64)[rng.permutation(len(p))] for p in kinds]
 
 
 def judge(matches: Matches, true_uv: Float) -> tuple[tuple[int, ...], int, float, float]:

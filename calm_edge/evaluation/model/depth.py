@@ -20,14 +20,14 @@ from calm_edge.evaluation.model.depth_scores import (
     relative_error,
     score,
 )
-from calm_edge.evaluation.model.loading import loaded
+from calm_edge.evaluation.model.ours import contestant
 from calm_edge.evaluation.model.protocols import DepthMaker
 from calm_edge.evaluation.paired import COLUMNS as PAIRED
 from calm_edge.evaluation.paired import compare
 from calm_edge.evaluation.tables import OUT, Check, Table, publish
 from calm_edge.types import CalmEdgeError, Float
 
-OURS, RIVAL = "ours", "SGBM"
+OURS, RIVAL, SWEEP = "ours", "SGBM", "plane sweep"
 PLACES, KEYFRAMES = 3, 5
 NEAREST_M, FARTHEST_M = 1.0, 60.0
 # Target: our relative error over that of semi-global matching.
@@ -161,8 +161,14 @@ def main(argv: list[str] | None = None) -> int:
     notes = []
     try:
         makers: dict[str, DepthMaker] = {name: make() for name, make in MAKERS.items()}
-        if options.ours:
-            makers = {OURS: loaded(options.ours, "depth"), **makers}
+        ours, missing = contestant(options.ours, "depth")
+        if missing:
+            notes.append(missing)
+        else:
+            makers = {OURS: ours, **makers}
+        if options.ours is None:
+            # ours is the sweep: it is not measured twice
+            del makers[SWEEP]
         for scene in scenes.UNSEEN if options.held_out else scenes.DEVELOPMENT:
             if options.only and scene.name not in options.only:
                 continue

@@ -11,7 +11,7 @@ from calm_edge.evaluation.trajectory_file import EvaluationError
 def loaded(spec: str, method: str) -> Any:
     """What the factory makes, called without arguments; raises EvaluationError.
 
-    method: what it must be able to do, `match` or `depth`.
+    method: what it must be able to do: `match`, `depth` or `describe`.
     """
     module, _, factory = spec.partition(":")
     try:

@@ -28,9 +28,16 @@ HELPED = "KLT warped"
 
 
 def run(
-    matchers: Mapping[str, Matcher], held_out: bool, only: Sequence[str] | None, out: Path
+    matchers: Mapping[str, Matcher],
+    held_out: bool,
+    only: Sequence[str] | None,
+    out: Path,
+    missing: str = "",
 ) -> Table:
-    """Measure on development or held-out drives; raises EvaluationError where there is none."""
+    """Measure on development or held-out drives; raises EvaluationError where there is none.
+
+    missing: a note on why ours takes no part.
+    """
     chosen = scenes.UNSEEN + scenes.HARD_UNSEEN if held_out else scenes.DEVELOPMENT + scenes.HARD
     unknown = set(only or ()) - {scene.name for scene in chosen}
     if unknown:
@@ -48,6 +55,7 @@ def run(
         "error px: median of those within 3 px; error / sigma: 1 where the claimed sigma is honest",
         "KLT goes from picture to picture at once, also over 8 keyframes, which bundle chains",
         *skipped,
+        *([missing] if missing else []),
     )
     return Table(
         f"50_model_matches{'_held_out' if held_out else ''}",
@@ -69,15 +77,15 @@ def promises(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check, ...
             for threshold, px in enumerate((1, 3)):
                 ratio = against(scores, OURS, other, case, threshold)
                 what = f"{case}: share of {other} within {px} px over ours"
-                checks += _check(what, ratio, asked)
+                checks += ratio_check(what, ratio, asked)
     for degraded in DEGRADATIONS:
         for other in others:
             ratio = retained_against(scores, OURS, other, degraded)
-            checks += _check(f"{degraded}: share that {other} keeps, over ours", ratio, 1.0)
+            checks += ratio_check(f"{degraded}: share that {other} keeps, over ours", ratio, 1.0)
     return tuple(checks)
 
 
-def _check(what: str, ratio: PairedRatio | None, most: float) -> list[Check]:
+def ratio_check(what: str, ratio: PairedRatio | None, most: float) -> list[Check]:
     """Kept where the interval ends below 1 and the ratio meets `most`."""
     if ratio is None or ratio.ratio is None or ratio.low is None or ratio.high is None:
         return []

@@ -34,6 +34,18 @@ def recall_at_one(
 ) -> float:
     """Share of the pictures that come back somewhere whose best candidate is right and accepted.
 
+    As in found_again; 0 where none comes back.
+    """
+    returns = int(same[allowed.any(1)].any(1).sum())
+    found = int(found_again(likeness, same, allowed, precision).sum())
+    return found / returns if returns else 0.0
+
+
+def found_again(
+    likeness: Float, same: NDArray[np.bool_], allowed: NDArray[np.bool_], precision: float
+) -> NDArray[np.bool_]:
+    """(N,) whether a picture's best candidate is right and accepted.
+
     likeness, same, allowed: (N, N), rows are queries. Accepted is what is at least as alike as a
     threshold, chosen so that of all accepted ones, returns or not, `precision` are right.
     """
@@ -41,14 +53,17 @@ def recall_at_one(
     best = np.where(allowed, likeness, -np.inf).argmax(1)
     rows = np.flatnonzero(ask)
     value, right = likeness[rows, best[rows]], same[rows, best[rows]]
-    returns = int(same[rows].any(1).sum())
     order = np.argsort(-value, kind="stable")
     correct = np.cumsum(right[order])
     count = np.arange(1, len(rows) + 1)
     # ties are accepted together
     last = np.append(np.diff(value[order]) != 0, True)
     good = last & (correct >= precision * count)
-    return float(correct[good].max() / returns) if good.any() and returns else 0.0
+    found = np.zeros(len(likeness), bool)
+    if good.any():
+        accepted = order[: np.flatnonzero(good)[-1] + 1]
+        found[rows[accepted]] = right[accepted]
+    return found
 
 
 class SiftVlad:

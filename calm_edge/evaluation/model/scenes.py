@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,16 +111,22 @@ class Pictures:
 
     def keyframes(self, start: int) -> list[int]:
         """Frames the front end would take as keyframes from `start` on, it being one."""
-        selector = KeyframeSelector(FrontendConfig())
-        t_ns, chosen = self.sequence.t_ns(Eye.PRIMARY), []
-        for k in range(start, min(start + SEARCHED, len(t_ns))):
-            gray = cv2.imread(str(self._files[0][k]), cv2.IMREAD_GRAYSCALE)
-            frame = Frame(Eye.PRIMARY, k, int(t_ns[k]), self._files[0][k].read_bytes())
-            if selector.consider(frame, np.asarray(gray, np.uint8)) is not None:
-                chosen.append(k)
-            if len(chosen) > max(GAPS):
-                break
-        return chosen
+        return keyframes(self.sequence, self._files[0], start)
+
+
+def keyframes(sequence: SequenceFolder, files: Sequence[Path], start: int) -> list[int]:
+    """Up to max(GAPS) + 1 frames of the primary that the front end would take as keyframes from
+    `start` on, it being one. files: the primary's pictures."""
+    selector = KeyframeSelector(FrontendConfig())
+    t_ns, chosen = sequence.t_ns(Eye.PRIMARY), []
+    for k in range(start, min(start + SEARCHED, len(t_ns))):
+        gray = cv2.imread(str(files[k]), cv2.IMREAD_GRAYSCALE)
+        frame = Frame(Eye.PRIMARY, k, int(t_ns[k]), files[k].read_bytes())
+        if selector.consider(frame, np.asarray(gray, np.uint8)) is not None:
+            chosen.append(k)
+        if len(chosen) > max(GAPS):
+            break
+    return chosen
 
 
 def places(frames: int, count: int) -> list[int]:

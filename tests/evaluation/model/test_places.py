@@ -2,7 +2,14 @@ import cv2
 import numpy as np
 import pytest
 
-from calm_edge.evaluation.model.places import SiftVlad, earlier, recall_at_one, same_place
+from calm_edge.evaluation.model.place_table import promises
+from calm_edge.evaluation.model.places import (
+    SiftVlad,
+    earlier,
+    found_again,
+    recall_at_one,
+    same_place,
+)
 from calm_edge.geometry import se3
 from tests.evaluation.model.pictures import texture
 
@@ -29,6 +36,26 @@ def test_recall_counts_only_what_a_precise_threshold_accepts():
     assert recall_at_one(likeness, same, allowed, 0.65) == pytest.approx(2 / 3)
     likeness[1, 0] = 1.0  # no return at all, and the surest
     assert recall_at_one(likeness, same, allowed, 0.99) == 0
+
+
+def test_what_was_found_again_is_told_by_picture():
+    allowed, same = earlier(5, 1), np.zeros((5, 5), bool)
+    same[2, 0] = same[3, 1] = same[4, 0] = True
+    likeness = np.zeros((5, 5))
+    likeness[2, 0], likeness[3, 0], likeness[4, 0] = 0.9, 0.8, 0.7
+    assert np.flatnonzero(found_again(likeness, same, allowed, 0.99)).tolist() == [2]
+    # a threshold so low that the wrong one comes along
+    assert np.flatnonzero(found_again(likeness, same, allowed, 0.6)).tolist() == [2, 4]
+
+
+def test_the_promise_is_judged_over_stretches_of_both_drives():
+    many, few = np.arange(60) % 10 < 9, np.arange(60) % 10 < 5
+    drives = {name: {"ours": many, "SIFT-VLAD": few} for name in ("a", "b")}
+    (check,) = promises(drives)
+    assert check.passed and "2 drives" in check.what and "12 pairs" in check.measured
+    swapped = {name: {"ours": few, "SIFT-VLAD": many} for name in drives}
+    assert not promises(swapped)[0].passed
+    assert promises({"a": {"SIFT-VLAD": few}}) == ()
 
 
 def test_ties_are_accepted_together():
