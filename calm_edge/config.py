@@ -23,7 +23,7 @@ class CaptureConfig:
 
     primary: str = "v4l2:"
     assistant: str = "v4l2:"
-    rate_hz: float = 10.0
+    rate_hz: float = 20.0
     width_px: int = 1280
     height_px: int = 720
     stale_after_ms: float = 500.0
@@ -43,7 +43,7 @@ class RecordingConfig:
 
     segment_s: float = 300.0
     chunk_bytes: int = 1 << 20
-    flush_s: float = 1.0
+    flush_s: float = 0.5
     jpeg_quality: int = 92
     log_depth: bool = False
     keep_free_gib: float = 1.0

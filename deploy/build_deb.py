@@ -147,6 +147,7 @@ def unpack_commit(stage: Path, target: Target, commit: str) -> None:
         "debian/copyright": "usr/share/doc/calm-edge/copyright",
         "../README.md": "usr/share/doc/calm-edge/README.md",
         "../docs/deploy.md": "usr/share/doc/calm-edge/deploy.md",
+        "../docs/serial.md": "usr/share/doc/calm-edge/serial.md",
     }.items():
         (stage / place).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(deploy / source, stage / place)
@@ -156,7 +157,8 @@ def unpack_commit(stage: Path, target: Target, commit: str) -> None:
 
 def archive(commit: str) -> bytes:
     """What is packed of a commit, as a tar file."""
-    parts = ["calm_edge", "device", "models", "deploy", "docs/deploy.md", "README.md"]
+    documents = ("docs/deploy.md", "docs/serial.md", "README.md")
+    parts = ["calm_edge", "device", "models", "deploy", *documents]
     command = ["git", "archive", commit, *parts]
     done = subprocess.run(command, check=False, capture_output=True, cwd=ROOT)
     if done.returncode:

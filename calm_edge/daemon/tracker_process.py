@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -28,9 +29,10 @@ from calm_edge.daemon.messages import (
 )
 from calm_edge.daemon.ring import RingReader
 from calm_edge.frontend.association import WindowBuilder, WindowError
+from calm_edge.frontend.half_size import MOST_PIXELS, halved
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.frontend.tracker import Tracker
-from calm_edge.types import SubmapWindow
+from calm_edge.types import Bytes, SubmapWindow
 from device.frame import Eye, Frame, UnreadableImage
 
 
@@ -49,6 +51,7 @@ class TrackerWork:
         self._selector = KeyframeSelector(config, start.keyframe_id)
         self._builder = WindowBuilder(config, start.submap_id, start.assistant_id)
         self._tracker = Tracker(config, start.epoch)
+        self._reduction = 1
 
     def handle(self, message: Any) -> Any:
         """The answer to one message, None where there is none."""
@@ -61,7 +64,8 @@ class TrackerWork:
                 except UnreadableImage as error:
                     return Tracked(message.slot, (), str(error))
             case Attach():
-                taken = self._tracker.attach(message.update)
+                update = halved(message.update) if self._reduction == 2 else message.update
+                taken = self._tracker.attach(update)
                 return Attached(message.update.submap.id, taken, self._tracker.T_map_odom)
             case Lagging():
                 self._tracker.lagging = message.lagging
@@ -71,10 +75,21 @@ class TrackerWork:
                 return Flushed(self._builder.flush())
         return None
 
+    def _gray(self, frame: Frame) -> Bytes:
+        """The picture at the size it is tracked at; a camera that changes its size begins anew."""
+        gray = frame.gray(self._reduction)
+        reduction = 2 if gray.size * self._reduction**2 > MOST_PIXELS else 1
+        if reduction != self._reduction:
+            self._reduction = reduction
+            gray = frame.gray(reduction)
+        return gray
+
     def _frame(self, frame: Frame) -> tuple[SubmapWindow, ...]:
-        gray = frame.gray()
         if frame.eye is Eye.ASSISTANT:
+            # nothing is done with its pixels here but to see that there are any
+            frame.gray(8)
             return self._builder.add_assistant(frame)
+        gray = self._gray(frame)
         # the pose leaves first: whoever steers by it waits for nothing else
         self._send(Posed(self._tracker.track(frame.t_ns, gray)))
         keyframe = self._selector.consider(frame, gray)
@@ -91,6 +106,8 @@ def run_tracker(
     """The process's main function."""
     # the terminal's Ctrl-C goes to every process; only capture acts on it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # a late pose is better than a late frame
+    os.nice(2)
     cv2.setNumThreads(1)
     ring = RingReader(ring_name, slot_bytes)
     try:

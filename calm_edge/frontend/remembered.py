@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calm_edge.types import Bytes, Float, Float32
@@ -28,3 +29,16 @@ class Tracks:
     p_m: Float
     uv: Float32
     seen_in: Bytes
+
+
+def spaced(t_ns: Sequence[int], since_ns: int, gap_ns: int) -> list[int]:
+    """Which of the times after since_ns lie gap_ns or more behind one another; the last always.
+
+    A camera of three times the rate shows no more by showing it oftener.
+    """
+    chosen, before = [], since_ns
+    for i, t in enumerate(t_ns):
+        if t - before >= gap_ns or (i == len(t_ns) - 1 and t > before):
+            chosen.append(i)
+            before = t
+    return chosen

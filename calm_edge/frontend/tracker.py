@@ -16,16 +16,17 @@ from calm_edge.config import FrontendConfig
 from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
 from calm_edge.frontend.pnp import PoseFit, locate, reprojection
-from calm_edge.frontend.remembered import Past, Tracks
+from calm_edge.frontend.remembered import Past, Tracks, spaced
 from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
 from calm_edge.geometry.flow import follow
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
 MIN_INLIERS, SAFE_INLIERS = 12, 80
-# Frames kept so that a sub-map that comes late can be followed from its keyframes to now.
-REMEMBERED = 60
-HOP = 4
+# Frames are kept so that a sub-map that comes late can be followed from its keyframes to now.
+REMEMBERED_NS, MOST_REMEMBERED = 6_000_000_000, 200
+# From one frame to the next, at ten a second four and one: the tolerance is for their jitter.
+HOP_NS, CATCH_UP_NS = 390_000_000, 90_000_000
 # Remembered frames tracked again with each new one: bounds what a late sub-map adds to latency.
 # Without a pose there is nothing to be late.
 CATCH_UP_FRAMES, CATCH_UP_FRAMES_LOST = 2, 3
@@ -45,7 +46,7 @@ class Tracker:
         self._tracks: Tracks | None = None
         self._candidates = Candidates.none()
         self._unripe: tuple[Bytes, Float] | None = None
-        self._past: deque[Past] = deque(maxlen=REMEMBERED)
+        self._past: deque[Past] = deque(maxlen=MOST_REMEMBERED)
         self._path = RecentPath()
         self._ever_tracked = False
         self._follower: Tracker | None = None
@@ -57,6 +58,8 @@ class Tracker:
         fit = self._follow(gray, guess)
         T_m_c = None if fit is None else fit.T_w_c
         self._past.append(Past(t_ns, gray, None, T_m_c))
+        while t_ns - self._past[0].t_ns >= REMEMBERED_NS:
+            self._past.popleft()
         if fit is None:
             # a blurred frame or two may be bridged; after that the track is gone
             if self._path and t_ns - self._path.newest_ns > self.config.lost_after_ms * 1e6:
@@ -147,7 +150,8 @@ class Tracker:
         follower = self._follower
         if follower is None:
             return
-        ahead = [past for past in self._past if past.t_ns > self._followed_ns]
+        times = [past.t_ns for past in self._past]
+        ahead = [self._past[i] for i in spaced(times, self._followed_ns, CATCH_UP_NS)]
         count = CATCH_UP_FRAMES_LOST if self._tracks is None else CATCH_UP_FRAMES
         for past in ahead[:count]:
             follower.track(past.t_ns, past.gray)
@@ -260,7 +264,8 @@ class Tracker:
         """
         past, last = list(self._past), len(self._past) - 1
         starts = sorted(set(born[born >= 0].tolist()))
-        stops = sorted({*starts, *range(starts[-1], last, HOP), last})
+        times = [frame.t_ns for frame in past]
+        stops = sorted({*starts, *spaced(times, times[starts[-1]], HOP_NS), last})
         alive = np.zeros((0,), np.int64)
         now: Float32 = np.zeros((0, 2), np.float32)
         gray = past[stops[0]].gray

@@ -185,3 +185,23 @@ def test_lagging_is_said() -> None:
     tracker = attached(poses, 10)
     tracker.lagging = True
     assert feed(tracker, poses[10:], 10)[0].status is PoseStatus.LAGGING
+
+
+def test_at_thirty_frames_a_second_a_submap_may_come_as_late_as_at_ten() -> None:
+    poses = drive(130, 0.03)
+    tracker = Tracker(FrontendConfig())
+
+    def at(i: int) -> PoseSample:
+        keyframe = i // 9 if i % 9 == 0 else None
+        return seen(tracker, 1_000_000_000 + i * PERIOD_NS // 3, WORLD.render(poses[i]), keyframe)
+
+    for i in range(110):
+        at(i)
+    ids = [0, 1, 2]
+    stamps = [1_000_000_000 + 9 * i * PERIOD_NS // 3 for i in ids]
+    # three seconds and more after its newest keyframe
+    assert tracker.attach(WORLD.update(0, ids, stamps, poses[[0, 9, 18]]))
+    live = [s for s in map(at, range(110, 130)) if s.status is PoseStatus.LIVE]
+    # the frames between are tracked anew, three with each that comes
+    assert len(live) >= 5
+    np.testing.assert_allclose(live[-1].T_w_c, poses[129], atol=0.05)
