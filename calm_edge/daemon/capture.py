@@ -6,8 +6,10 @@ It never imports gtsam and never runs a solver: tracker and estimator are proces
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 from calm_edge.daemon import finale
 from calm_edge.daemon.monitor import Monitor, SerialLine
@@ -22,6 +24,8 @@ from device.service import Notifier
 
 # a pose waits half a tick on its way in and half a tick on its way out
 TICK_HZ = 100.0
+# a thread that waits for the interpreter gets it after this long; by default 5 ms, half a tick
+SWITCH_S = 0.0005
 
 
 class Capture:
@@ -49,7 +53,8 @@ class Capture:
             if self._lockstep:
                 self._run_lockstep()
             else:
-                self._run_realtime()
+                with prompt():
+                    self._run_realtime()
             self._monitor.stop()
             self._finish()
         finally:
@@ -162,6 +167,17 @@ class Capture:
         result.unrecorded = health.dropped_images + health.dropped_others + health.unwritable
         if health.error:
             result.error = result.error or health.error
+
+
+@contextmanager
+def prompt() -> Iterator[None]:
+    """The loop need not wait for the other threads of this process longer than SWITCH_S."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_S)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
 
 
 def merged(cameras: tuple[Camera, ...]) -> Iterator[Frame]:

@@ -37,4 +37,4 @@ def test_a_start_without_cameras_leaves_no_empty_drive(tmp_path: Path) -> None:
     addresses = [f"capture.{eye}={address}" for eye in ("primary", "assistant")]
     arguments = ["record", "--root", str(tmp_path / "root")]
     assert main([*arguments, "--set", addresses[0], "--set", addresses[1]]) == 1
-    assert list((tmp_path / "root").iterdir()) == []
+    assert list((tmp_path / "root").glob("*")) == []

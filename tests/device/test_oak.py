@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from datetime import timedelta
@@ -325,11 +326,15 @@ def test_a_host_node_gives_jpegs_stamps_and_drops_through_depthais_queues() -> N
         def run(self) -> None:
             for k in (0, 1, 4, 5):
                 self.out.send(encoded(k, time.monotonic_ns(), JPEG % k))
+            done.set()
 
+    done = threading.Event()
     before_ns = time.monotonic_ns()
     camera = on_host(lambda pipeline: pipeline.create(Source))
     camera.start()
     frames = [camera.read(20.0) for _ in range(4)]
+    # depthai's stop holds the interpreter while it waits for a node written in Python
+    assert done.wait(20.0)
     camera.stop()
     assert [f and f.sequence for f in frames] == [0, 1, 4, 5]
     assert [f and f.image for f in frames] == [JPEG % k for k in (0, 1, 4, 5)]

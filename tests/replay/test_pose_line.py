@@ -1,4 +1,4 @@
-"""The poses of a real-time run as the other end of the serial line hears them."""
+"""The poses of a run as the other end of the serial line hears them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import itertools
 import math
 import os
 import threading
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -14,9 +16,17 @@ import pytest
 from pymavlink.dialects.v20 import common as peer
 
 from calm_edge.cli import main
+from calm_edge.config import merge
+from calm_edge.daemon.source import Source
+from calm_edge.frontend.sequence import SequenceFolder
+from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.reader import Recording
 from calm_edge.types import PoseStatus
-from device.frame import Eye
+from device.camera import Camera, CameraSpec, open_camera
+from device.clock import ManualClock
+from device.frame import Eye, Frame
+from device.serial_port import SerialPort
+from tests.replay.daemon_run import config_for, record
 from tests.replay.small_drive import write_drive
 
 N = 70
@@ -49,49 +59,92 @@ class Listener:
         os.close(self.master)
 
 
-@pytest.fixture(scope="module")
-def heard(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recording]:
-    folder = tmp_path_factory.mktemp("line")
-    drive = write_drive(folder / "drive", N)
+def odometry_of(messages: list[Any]) -> list[Any]:
+    return [m for m in messages if m.get_type() == "ODOMETRY"]
+
+
+class FrameClock(ManualClock):
+    """Shows the moment a frame was taken, and a little more, while the daemon looks at it: the line
+    then hears what it would of a machine that is never late, however late this one is.
+    """
+
+    LATE_NS = 40_000_000
+
+    def timing(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """The frames; the next one is asked for before the one before it is handled."""
+        before: Frame | None = None
+        for frame in frames:
+            if before is not None:
+                self.sleep_until_ns(before.t_ns + self.LATE_NS)
+            before = frame
+            yield frame
+        if before is not None:
+            self.sleep_until_ns(before.t_ns + self.LATE_NS)
+
+
+def darkened(folder: Path) -> Path:
+    """A drive that is black for a while."""
+    drive = write_drive(folder, N)
     images = sorted((drive / "cam0").iterdir())
     dark = np.zeros_like(cv2.imread(str(images[0])))
     for i in DARK:
         cv2.imwrite(str(images[i]), dark)
+    return drive
+
+
+@pytest.fixture(scope="module")
+def heard(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recording]:
+    folder = tmp_path_factory.mktemp("line")
+    drive = darkened(folder / "drive")
     listener = Listener()
-    settings = {
-        "pose_output.port": listener.port,
-        "backbone.name": f"scripted:{drive}",
-        "frontend.n_max": 6,
-        "frontend.n_overlap": 2,
-    }
-    arguments = ["record", "--sequence", str(drive), "--out", str(folder / "rec")]
-    for name, value in settings.items():
-        arguments += ["--set", f"{name}={value}"]
-    code = main([*arguments, "--pace", "realtime", "--spacing-m", "0.5"])
+    config = merge(config_for(drive), {"pose_output": {"port": listener.port}})
+    sequence, clock = SequenceFolder(drive), FrameClock(1)
+
+    def cameras() -> tuple[Camera, Camera]:
+        primary, assistant = (
+            open_camera(
+                CameraSpec(eye, "replay"),
+                clock,
+                frames=clock.timing(sequence.frames(eye)),
+                paced=False,
+            )
+            for eye in Eye
+        )
+        return primary, assistant
+
+    port = SerialPort(listener.port, config.pose_output.baud)
+    publisher = PosePublisher(port, config.pose_output, spacing_known=True, now_ns=clock.now_ns)
+    port.start(publisher.receive)
+    source = Source(cameras, clock, True, "drive")
+    out = folder / "rec"
+    result, _ = record(drive, out, lockstep=True, config=config, source=source, publisher=publisher)
+    publisher.last_words((), clock.now_ns())
+    port.stop()
     listener.close()
-    assert code == 0
-    return [m for m in listener.messages if m.get_type() == "ODOMETRY"], Recording(folder / "rec")
+    assert not result.error and result.frames == [N, N] and port.stats().dropped == 0
+    return listener.messages, Recording(out)
 
 
-def test_poses_come_ten_times_a_second_with_rising_stamps(
+def test_every_pose_of_the_recording_leaves_once_and_in_order(
     heard: tuple[list[Any], Recording],
 ) -> None:
-    odometry, recording = heard
+    messages, recording = heard
+    odometry = odometry_of(messages)
     stamps = np.array([m.time_usec for m in odometry])
     assert (np.diff(stamps) > 0).all()
-    # after the last frame the tail is solved, and nothing is said but the loss
-    driving = stamps[stamps <= recording.frame_times(Eye.PRIMARY).max() // 1000]
-    assert len(driving) - 1 >= 0.95 * 10 * (driving[-1] - driving[0]) / 1e6 > 50
-    assert np.diff(driving).max() < 300_000
+    live = [s.t_ns // 1000 for s in recording.poses() if s.status is not PoseStatus.LOST]
+    assert [m.time_usec for m in odometry if m.quality > 0] == live
+    # but for the start and the dark, one a frame
+    assert N > len(live) > N - len(DARK) - 25
 
 
 def test_a_pose_on_the_line_is_the_recorded_one_at_its_exposure(
     heard: tuple[list[Any], Recording],
 ) -> None:
-    odometry, recording = heard
+    odometry, recording = odometry_of(heard[0]), heard[1]
     recorded = {s.t_ns // 1000: s for s in recording.poses() if s.status is not PoseStatus.LOST}
     told = [m for m in odometry if m.quality > 0]
-    assert len(told) >= 0.9 * len(recorded) > 25
+    assert len(told) == len(recorded)
     for message in told:
         x, y, z = recorded[message.time_usec].T_w_c[:3, 3]
         # camera x right, y down, z forward; the line speaks forward, right, down
@@ -103,10 +156,37 @@ def test_a_pose_on_the_line_is_the_recorded_one_at_its_exposure(
 def test_the_reset_counter_changes_with_the_epoch_and_only_then(
     heard: tuple[list[Any], Recording],
 ) -> None:
-    odometry, recording = heard
+    odometry, recording = odometry_of(heard[0]), heard[1]
     epochs = {s.t_ns // 1000: s.epoch for s in recording.poses()}
     told = [m for m in odometry if m.quality > 0]
     seen = [(m.reset_counter, epochs[m.time_usec]) for m in told]
     assert {epoch for _, epoch in seen} == {0, 1}
     for (count, epoch), (next_count, next_epoch) in itertools.pairwise(seen):
         assert next_count - count == next_epoch - epoch
+
+
+def test_a_run_in_real_time_tells_recorded_poses_and_the_end(tmp_path: Path) -> None:
+    """How many poses there are in time depends on the machine; what they say does not."""
+    drive = write_drive(tmp_path / "drive", 30)
+    listener = Listener()
+    settings = {
+        "pose_output.port": listener.port,
+        "backbone.name": f"scripted:{drive}",
+        "frontend.n_max": 6,
+        "frontend.n_overlap": 2,
+    }
+    arguments = ["record", "--sequence", str(drive), "--out", str(tmp_path / "rec")]
+    for name, value in settings.items():
+        arguments += ["--set", f"{name}={value}"]
+    # 3: completed with loss, which a busy machine may
+    assert main([*arguments, "--pace", "realtime", "--spacing-m", "0.5"]) in (0, 3)
+    listener.close()
+    odometry = odometry_of(listener.messages)
+    recorded = {s.t_ns // 1000 for s in Recording(tmp_path / "rec").poses()}
+    assert {m.time_usec for m in odometry if m.quality > 0} <= recorded
+    stamps = [m.time_usec for m in odometry]
+    assert stamps == sorted(set(stamps))
+    beats = [m.system_status for m in listener.messages if m.get_type() == "HEARTBEAT"]
+    assert beats[0] == peer.MAV_STATE_BOOT and beats[-1] == peer.MAV_STATE_POWEROFF
+    texts = [m.text for m in listener.messages if m.get_type() == "STATUSTEXT"]
+    assert texts[0].startswith("calm-edge starting") and "calm-edge stopping" in texts
