@@ -1,0 +1,53 @@
+"""The text of a model folder's manifest: the template filled in, hashes put in their places."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from exporting.graph import weight_files
+
+MANIFEST = "manifest.toml"
+_GRAPHS = "[graphs.model]"
+
+
+def filled(
+    template: str, size: tuple[int, int], max_views: int, license_name: str, scene: bool
+) -> str:
+    """The manifest but for hashes; size: (width, height) px of the input."""
+    return template.format(
+        width=size[0],
+        height=size[1],
+        max_views=max_views,
+        license=license_name,
+        scene="true" if scene else "false",
+    )
+
+
+def set_variant(folder: Path, precision: str, graph: Path) -> None:
+    """The graph and the weight files it names, with their hashes, as this precision."""
+    beside = ", ".join(f'"{name}" = "{sha256(folder / name)}"' for name in weight_files(graph))
+    external = f", external = {{ {beside} }}" if beside else ""
+    line = f'{precision} = {{ file = "{graph.name}", sha256 = "{sha256(graph)}"{external} }}'
+    _replace(folder, _GRAPHS, f"{precision} = ", line)
+
+
+def set_golden(folder: Path) -> None:
+    """The hash of golden.npz."""
+    _replace(folder, "[golden]", "sha256 = ", f'sha256 = "{sha256(folder / "golden.npz")}"')
+
+
+def sha256(path: Path) -> str:
+    """Of a file, as manifests have it."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _replace(folder: Path, section: str, begins: str, line: str) -> None:
+    """`line` in a section of the manifest, in place of the one that begins so, if any."""
+    path = folder / MANIFEST
+    before, _, behind = path.read_text().partition(section + "\n")
+    kept, _, others = behind.partition("\n[")
+    lines = [each for each in kept.splitlines() if not each.startswith(begins)]
+    rest = "\n[" + others if others else "\n"
+    path.write_text(before + section + "\n" + "\n".join([line, *lines]) + rest)

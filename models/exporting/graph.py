@@ -1,0 +1,106 @@
+"""A network as an ONNX graph with a free number of views, compared with the network itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from numpy.typing import NDArray
+
+from exporting.patches import Patch, applied
+
+INPUT = "images"
+OPSET = 20
+# a protobuf holds 2 GiB; above this, weights go to a file beside the graph
+MAX_INSIDE_BYTES = 1_500_000_000
+# what the graph is traced at: a number that is no size of anything else
+TRACED_VIEWS = 3
+
+
+@dataclass(frozen=True)
+class Network:
+    """module: (1, N, 3, H, W) pictures as the author's network wants them -> the outputs, in order.
+
+    patches: in place while it is traced. original: the same outputs from the author's own forward,
+    where `module` is not that.
+    """
+
+    module: torch.nn.Module
+    outputs: tuple[str, ...]
+    patches: Sequence[Patch] = ()
+    original: torch.nn.Module | None = None
+
+
+def export(network: Network, size: tuple[int, int], max_views: int, path: Path) -> None:
+    """Writes `path`; size: (width, height) px, of the graph. Views may be 2 to max_views."""
+    width, height = size
+    network.module.eval()
+    image = torch.rand(1, TRACED_VIEWS, 3, height, width)
+    views = torch.export.Dim("views", min=2, max=max_views)
+    with applied(network.patches), torch.no_grad():
+        program = torch.onnx.export(
+            network.module,
+            (image,),
+            dynamo=True,
+            opset_version=OPSET,
+            dynamic_shapes=({1: views},),
+            input_names=[INPUT],
+            output_names=list(network.outputs),
+            verbose=False,
+        )
+    weights = sum(p.numel() * p.element_size() for p in network.module.parameters())
+    program.save(path, external_data=weights > MAX_INSIDE_BYTES)
+
+
+def reference(network: Network, image: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+    """Outputs of the author's own code by name, none of the patches in place."""
+    with torch.no_grad():
+        values = (network.original or network.module)(torch.from_numpy(image))
+    return {
+        name: value.float().numpy() for name, value in zip(network.outputs, values, strict=True)
+    }
+
+
+def session(path: Path, threads: int = 1) -> onnxruntime.InferenceSession:
+    """On the processor, as calm-edge runs it."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+
+
+def run(
+    graph: onnxruntime.InferenceSession, image: NDArray[np.float32]
+) -> dict[str, NDArray[np.float32]]:
+    """Outputs of a graph by name."""
+    names = [output.name for output in graph.get_outputs()]
+    return dict(zip(names, graph.run(names, {INPUT: image}), strict=True))
+
+
+def worst_error(
+    found: dict[str, NDArray[np.float32]], expected: dict[str, NDArray[np.float32]]
+) -> tuple[float, str]:
+    """Largest difference of any value, relative to the RMS of its output; and which output."""
+    errors = []
+    for name, wanted in expected.items():
+        rms = float(np.sqrt(np.mean(wanted.astype(np.float64) ** 2)))
+        gap = float(np.abs(found[name].astype(np.float64) - wanted).max())
+        errors.append((gap / rms if np.isfinite(gap) else float("inf"), name))
+    return max(errors)
+
+
+def weight_files(path: Path) -> list[str]:
+    """Names of files beside a graph that it reads its weights from."""
+    model = onnx.load(path, load_external_data=False)
+    named = {
+        entry.value
+        for tensor in model.graph.initializer
+        for entry in tensor.external_data
+        if entry.key == "location"
+    }
+    return sorted(named)
