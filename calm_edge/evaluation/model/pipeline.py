@@ -168,7 +168,9 @@ PARTS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Measure, print and keep the tables; 1 when a promise is broken."""
-    parser = argparse.ArgumentParser(prog="calm_edge.evaluation.model.pipeline")
+    parser = argparse.ArgumentParser(
+        prog="calm_edge.evaluation.model.pipeline", description=__doc__
+    )
     parser.add_argument("--part", action="append", choices=list(PARTS))
     drives = parser.add_mutually_exclusive_group()
     drives.add_argument("--only", action="append", metavar="DRIVE", choices=list(runs.DRIVES))
