@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from exporting.graph import weight_files
+import onnx
 
 MANIFEST = "manifest.toml"
 _GRAPHS = "[graphs.model]"
@@ -35,6 +35,18 @@ def set_variant(folder: Path, precision: str, graph: Path) -> None:
 def set_golden(folder: Path) -> None:
     """The hash of golden.npz."""
     _replace(folder, "[golden]", "sha256 = ", f'sha256 = "{sha256(folder / "golden.npz")}"')
+
+
+def weight_files(path: Path) -> list[str]:
+    """Names of files beside a graph that it reads its weights from."""
+    model = onnx.load(path, load_external_data=False)
+    named = {
+        entry.value
+        for tensor in model.graph.initializer
+        for entry in tensor.external_data
+        if entry.key == "location"
+    }
+    return sorted(named)
 
 
 def sha256(path: Path) -> str:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import onnx
 import onnxruntime
 import torch
 from numpy.typing import NDArray
@@ -92,15 +91,3 @@ def worst_error(
         gap = float(np.abs(found[name].astype(np.float64) - wanted).max())
         errors.append((gap / rms if np.isfinite(gap) else float("inf"), name))
     return max(errors)
-
-
-def weight_files(path: Path) -> list[str]:
-    """Names of files beside a graph that it reads its weights from."""
-    model = onnx.load(path, load_external_data=False)
-    named = {
-        entry.value
-        for tensor in model.graph.initializer
-        for entry in tensor.external_data
-        if entry.key == "location"
-    }
-    return sorted(named)

@@ -1,0 +1,12 @@
+"""The scripts beside the models import each other from there."""
+
+from __future__ import annotations
+
+import pytest
+
+from calm_edge.backbones.model_folder import MODELS
+
+
+@pytest.fixture(autouse=True)
+def scripts_are_found(monkeypatch):
+    monkeypatch.syspath_prepend(str(MODELS))
