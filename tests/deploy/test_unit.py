@@ -80,7 +80,8 @@ def test_a_stop_has_the_time_that_the_last_windows_may_take() -> None:
 
 
 def test_a_hang_is_ended_in_time_to_be_back_within_ten_seconds() -> None:
-    assert seconds("WatchdogSec") + seconds("RestartSec") < 10
+    # half of it is for the start, which loads a lot
+    assert seconds("WatchdogSec") + seconds("RestartSec") <= 5
     stale_s = CaptureConfig().stale_after_ms / 1000
     assert seconds("WatchdogSec") > 2 * stale_s
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import shutil
 import signal
 import socket
@@ -25,8 +26,17 @@ from tests.faults.independent_reader import independent_counts
 from tests.faults.row import Row, sequences
 
 PROJECT = Path(__file__).parents[2]
-# of the unit
-WATCHDOG_S, RESTART_S = 5.0, 2.0
+
+
+def unit_seconds(key: str) -> float:
+    """A time of the unit."""
+    unit = (PROJECT / "deploy" / "calm-edge.service").read_text(encoding="utf-8")
+    (value,) = re.findall(rf"^{key}=([\d.]+)$", unit, re.MULTILINE)
+    return float(value)
+
+
+WATCHDOG_S, RESTART_S = unit_seconds("WatchdogSec"), unit_seconds("RestartSec")
+STOP_S = unit_seconds("TimeoutStopSec")
 # of the small drive
 FIRST_STAMP_NS = 10**9
 
@@ -146,7 +156,7 @@ def terminated(drive: Path, folder: Path, after_s: float = 2.0) -> Row:
         time.sleep(after_s)
         started = time.monotonic()
         process.send_signal(signal.SIGTERM)
-        code = process.wait(100)
+        code = process.wait(2 * STOP_S)
         took_s = time.monotonic() - started
     recording = Recording(rec)
     same = all(_untouched(recording, drive, eye) for eye in Eye)
@@ -155,8 +165,8 @@ def terminated(drive: Path, folder: Path, after_s: float = 2.0) -> Row:
         "SIGTERM",
         f"exit {code} after {took_s:.1f} s, validate {int(outcome)}, JPEG bytes "
         f"{'identical' if same else 'changed'}",
-        "exit 0 or 3 within TimeoutStopSec (100 s), the recording whole, bytes identical",
-        code in (0, 3) and took_s < 100 and outcome is Outcome.ALL and same,
+        f"exit 0 or 3 within TimeoutStopSec ({STOP_S:g} s), the recording whole, bytes identical",
+        code in (0, 3) and took_s < STOP_S and outcome is Outcome.ALL and same,
     )
 
 

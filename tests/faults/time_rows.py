@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from unittest import mock
 
@@ -85,6 +86,14 @@ class LyingCamera:
 
     def stats(self) -> CameraStats:
         return self._stream.stats
+
+    @property
+    def settings(self) -> Mapping[str, int | float | str]:
+        return self._inner.settings
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        return self._inner.remarks
 
     @property
     def connected(self) -> bool:

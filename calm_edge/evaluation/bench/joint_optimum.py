@@ -46,22 +46,22 @@ class _Beside:
     """Keeps what is asked, as an optimiser in its own process would, and solves when told."""
 
     def __init__(self) -> None:
-        self._snapshot: Snapshot | None = None
+        self.snapshot: Snapshot | None = None
         self.solved: Solved | None = None
 
     def request(self, snapshot: Snapshot) -> None:
-        self._snapshot = snapshot
+        self.snapshot = snapshot
 
     def solve(self) -> None:
-        assert self._snapshot is not None
-        found = optimum(self._snapshot.problem, self._snapshot.state)
-        self.solved = Solved(self._snapshot.graph, found)
+        assert self.snapshot is not None
+        found = optimum(self.snapshot.problem, self.snapshot.state)
+        self.solved = Solved(self.snapshot.graph, found)
 
     def poll(self) -> Solved | None:
         return self.solved
 
     def close(self) -> None:
-        self._snapshot = self.solved = None
+        self.snapshot = self.solved = None
 
 
 def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) -> list[Optimisation]:
@@ -96,6 +96,15 @@ def peak_bytes(course: Course, deadline_s: float = 300.0) -> int:
         beside.close()
     (kilobytes,) = (line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))
     return 1024 * int(kilobytes)
+
+
+def snapshot(course: Course) -> Snapshot:
+    """The whole drive with its loops, as an optimiser would be asked."""
+    atlas, _ = _graph(course.config, _uncorrected(course), with_loops=True)
+    beside = _Beside()
+    atlas.request_optimum(beside)
+    assert beside.snapshot is not None
+    return beside.snapshot
 
 
 def _uncorrected(course: Course) -> list[Submap]:
