@@ -1,5 +1,6 @@
 import json
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -125,3 +126,12 @@ def test_without_the_model_nothing_is_run(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(pipeline, "opened", refused)
     assert main(["--out", str(tmp_path)]) == 0
     assert capsys.readouterr().err == "skipped: no model calm-geo\n"
+
+
+def test_windows_are_timed_once_whole_and_after_the_first():
+    def update(number, primary, infer_ms):
+        submap = SimpleNamespace(id=number, n_primary=primary, assistant_ids=range(15))
+        return SimpleNamespace(submap=submap, stage_ms={"infer": infer_ms})
+
+    updates = [update(0, 15, 9000.0), update(1, 15, 500.0), update(1, 15, 20.0), update(2, 7, 1.0)]
+    assert pipeline_runs.full_windows_s(updates, 15) == [{"infer": 0.5}]
