@@ -152,9 +152,8 @@ def _int8(
 def _windows(source: Path, spec: dict[str, object], count: int) -> list[NDArray[np.float32]]:
     size = (int(str(spec["size_px"])), int(str(spec["height_px"])))
     shown = pictures(source, size, count * CALIBRATION_VIEWS)
-    mean, std = spec.get("mean", [0.0]), spec.get("std", [1.0])
     return [
-        normalised(shown[i : i + CALIBRATION_VIEWS], mean, std)
+        normalised(shown[i : i + CALIBRATION_VIEWS], spec)
         for i in range(0, len(shown), CALIBRATION_VIEWS)
     ]
 
@@ -167,7 +166,7 @@ def _report(where: Path, precision: str, to: Path) -> None:
     with np.load(where / "golden.npz") as golden:
         for case in sorted({name.split("/")[1] for name in golden.files}):
             shown = golden[f"model/{case}/pictures"]
-            image = normalised(shown, spec.get("mean", [0.0]), spec.get("std", [1.0]))
+            image = normalised(shown, spec)
             for name, found in graph.run(session, image).items():
                 wanted = golden[f"model/{case}/out/{name}"].astype(np.float64)
                 error = np.sqrt(np.mean((found - wanted) ** 2) / np.mean(wanted**2))

@@ -38,6 +38,11 @@ def find_model(name: str) -> Path:
     for folder in (MODELS / name, Path(name)):
         if name and (folder / MANIFEST).is_file():
             return folder
+    if name and (MODELS / name / "export.py").is_file():
+        raise ManifestError(
+            f"model {name!r}: not exported yet; its weights are not ours to ship: see "
+            f"{MODELS / name / 'README.md'}"
+        )
     known = ", ".join(model_names()) or "none"
     raise ManifestError(
         f"model {name!r}: neither in {MODELS} (there: {known}) nor a folder with a {MANIFEST}"

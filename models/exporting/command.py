@@ -123,7 +123,7 @@ def _write(args: argparse.Namespace, network: Network, template: str) -> None:
     session = graph.session(path, args.threads)
     golden: dict[str, NDArray[np.generic]] = {}
     for n in views:
-        image = normalised(shown[:n], spec["mean"], spec["std"])
+        image = normalised(shown[:n], spec)
         expected = graph.reference(network, image)
         _compare(session, image, expected, args.tolerance)
         if n in GOLDEN_VIEWS:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,12 +27,11 @@ def pictures(folder: Path | None, size: tuple[int, int], count: int) -> NDArray[
     return np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in found])
 
 
-def normalised(
-    shown: NDArray[np.uint8], mean: Sequence[float], std: Sequence[float]
-) -> NDArray[np.float32]:
-    """(1, N, 3, H, W) RGB, as the manifest's `[input]` says and calm-edge does it."""
+def normalised(shown: NDArray[np.uint8], spec: Mapping[str, Any]) -> NDArray[np.float32]:
+    """(1, N, 3, H, W) RGB, as `spec`, the manifest's `[input]`, says and calm-edge does it."""
     values = shown[..., ::-1].astype(np.float32) / np.float32(255)
-    values = (values - np.asarray(mean, np.float32)) / np.asarray(std, np.float32)
+    mean, std = (np.asarray(spec.get(key, [d]), np.float32) for key, d in (("mean", 0), ("std", 1)))
+    values = (values - mean) / std
     return np.ascontiguousarray(values.transpose(0, 3, 1, 2)[None], np.float32)
 
 

@@ -14,8 +14,8 @@ import pytest
 from onnx import TensorProto, helper, save_model
 
 from calm_edge.backbones.decode.decoder import decode
-from calm_edge.backbones.manifest import Manifest
-from calm_edge.backbones.model_folder import MODELS, read_manifest, verify
+from calm_edge.backbones.manifest import Manifest, ManifestError
+from calm_edge.backbones.model_folder import MODELS, find_model, read_manifest, verify
 from calm_edge.backbones.picture_input import fit_pictures, input_tensor
 from tests.backbones.decode.test_decoder import raw_outputs
 from tests.backbones.raw_scene import make_scene
@@ -67,6 +67,15 @@ def test_a_filled_template_is_a_manifest_whose_files_fit(name, tmp_path):
     fits = fit_pictures(manifest.input, SIZES)
     images = [np.zeros((h, w, 3), np.uint8) for w, h in SIZES]
     assert input_tensor(manifest.input, images, fits).shape == (1, 3, 3, 56, 84)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_model_that_was_not_exported_says_how(name, tmp_path, monkeypatch):
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "export.py").touch()
+    monkeypatch.setattr("calm_edge.backbones.model_folder.MODELS", tmp_path)
+    with pytest.raises(ManifestError, match="not exported yet"):
+        find_model(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
