@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from calm_edge.backbones.bundle.correspond import Bool, Found, find
 from calm_edge.backbones.bundle.features import FeatureNet, LearnedPlace
-from calm_edge.backbones.bundle.tracks import MATCHING, detect_corners
+from calm_edge.backbones.bundle.tracks import (
+    MATCHING,
+    detect_corners,
+    on_epipolar_lines,
+    sift_homography,
+)
 from calm_edge.geometry.flow import Gray, follow, neighbouring_flow
 from calm_edge.types import Float, Float32
 
@@ -29,6 +34,7 @@ UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
 # Turned or zoomed by less, patches are alike as they are.
 SAME_TURN_RAD, SAME_ZOOM = 0.07, 0.12
 MIN_FOR_WARP, WARP_SHARE, MIN_ZOOM = 12, 0.3, 0.2
+WARP_EPIPOLAR_PX = 3.0
 WARP_INLIER = 0.03  # of the picture's width: parallax stays outside of the homography
 # With fewer sure matches, other turns and zooms of the second picture are tried.
 ENOUGH_SURE = 0.35
@@ -47,7 +53,14 @@ class LearnedMatching:
         return _twice_seen(finished(source, target, uv, found))
 
     def homography(self, primary: Gray, assistant: Gray) -> Float | None:
-        """See tracks.Matching; raises BackboneError."""
+        """See tracks.Matching; raises BackboneError.
+
+        SIFT's few matches lie on far things more often than those of the road, which are many, and
+        turn and zoom are what far things show.
+        """
+        rough = sift_homography(primary, assistant)
+        if rough is not None:
+            return rough
         uv = detect_corners(primary, np.zeros((0, 2), np.float32))
         return homography(uv, _any_way_up(self.net, primary, assistant, uv), primary.shape[1])
 
@@ -102,7 +115,8 @@ def _twice_seen(found: Found) -> Found:
 
 def homography(uv: Float32, found: Found, width: int) -> Float | None:
     """H_b_a (3, 3) px through the sure ones of N matches, parallax left out; None where too few."""
-    sure = found.sure
+    sure = found.sure.copy()
+    sure[sure] = on_epipolar_lines(uv[sure], found.uv[sure], WARP_EPIPOLAR_PX)
     if sure.sum() < MIN_FOR_WARP:
         return None
     H, fits = cv2.findHomography(uv[sure], found.uv[sure], cv2.RANSAC, WARP_INLIER * width)

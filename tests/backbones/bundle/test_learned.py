@@ -1,0 +1,106 @@
+"""Learned matching on pictures of the demo drive, turned and zoomed by known amounts."""
+
+import cv2
+import numpy as np
+import pytest
+
+from calm_edge.backbones.bundle import learned, tracks
+from calm_edge.backbones.bundle.correspond import Found
+from tests.backbones.bundle.demo_pictures import picture
+
+NONE = np.zeros((0, 2), np.float32)
+
+
+@pytest.fixture(scope="module")
+def matching():
+    return learned.matcher()
+
+
+@pytest.fixture(scope="module")
+def gray():
+    return cv2.cvtColor(picture(20), cv2.COLOR_BGR2GRAY)
+
+
+def similarity(gray, zoom, turn_deg, shift=(0.0, 0.0)):
+    """H (3, 3) px about the middle of a picture."""
+    height, width = gray.shape
+    middle = ((width - 1) / 2, (height - 1) / 2)
+    H = np.eye(3)
+    H[:2] = cv2.getRotationMatrix2D(middle, turn_deg, zoom)
+    H[:2, 2] += shift
+    return H
+
+
+def through(H, uv):
+    return cv2.perspectiveTransform(uv[None].astype(np.float64), H)[0]
+
+
+def seen(gray, H):
+    return np.asarray(cv2.warpPerspective(gray, H, gray.shape[::-1], borderMode=cv2.BORDER_REFLECT))
+
+
+def judged(found, truth, gray):
+    """Share of the points inside that are found within a pixel; share of the found within three."""
+    inside = ((truth > 8) & (truth < np.array(gray.shape[::-1]) - 9)).all(1)
+    error = np.where(found.sure, np.linalg.norm(found.uv - truth, axis=1), np.inf)
+    return (error[inside] < 1).mean(), (error[found.sure & inside] < 3).mean()
+
+
+def test_a_shift_no_pyramid_reaches_is_found(matching, gray):
+    H = similarity(gray, 1.0, 0.0, (90.0, 12.0))
+    uv = tracks.detect_corners(gray, NONE)
+    right, of_found = judged(matching.along(gray, seen(gray, H), uv), through(H, uv), gray)
+    assert right > 0.6 and of_found > 0.95
+
+
+@pytest.mark.parametrize(("zoom", "turn"), [(1.0, 12.0), (1.5, 0.0), (0.6, -8.0)])
+def test_pictures_turned_and_zoomed_against_each_other(matching, gray, zoom, turn):
+    H = similarity(gray, zoom, turn)
+    uv = tracks.detect_corners(gray, NONE)
+    right, of_found = judged(matching.match(gray, seen(gray, H), uv), through(H, uv), gray)
+    assert right > 0.5 and of_found > 0.9
+
+
+def test_the_homography_between_the_eyes(matching, gray):
+    H = similarity(gray, 1.3, 6.0)
+    rough = matching.homography(gray, seen(gray, H))
+    corners = np.array([[100.0, 60.0], [400.0, 60.0], [100.0, 200.0], [400.0, 200.0]])
+    apart = np.linalg.norm(through(rough, corners) - through(H, corners), axis=1)
+    assert apart.max() < 12
+
+
+def test_nothing_to_match_gives_nothing(matching, gray):
+    flat = np.full_like(gray, 120)
+    uv = tracks.detect_corners(gray, NONE)
+    assert matching.homography(gray, flat) is None
+    assert matching.match(gray, flat, uv).sure.mean() < 0.1
+
+
+def test_a_guess_is_measured_and_a_wrong_one_not_believed(gray):
+    H = similarity(gray, 1.0, 0.0, (7.3, -2.6))
+    uv = tracks.detect_corners(gray, NONE)
+    truth = through(H, uv).astype(np.float32)
+    off = np.random.default_rng(0).normal(0, 1.5, truth.shape).astype(np.float32)
+    wrong = np.arange(len(uv)) % 10 == 0
+    off[wrong] += 60
+    guess = Found(
+        truth + off,
+        np.ones(len(uv), bool),
+        np.full(len(uv), 2.0, np.float32),
+        np.zeros(len(uv), bool),
+    )
+    found = learned.finished(gray, seen(gray, H), uv, guess)
+    error = np.linalg.norm(found.uv - truth, axis=1)
+    assert np.median(error[found.sure & ~wrong]) < 0.15
+    assert found.sure[~wrong].mean() > 0.7 and found.sure[wrong].mean() < 0.2
+
+
+def test_a_network_follows_a_window_as_lucas_kanade_does(matching):
+    primary, assistant = (
+        [cv2.cvtColor(picture(k, eye), cv2.COLOR_BGR2GRAY) for k in (20, 22, 24)] for eye in (0, 1)
+    )
+    found = tracks.window_tracks(primary, assistant, [0, 1, 2], None, matching)
+    bare = tracks.window_tracks(primary, assistant, [0, 1, 2], None)
+    assert set(found.view) == set(range(6))
+    assert len(found.uv) == len(found.track) == len(found.sigma_px) > 0.9 * len(bare.uv)
+    assert (found.sigma_px > 0).all() and np.isfinite(found.uv).all()
