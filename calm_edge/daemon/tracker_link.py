@@ -29,7 +29,8 @@ from calm_edge.daemon.tracker_process_entry import run_tracker
 from calm_edge.types import LocalizerUpdate, SubmapWindow
 from device.frame import Frame
 
-RING_SLOTS = 24
+# most of a second of two cameras at 30 Hz: as long as a new sub-map may hold the tracker up
+RING_SLOTS = 48
 SLOT_BYTES = 4 << 20
 MAX_DEATHS_IN_A_ROW = 3
 # a frame takes tens of milliseconds; one that takes this long will never end

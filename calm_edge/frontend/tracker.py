@@ -24,7 +24,7 @@ from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, 
 
 MIN_INLIERS, SAFE_INLIERS = 12, 80
 # Frames are kept so that a sub-map that comes late can be followed from its keyframes to now.
-REMEMBERED_NS, MOST_REMEMBERED = 6_000_000_000, 200
+REMEMBERED_NS, MOST_REMEMBERED = 12_000_000_000, 360
 # From one frame to the next, at ten a second four and one: the tolerance is for their jitter.
 HOP_NS, CATCH_UP_NS = 390_000_000, 90_000_000
 # Remembered frames tracked again with each new one: bounds what a late sub-map adds to latency.
@@ -293,4 +293,6 @@ class Tracker:
         past = self._past
         if past[here].T_m_c is not None and past[there].T_m_c is not None:
             return [(here, there)]
-        return list(itertools.pairwise(range(here, there + 1)))
+        times = [frame.t_ns for frame in past]
+        between = spaced(times[: there + 1], times[here], CATCH_UP_NS)
+        return list(itertools.pairwise([here, *between]))

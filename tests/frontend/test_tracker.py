@@ -199,7 +199,7 @@ def test_at_thirty_frames_a_second_a_submap_may_come_as_late_as_at_ten() -> None
         at(i)
     ids = [0, 1, 2]
     stamps = [1_000_000_000 + 9 * i * PERIOD_NS // 3 for i in ids]
-    # three seconds and more after its newest keyframe
+    # three seconds after its newest keyframe
     assert tracker.attach(WORLD.update(0, ids, stamps, poses[[0, 9, 18]]))
     live = [s for s in map(at, range(110, 130)) if s.status is PoseStatus.LIVE]
     # the frames between are tracked anew, three with each that comes
