@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -14,25 +14,37 @@ from calm_edge.daemon.result import RecordResult
 from calm_edge.evaluation.bench import joint_optimum, length
 from calm_edge.evaluation.bench.load import Run, cpu_seconds, table
 from calm_edge.evaluation.bench.load_pictures import SIZE, enlarged, frames
+from calm_edge.geometry.flow import corners, follow
 from device.frame import Eye, Frame
 from tests.replay.small_drive import write_drive
 
 
 def test_pictures_are_made_once_at_the_size_of_a_camera(tmp_path: Path) -> None:
-    drive = write_drive(tmp_path / "drive", 3)
+    drive = write_drive(tmp_path / "drive", 4)
     made = enlarged(drive, Eye.PRIMARY, tmp_path / "pictures")
-    assert [Frame(Eye.PRIMARY, 0, 1, p).bgr().shape for p in made] == [(*SIZE[::-1], 3)] * 3
-    # no picture is another's
-    assert len(set(made)) == 3
-    first = tmp_path / "pictures" / "cam0" / "000000.jpg"
-    cv2.imwrite(str(first), np.zeros((4, 4, 3), np.uint8))
-    assert enlarged(drive, Eye.PRIMARY, tmp_path / "pictures")[0] == first.read_bytes()
+    # from the assistant's first to the primary's last, 17 ms later and 300 ms: thirty a second
+    assert len(made) == len(enlarged(drive, Eye.ASSISTANT, tmp_path / "pictures")) == 9
+    pictures = [Frame(Eye.PRIMARY, 0, 1, p.read_bytes()).gray() for p in made]
+    assert all(p.shape == SIZE[::-1] for p in pictures)
+    # it moves from each to the next, and not by leaps
+    steps = [
+        float(np.median(np.linalg.norm(moved - uv, axis=1)[good]))
+        for a, b in itertools.pairwise(pictures)
+        for uv in [corners(a, 200)]
+        for moved, good in [follow(a, b, uv)]
+    ]
+    assert max(steps) < 3 * min(steps) and min(steps) > 0.5
+    made[0].write_bytes(b"kept")
+    assert enlarged(drive, Eye.PRIMARY, tmp_path / "pictures")[0].read_bytes() == b"kept"
 
 
-def test_frames_come_thirty_times_a_second_there_and_back() -> None:
-    given = list(frames([b"a", b"b", b"c"], Eye.ASSISTANT, 15))
-    assert b"".join(f.image[:1] for f in given if isinstance(f.image, bytes)) == b"aaabbbcccbbbaaa"
-    assert [f.sequence for f in given] == list(range(15))
+def test_frames_come_thirty_times_a_second_there_and_back(tmp_path: Path) -> None:
+    pictures = [tmp_path / name for name in "abc"]
+    for path in pictures:
+        path.write_text(path.name)
+    given = list(frames(pictures, Eye.ASSISTANT, 9))
+    assert b"".join(f.image for f in given if isinstance(f.image, bytes)) == b"abcbabcba"
+    assert [f.sequence for f in given] == list(range(9))
     step = np.diff([f.t_ns for f in given])
     assert np.abs(step - 1e9 / 30).max() <= 1
 

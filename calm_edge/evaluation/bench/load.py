@@ -111,7 +111,7 @@ def optimising(keyframes: int) -> Iterator[None]:
 
 
 def run(
-    name: str, pictures: tuple[list[bytes], ...], seconds: float, kills: tuple[float, ...] = ()
+    name: str, pictures: tuple[list[Path], ...], seconds: float, kills: tuple[float, ...] = ()
 ) -> Run:
     """The daemon over that many seconds of frames."""
     config = merge(
@@ -192,9 +192,9 @@ def table(runs: list[Run], command: str) -> Table:
         ]
     seconds = runs[0].asked / 2 / RATE_HZ
     notes = (
-        f"each run {seconds:.0f} s; the demo drive enlarged to {SIZE[0]}x{SIZE[1]}, to its end "
-        "and back, each picture shown three times; a keyframe each 0.1 s, so that the estimator "
-        "never rests",
+        f"each run {seconds:.0f} s; the demo drive enlarged to {SIZE[0]}x{SIZE[1]} and brought to "
+        f"{RATE_HZ} Hz by optical flow, there and back; a keyframe each 0.1 s, so that the "
+        "estimator never rests",
         f"{os.cpu_count()} cores, shared with whatever else ran: see the load average; the capture "
         "process at ordinary priority, without real-time scheduling",
         "the processor time is that of the whole capture process: replay, capture, recording",
