@@ -169,8 +169,10 @@ def _report(where: Path, precision: str, to: Path) -> None:
             image = normalised(shown, spec)
             for name, found in graph.run(session, image).items():
                 wanted = golden[f"model/{case}/out/{name}"].astype(np.float64)
-                error = np.sqrt(np.mean((found - wanted) ** 2) / np.mean(wanted**2))
-                print(f"{precision} {case} {name}: relative RMS error {error:.4f}")
+                error = np.sqrt(np.mean((found - wanted) ** 2))
+                size, spread = np.sqrt(np.mean(wanted**2)), np.std(wanted)
+                shares = f"{error / size:.4f} of its RMS, {error / spread:.4f} of its spread"
+                print(f"{precision} {case} {name}: RMS error {shares}")
     print(f"{to}: {to.stat().st_size / 1e6:.1f} MB")
 
 

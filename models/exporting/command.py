@@ -151,7 +151,8 @@ def _compare(
     tolerance: float,
 ) -> None:
     error, name = graph.worst_error(graph.run(session, image), expected)
-    print(f"{image.shape[1]} views: ONNX against torch, worst value {error:.1e} of RMS ({name})")
+    views = image.shape[1]
+    print(f"{views} views: ONNX against torch, worst value {error:.1e} of the spread ({name})")
     if not error <= tolerance:
         raise SystemExit(f"the graph is not the network: {error:.1e} > {tolerance:.1e}")
 
