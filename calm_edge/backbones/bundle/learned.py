@@ -142,7 +142,10 @@ def _zoom_and_turn(H: NDArray[Any], at: NDArray[Any]) -> tuple[float, float]:
 
 
 def warped(b: Gray, H_b_a: Float, a: Gray) -> Gray:
-    """b as a would show it."""
+    """b as a would show it, smoothed where that shrinks it: what aliases has moved."""
+    zoom = float(np.sqrt(abs(np.linalg.det(H_b_a[:2, :2]))))
+    if zoom > 1 + SAME_ZOOM:
+        b = np.asarray(cv2.GaussianBlur(b, (0, 0), 0.5 * np.sqrt(zoom**2 - 1)), np.uint8)
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpPerspective(b, H_b_a, a.shape[::-1], flags=flags), np.uint8)
 
@@ -175,15 +178,18 @@ def _turned(a: Gray, b: Gray, turn_deg: float, zoom: float) -> Float:
 
 
 def _through(found: Found, H_b_a: Float, b: Gray) -> Found:
-    """What was found in b as warped, in b; what lies outside is none."""
+    """What was found in b as warped, in b; what lies outside is none.
+
+    Sigma stays as it was there: weighing the eyes less would leave their distance to the rest.
+    """
     if len(found.uv) == 0:
         return found
     uv = cv2.perspectiveTransform(found.uv[None].astype(np.float64), H_b_a)[0]
     height, width = b.shape
     inside: Bool = (uv >= 0).all(1) & (uv <= np.array([width - 1, height - 1])).all(1)
-    zoom = np.sqrt(abs(np.linalg.det(H_b_a[:2, :2])))
-    sigma = np.asarray(found.sigma_px * zoom, np.float32)
-    return Found(np.asarray(uv, np.float32), found.sure & inside, sigma, found.measured & inside)
+    return Found(
+        np.asarray(uv, np.float32), found.sure & inside, found.sigma_px, found.measured & inside
+    )
 
 
 def matcher(name: str = "calm-geo") -> LearnedMatching:
