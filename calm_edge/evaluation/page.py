@@ -12,7 +12,8 @@ Roboto,sans-serif}
 main{max-width:1120px;margin:0 auto;padding:40px 24px 80px}
 h1{font-size:30px;margin:0 0 4px;letter-spacing:-.01em}h2{font-size:20px;margin:0 0 4px}
 p.lead,p.note{color:#52606d;margin:0 0 18px}
-section{background:#fff;border:1px solid #e3e7eb;border-radius:12px;padding:22px 24px;margin:22px 0;overflow-x:auto}
+section{background:#fff;border:1px solid #e3e7eb;border-radius:12px;padding:22px 24px;margin:22px 0}
+section{overflow-x:auto}
 img,svg{display:block;width:100%;height:auto;border-radius:6px}img+img{margin-top:12px}
 table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
 td{padding:7px 10px;border-bottom:1px solid #eef1f4;vertical-align:top}
