@@ -117,6 +117,10 @@ def build(args: argparse.Namespace) -> Network:
     if args.small:
         _shrink(config)
     net = MapAnything(**config)
+    for part in net.modules():
+        # the exporter knows no clamp between an integer and a float
+        for limit in {"vmin", "vmax"} & set(vars(part)):
+            setattr(part, limit, float(getattr(part, limit)))
     command.load(net, args)
     return Network(
         AllViewsAtOnce(net), ("poses", "rays", "depth_along_ray", "conf"), original=AsItIs(net)
@@ -141,7 +145,8 @@ def published(folder: Path) -> dict[str, Any]:
         "pred_head": head,
         "task": read("task/default", "task/images_only"),
     }
-    whole = OmegaConf.create({"model": {**parts, **read("mapanything")}})
+    # merged, not unpacked: unpacking would follow the references between the files too early
+    whole = OmegaConf.merge({"model": parts}, {"model": read("mapanything")})
     config: dict[str, Any] = OmegaConf.to_container(whole.model.model_config, resolve=True)
     return config
 
