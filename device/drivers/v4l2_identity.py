@@ -38,13 +38,21 @@ def holders(path: str, proc: Path = _PROC) -> list[str]:
     found = []
     for process in sorted(proc.glob("[0-9]*"), key=lambda p: p.name):
         try:
-            held = any(str(link.readlink()) == path for link in (process / "fd").iterdir())
+            links = list((process / "fd").iterdir())
         except OSError:
             # another user's process, or one that has just ended
             continue
-        if held:
+        if any(_points_at(link, path) for link in links):
             found.append(f"{_line(process / 'comm') or 'a program'} (process {process.name})")
     return found
+
+
+def _points_at(link: Path, path: str) -> bool:
+    try:
+        return str(link.readlink()) == path
+    except OSError:
+        # a busy process closes files while they are looked through
+        return False
 
 
 def _line(path: Path) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from calm_edge.daemon import tracker_link
 from tests.faults import isolation_rows as rows
 from tests.faults.row import Row
 from tests.replay.small_drive import write_drive
@@ -29,7 +30,12 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_capture_goes_on(
-    drive: Path, tmp_path: Path, fault: Callable[[Path, int, Path], Row]
+    drive: Path,
+    tmp_path: Path,
+    fault: Callable[[Path, int, Path], Row],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # so short a drive would fit into the ring that waits for a tracker
+    monkeypatch.setattr(tracker_link, "RING_SLOTS", 12)
     row = fault(drive, N, tmp_path)
     assert row.kept, row
