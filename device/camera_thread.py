@@ -97,7 +97,8 @@ class CameraThread:
             named = isinstance(error, DeviceError)
             self.error = str(error) if named else f"{self.camera.spec.name}: {error!r}"
             self.state = CameraState.FAILED
-            log.exception("%s: the camera thread ended", self.camera.spec.name)
+            if not named:
+                log.exception("%s: the camera thread ended", self.camera.spec.name)
         finally:
             self.camera.stop()
 

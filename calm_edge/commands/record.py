@@ -155,9 +155,6 @@ def record(arguments: argparse.Namespace, notifier: Notifier) -> int:
 
     config = effective_config(arguments)
     source = open_source(arguments, config)
-    if source.is_replay:
-        # what ends a replay is a file, not a fault of ours: one line, no traceback
-        logging.getLogger("device.camera_thread").setLevel(logging.CRITICAL)
     check_target(arguments, config)
     out: Path | None = None
     lockstep = arguments.pace == "lockstep"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 from calm_edge.config import Config
+from calm_edge.types import CalmEdgeError
 from device.camera import Camera, CameraControls, CameraSpec, open_camera, parse_address
 from device.clock import Clock, SystemClock
+from device.errors import CameraError
 from device.frame import Eye, Frame
 
 # between opening a replay and its first frame, so that no frame is late from the start
@@ -65,7 +67,7 @@ def replayed(
             open_camera(
                 CameraSpec(eye, "replay", description, stale_after_ms=stale_after_ms),
                 clock,
-                frames=frames(eye),
+                frames=_explained(frames(eye)),
                 epoch_ns=epoch_ns,
                 origin_ns=epoch_ns,
                 paced=paced,
@@ -75,6 +77,14 @@ def replayed(
         return primary, assistant
 
     return Source(cameras, clock, True, description)
+
+
+def _explained(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The frames; a file that ends them is the camera's own error, not a fault of ours."""
+    try:
+        yield from frames
+    except CalmEdgeError as error:
+        raise CameraError(str(error)) from error
 
 
 def live(config: Config) -> Source:

