@@ -32,6 +32,7 @@ from calm_edge.types import (
     Bytes,
     GlobalIntrinsics,
     Hints,
+    Int,
     LocalizerUpdate,
     LoopClosure,
     Prediction,
@@ -152,6 +153,10 @@ class Localizer:
             loop=closed,
             loop_keyframe=window.loop_keyframe if closed is not None else None,
         )
+
+    def leave_out(self, submap_id: int, t_ns: Int) -> None:
+        """A window that will not come. t_ns (N,) of its primary keyframes: there was motion."""
+        self._atlas.skip(SkippedWindow(submap_id, "left out", t_ns))
 
     def finish(self) -> Trajectory | None:
         """Every window under the final belief, then the joint optimum; None without a sub-map."""

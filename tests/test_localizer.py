@@ -216,6 +216,22 @@ def test_a_window_that_fails_is_bridged_at_constant_velocity(fails):
     assert position_error(trajectory.T_w_c, T[known]).max() < 1e-6
 
 
+def test_a_window_left_out_is_bridged_as_if_it_had_failed():
+    T = straight(75)
+    localizer = Localizer(METRES, Failing(scene(T), ScriptedErrors(), fails=set()))
+    for window in windows(75):
+        if window.submap_id in (2, 3):
+            stamps = np.array([keyframe.frame.t_ns for keyframe in window.primary])
+            localizer.leave_out(window.submap_id, stamps)
+        else:
+            assert localizer.process(window) is not None
+    assert [s.submap_id for s in localizer.skipped] == [2, 3]
+    trajectory = localizer.trajectory()
+    known = trajectory.keyframe_ids
+    assert len(known) < 75
+    assert position_error(trajectory.T_w_c, T[known]).max() < 1e-6
+
+
 def test_long_gaps_between_skipped_keyframes_are_a_standstill():
     T = straight(60)
     # a moving car would have been given a keyframe long before

@@ -5,6 +5,7 @@ It never imports gtsam and never runs a solver: tracker and estimator are proces
 
 from __future__ import annotations
 
+import gc
 import math
 import sys
 import time
@@ -127,6 +128,7 @@ class Capture:
 
     def _finish(self) -> None:
         """The last windows, the backlog, the joint optimum."""
+        self._desk.capturing = False
         if self._lockstep:
             limit_s = math.inf
         elif self._source.is_replay and not self._stop_requests:
@@ -171,12 +173,17 @@ class Capture:
 
 @contextmanager
 def prompt() -> Iterator[None]:
-    """The loop need not wait for the other threads of this process longer than SWITCH_S."""
+    """The loop need not wait for the other threads of this process longer than SWITCH_S, nor for
+    a search through all that was there before it for what could be freed: a tenth of a second.
+    """
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
+    gc.collect()
+    gc.freeze()
     try:
         yield
     finally:
+        gc.unfreeze()
         sys.setswitchinterval(before)
 
 

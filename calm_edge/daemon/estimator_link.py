@@ -14,6 +14,7 @@ from calm_edge.daemon.estimator_process_entry import run_estimator
 from calm_edge.daemon.messages import (
     Finish,
     Finished,
+    LeftOut,
     MakeDepth,
     Process,
     Processed,
@@ -21,6 +22,7 @@ from calm_edge.daemon.messages import (
     Refused,
     Stop,
 )
+from calm_edge.frontend.remembered import REMEMBERED_NS
 from calm_edge.types import SubmapWindow
 
 # A window holds some 5 MB of JPEG. Beyond this they are left to `map`.
@@ -29,10 +31,16 @@ LAGGING_WINDOWS = 2
 MAX_DEATHS_IN_A_ROW = 3
 # the slowest models take a minute or two; a window that takes this long will never end
 HUNG_S = 300.0
+# A sub-map as old as what the tracker remembers cannot be followed to now; the last quarter is for
+# the way to now itself.
+IN_TIME_S = 0.75 * REMEMBERED_NS / 1e9
 
 
 class EstimatorLink:
-    """Owner of the estimator's process, its inbox and what was lost with it."""
+    """Owner of the estimator's process, its inbox and what was lost with it.
+
+    now_ns: the clock of the frames' stamps.
+    """
 
     def __init__(
         self,
@@ -41,13 +49,17 @@ class EstimatorLink:
         say: Callable[[str], None],
         *,
         lockstep: bool = False,
+        now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._config = config
+        self._now_ns = now_ns
         self._lockstep = lockstep
         self._events = events
         self._say = say
         self._inbox: deque[SubmapWindow] = deque()
         self._in_hand: SubmapWindow | None = None
+        self._left_out: list[LeftOut] = []
+        self._took_s = 0.0
         self._ready = False
         self._deaths_in_a_row = 0
         self._finishing = False
@@ -55,6 +67,8 @@ class EstimatorLink:
         self._handed_s = 0.0
         self._died_finishing = False
         self.refusal = ""
+        # without a pose nothing counts but the next one
+        self.pose_lost = False
         self.lost: list[int] = []
         self.left_to_map: list[int] = []
         self.unsolved: list[int] = []
@@ -84,7 +98,7 @@ class EstimatorLink:
     def offer(self, window: SubmapWindow) -> bool:
         """Queues a window; False when there is no room: then only `map` will see it."""
         if self.given_up or len(self._inbox) >= INBOX_WINDOWS:
-            self.left_to_map.append(window.submap_id)
+            self.leave(window)
             return False
         self._inbox.append(window)
         self.pump()
@@ -93,6 +107,9 @@ class EstimatorLink:
     def leave(self, window: SubmapWindow) -> None:
         """A window that only `map` will see, for the machine has no time for it now."""
         self.left_to_map.append(window.submap_id)
+        self._left_out.append(
+            LeftOut(window.submap_id, tuple(k.frame.t_ns for k in window.primary))
+        )
 
     def make_depth(self, on: bool) -> None:
         """Depth where the configuration asks for it, or left to `map`."""
@@ -111,8 +128,11 @@ class EstimatorLink:
         if not self.child.alive:
             self._bury()
         elif self._ready and self._in_hand is None and self._inbox:
+            if self.pose_lost and not self._lockstep:
+                self._catch_up()
             self._in_hand, self._handed_s = self._inbox.popleft(), time.monotonic()
-            self.child.send(Process(self._in_hand))
+            self.child.send(Process(self._in_hand, tuple(self._left_out)))
+            self._left_out.clear()
 
     def accept(self, message: Any) -> None:
         """A message of the present process."""
@@ -122,6 +142,7 @@ class EstimatorLink:
             case Refused():
                 self.refusal = message.reason
             case Processed():
+                self._took_s = time.monotonic() - self._handed_s
                 self._in_hand = None
                 self._deaths_in_a_row = 0
                 if message.update is None:
@@ -141,6 +162,20 @@ class EstimatorLink:
         self._inbox.clear()
         self._in_hand = None
         self.child.stop(Stop(), timeout_s)
+
+    def _catch_up(self) -> None:
+        """Where the next window would give no pose any more, all but the newest are left to `map`.
+
+        One after the other they would all be too late: each is solved while others come.
+        """
+        waited_s = (self._now_ns() - self._inbox[0].primary[-1].frame.t_ns) / 1e9
+        if len(self._inbox) < 2 or waited_s + self._took_s <= IN_TIME_S:
+            return
+        *late, newest = self._inbox
+        self._say(f"no pose, and {len(late)} windows too late to give one: left to map")
+        for window in late:
+            self.leave(window)
+        self._inbox = deque([newest])
 
     def _spawn(self) -> Child:
         return Child("estimator", run_estimator, (self._config, self._lockstep), self._events)

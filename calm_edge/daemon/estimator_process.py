@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
 from calm_edge.backbones.base import open_backbone
 from calm_edge.batch import window_hints
@@ -50,6 +51,8 @@ class EstimatorWork:
     def handle(self, message: Any) -> Any:
         """The answer to one message."""
         if isinstance(message, Process):
+            for window in message.left_out:
+                self._localizer.leave_out(window.submap_id, np.array(window.t_ns, np.int64))
             return self._process(message.window)
         if isinstance(message, Finish):
             trajectory = self._localizer.finish()

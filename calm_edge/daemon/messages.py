@@ -122,10 +122,19 @@ class Flushed:
 
 
 @dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A window that only `map` will see. t_ns: stamps of its primary keyframes."""
+
+    submap_id: int
+    t_ns: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Process:
-    """A window for the estimator."""
+    """A window for the estimator. left_out: those since the last one that it never gets."""
 
     window: SubmapWindow
+    left_out: tuple[LeftOut, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

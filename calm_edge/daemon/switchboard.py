@@ -57,6 +57,7 @@ class Switchboard:
         self.writer: RecordingWriter | None = None
         self.kit: KitBelief | None = None
         self.impatient = False
+        self.capturing = True
         self.lagging = False
         self.shed = Shed.NOTHING
         self.stage_ms: dict[str, float] = {}
@@ -67,7 +68,9 @@ class Switchboard:
         self._open_writer, self.publisher = open_writer, publisher
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
         self.tracker = TrackerLink(config.frontend, self._events, self.say)
-        self.estimator = EstimatorLink(config, self._events, self.say, lockstep=lockstep)
+        self.estimator = EstimatorLink(
+            config, self._events, self.say, lockstep=lockstep, now_ns=source.clock.now_ns
+        )
 
     def start(self) -> None:
         """Waits for both children; raises CalmEdgeError."""
@@ -129,6 +132,9 @@ class Switchboard:
                 self._from_estimator(message)
             elif child is self.tracker.child:
                 poses += self._from_tracker(message)
+        silent_ms = (self.source.clock.now_ns() - self.live_ns) / 1e6
+        # when frames have ended no pose will come of haste
+        self.estimator.pose_lost = self.capturing and silent_ms > self.config.frontend.lost_after_ms
         # after what they said was heard, or a capture that slept would take them for hung
         self.estimator.pump()
         self.tracker.pump()

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from calm_edge.types import Bytes, Float, Float32
 
+# Frames are kept so that a sub-map that comes late can be followed from its keyframes to now.
+REMEMBERED_NS, MOST_REMEMBERED = 12_000_000_000, 360
+
 
 @dataclass(slots=True)
 class Past:

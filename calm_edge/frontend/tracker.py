@@ -16,15 +16,13 @@ from calm_edge.config import FrontendConfig
 from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
 from calm_edge.frontend.pnp import PoseFit, locate, reprojection
-from calm_edge.frontend.remembered import Past, Tracks, spaced
+from calm_edge.frontend.remembered import MOST_REMEMBERED, REMEMBERED_NS, Past, Tracks, spaced
 from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
 from calm_edge.geometry.flow import follow
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
 MIN_INLIERS, SAFE_INLIERS = 12, 80
-# Frames are kept so that a sub-map that comes late can be followed from its keyframes to now.
-REMEMBERED_NS, MOST_REMEMBERED = 12_000_000_000, 360
 # From one frame to the next, at ten a second four and one: the tolerance is for their jitter.
 HOP_NS, CATCH_UP_NS = 390_000_000, 90_000_000
 # Remembered frames tracked again with each new one: bounds what a late sub-map adds to latency.
@@ -136,9 +134,12 @@ class Tracker:
     def _catch_up(self, keyframe: int, start: Tracks, known: dict[int, Float]) -> bool:
         """Begins to track the remembered frames since a keyframe as if they came now.
 
-        Dearer than hops, but new points replace those that leave the view on the way.
+        Dearer than hops, but new points replace those that leave the view on the way. False where
+        one that already follows is nearer to now: begun again each time, none would ever arrive.
         """
-        first = self._past[keyframe]
+        first, running = self._past[keyframe], self._follower
+        if running is not None and running._tracks is not None and self._followed_ns >= first.t_ns:
+            return False
         self._follower = Tracker(self.config)
         self._follower._tracks = replace(start, seen_in=first.gray)
         self._follower._path.add(first.t_ns, known[keyframe])

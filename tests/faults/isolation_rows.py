@@ -16,6 +16,7 @@ from calm_edge.recording.reader import Recording
 from device.frame import Eye
 from device.serial_port import SerialPort
 from tests.faults.row import AfterFrames, Row, all_frames, health, sequences
+from tests.faults.slow_estimator import FIRST_S, LATER_S, slow_estimator
 from tests.replay.daemon_run import config_for, record
 
 
@@ -108,6 +109,29 @@ def standing_estimator(drive: Path, n: int, folder: Path) -> Row:
         f"{loop_figures(folder / 'rec')}",
         f"no frame lost, at most {INBOX_WINDOWS + 1} windows wait",
         kept and 0 < waiting[0] <= INBOX_WINDOWS + 1,
+    )
+
+
+def slow_from_the_start(drive: Path, n: int, folder: Path) -> Row:
+    """The first sub-map comes too late to follow, and windows come faster than they are solved."""
+    first: list[float] = []
+
+    def watch(desk: Switchboard, _: str) -> None:
+        if desk.result.poses and not first:
+            first.append(desk.result.frames[0] / 10)
+
+    with slow_estimator():
+        result, _ = record(drive, folder / "rec", lockstep=False, during=watch)
+    # the window in hand when the first is through, and the way to now
+    limit_s = FIRST_S + 2 * LATER_S + 2
+    kept = result.frames == [n, n] and result.unrecorded == 0 and all_frames(folder / "rec", n)
+    when = f"first pose after {first[0]:.1f} s" if first else "no pose"
+    return Row(
+        f"estimator slow from the start: {FIRST_S:.0f} s, then {LATER_S:.0f} s a window",
+        f"{when}, {result.poses} poses, {len(result.windows_left_to_map)} of {result.windows} "
+        "windows left to map",
+        f"no frame lost; a pose within {limit_s:.0f} s",
+        kept and bool(first) and first[0] <= limit_s,
     )
 
 

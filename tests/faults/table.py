@@ -51,6 +51,7 @@ def table(short: Path, long: Path) -> dict[str, Callable[[Path], Row]]:
         "disk-stands": on_short(isolation_rows.standing_disk),
         "disk-stands-for-ever": on_short(isolation_rows.endless_disk),
         "estimator-stands": on_short(isolation_rows.standing_estimator),
+        "estimator-slow": lambda folder: isolation_rows.slow_from_the_start(long, LONG, folder),
         "tracker-stands": on_short(isolation_rows.standing_tracker),
         "serial-stalled": on_short(isolation_rows.stalled_serial),
         "stamps-future": lying("from the future"),

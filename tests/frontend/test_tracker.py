@@ -172,6 +172,23 @@ def test_a_submap_that_comes_after_its_points_left_the_view_is_caught_up_with() 
     assert np.linalg.norm(samples[-1].T_w_c[:3, 3] - poses[-1][:3, 3]) < 0.05 * driven
 
 
+def test_catching_up_is_not_begun_again_by_each_late_submap() -> None:
+    poses = drive(75, step_m=0.4)
+    tracker = Tracker(FrontendConfig())
+    feed(tracker, poses[:40])
+    assert tracker.attach(WORLD.update(0, [0, 1], [stamp(0), stamp(3)], poses[[0, 3]]))
+    samples = feed(tracker, poses[40:48], 40)
+    for k, at in enumerate((48, 52, 56)):
+        # each is nearer to now than the one before, and farther than what follows already
+        ids = [1 + k, 2 + k]
+        update = WORLD.update(1 + k, ids, [stamp(3 * i) for i in ids], poses[[3 * i for i in ids]])
+        assert not tracker.attach(update)
+        samples += feed(tracker, poses[at : at + 4], at)
+    samples += feed(tracker, poses[60:], 60)
+    assert samples[0].status is PoseStatus.LOST
+    assert all(s.status is PoseStatus.LIVE for s in samples[20:])
+
+
 def test_a_submap_whose_keyframes_are_forgotten_is_refused() -> None:
     poses = drive(10)
     tracker = Tracker(FrontendConfig())
