@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calm_edge.config import load
 from calm_edge.daemon.lateness import Lateness
 from calm_edge.daemon.result import RecordResult
 from calm_edge.evaluation.bench import joint_optimum, length
-from calm_edge.evaluation.bench.load import Run, cpu_seconds, table
+from calm_edge.evaluation.bench.load import PRIORITY, Run, cpu_seconds, granted, table
 from calm_edge.evaluation.bench.load_pictures import SIZE, enlarged, frames
 from calm_edge.geometry.flow import corners, follow
 from device.frame import Eye, Frame
@@ -71,6 +72,14 @@ def test_each_promise_is_judged(
         result.note_pose(False, age_ms)
     made = table([Run("inference", 60, lost, share, 0.5, 1.0, result)], "command")
     assert [check.passed for check in made.checks] == kept
+
+
+def test_the_priority_is_the_packages_and_asked_for_by_a_thread_that_is_gone() -> None:
+    assert load(Path("deploy/calm-edge.toml")).capture.realtime_priority == PRIORITY
+    assert granted(PRIORITY) in (0, PRIORITY)
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+    # the kernel has none above 99
+    assert granted(100) == 0
 
 
 def test_the_processor_time_of_a_process_is_its_own() -> None:
