@@ -16,7 +16,6 @@ from calm_edge.pose_output.jump import jumped
 from calm_edge.pose_output.line_budget import ANSWERS_HZ, check_rate
 from calm_edge.pose_output.mavlink import (
     COMPONENT_VISUAL_ODOMETRY,
-    NAN,
     UNKNOWN_COVARIANCE,
     Encoder,
     Heartbeat,
@@ -63,6 +62,9 @@ class PosePublisher:
     consumer that took spacings for metres would be misled, and a warning says why.
     lost_after_ms: without a new sample for so long the pose is lost. now_ns: the clock of the
     samples' stamps, which TIMESYNC is answered by. Its `receive` may be called by another thread.
+
+    A lost pose is silence: an old one must not look new, and of a message without numbers a
+    consumer may keep these (ArduPilot lines up what follows a reset with the last place told).
     """
 
     def __init__(
@@ -121,10 +123,12 @@ class PosePublisher:
         self._tell(now_ns)
         if self._newest is None or now_ns < self._next_pose_ns:
             return
-        message = self._odometry(self._newest, self._status(self._newest, now_ns), now_ns)
-        if message is not None:
-            self._next_pose_ns = _following(self._next_pose_ns, self._period_ns, now_ns)
-            self._send(message)
+        newest, status = self._newest, self._status(self._newest, now_ns)
+        if status is PoseStatus.LOST or newest.t_ns <= self._sent_t_ns:
+            return
+        self._sent_t_ns = newest.t_ns
+        self._next_pose_ns = _following(self._next_pose_ns, self._period_ns, now_ns)
+        self._send(self._odometry(newest, status))
 
     def receive(self, data: bytes) -> None:
         """Bytes that came in; a request for our time is answered at once."""
@@ -187,15 +191,7 @@ class PosePublisher:
         for message in status_texts(severity, text, self._texts):
             self._send(message)
 
-    def _odometry(self, newest: PoseSample, status: PoseStatus, now_ns: int) -> Odometry | None:
-        if status is PoseStatus.LOST:
-            # the moment of the loss, and no pose: an old one must not look new. Nor may the line's
-            # time run backwards: a pose exposed before this moment is not sent after it
-            self._sent_t_ns = max(self._sent_t_ns, now_ns)
-            return _no_pose(now_ns, self._reset_counter)
-        if newest.t_ns <= self._sent_t_ns:
-            return None
-        self._sent_t_ns = newest.t_ns
+    def _odometry(self, newest: PoseSample, status: PoseStatus) -> Odometry:
         T_b_c = self._T_b_c
         T_l_b = body_frame.body_pose(T_b_c, newest.T_w_c)
         twist = body_frame.body_twist(T_b_c, newest.velocity_c, newest.turn_rate_c)
@@ -231,21 +227,6 @@ def _mounting(config: PoseOutputConfig) -> np.ndarray:
     if not 1 <= config.system_id <= 255:
         raise ConfigError(f"pose_output.system_id = {config.system_id}: expected 1 to 255")
     return body_frame.mounting(config.mounting_rpy_deg, config.mounting_xyz_m)
-
-
-def _no_pose(now_ns: int, reset_counter: int) -> Odometry:
-    nothing = (NAN, NAN, NAN)
-    return Odometry(
-        time_usec=now_ns // 1000,
-        position=nothing,
-        quaternion=(NAN, *nothing),
-        velocity=nothing,
-        turn_rate=nothing,
-        pose_covariance=UNKNOWN_COVARIANCE,
-        velocity_covariance=UNKNOWN_COVARIANCE,
-        reset_counter=reset_counter,
-        quality=FAILED,
-    )
 
 
 def _following(due_ns: int, period_ns: int, now_ns: int) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import os
 import threading
 from collections.abc import Iterable, Iterator
@@ -133,14 +132,7 @@ def test_every_pose_of_the_recording_leaves_once_and_in_order(
     stamps = np.array([m.time_usec for m in odometry])
     assert (np.diff(stamps) > 0).all()
     live = [s.t_ns // 1000 for s in recording.poses() if s.status is not PoseStatus.LOST]
-    told = [m.time_usec for m in odometry if m.quality > 0]
-    # a loss that was told between an exposure and its pose: time does not run back to the pose
-    lost = [m.time_usec for m in odometry if m.quality <= 0]
-    late = FrameClock.LATE_NS // 1000
-    overtaken = {t for t in live if any(t < moment <= t + late for moment in lost)}
-    assert set(told) <= set(live) <= set(told) | overtaken
-    # the first after the start and the first after the dark, at most
-    assert len(overtaken) <= 2
+    assert stamps.tolist() == live
     # but for the start and the dark, one a frame
     assert N > len(live) > N - len(DARK) - 25
 
@@ -150,14 +142,11 @@ def test_a_pose_on_the_line_is_the_recorded_one_at_its_exposure(
 ) -> None:
     odometry, recording = odometry_of(heard[0]), heard[1]
     recorded = {s.t_ns // 1000: s for s in recording.poses() if s.status is not PoseStatus.LOST}
-    told = [m for m in odometry if m.quality > 0]
-    assert told
-    for message in told:
+    assert odometry and all(m.quality > 0 for m in odometry)
+    for message in odometry:
         x, y, z = recorded[message.time_usec].T_w_c[:3, 3]
         # camera x right, y down, z forward; the line speaks forward, right, down
         np.testing.assert_allclose([message.x, message.y, message.z], [z, x, y], atol=1e-4)
-    lost = [m for m in odometry if m.quality <= 0]
-    assert lost and all(math.isnan(m.x) for m in lost)
 
 
 def test_the_reset_counter_changes_with_the_epoch_and_only_then(
@@ -165,8 +154,7 @@ def test_the_reset_counter_changes_with_the_epoch_and_only_then(
 ) -> None:
     odometry, recording = odometry_of(heard[0]), heard[1]
     epochs = {s.t_ns // 1000: s.epoch for s in recording.poses()}
-    told = [m for m in odometry if m.quality > 0]
-    seen = [(m.reset_counter, epochs[m.time_usec]) for m in told]
+    seen = [(m.reset_counter, epochs[m.time_usec]) for m in odometry]
     assert {epoch for _, epoch in seen} == {0, 1}
     for (count, epoch), (next_count, next_epoch) in itertools.pairwise(seen):
         assert next_count - count == next_epoch - epoch
@@ -190,7 +178,7 @@ def test_a_run_in_real_time_tells_recorded_poses_and_the_end(tmp_path: Path) -> 
     listener.close()
     odometry = odometry_of(listener.messages)
     recorded = {s.t_ns // 1000 for s in Recording(tmp_path / "rec").poses()}
-    assert {m.time_usec for m in odometry if m.quality > 0} <= recorded
+    assert {m.time_usec for m in odometry} <= recorded
     stamps = [m.time_usec for m in odometry]
     assert stamps == sorted(set(stamps))
     beats = [m.system_status for m in listener.messages if m.get_type() == "HEARTBEAT"]
