@@ -26,8 +26,13 @@ demo: setup
 	$(CALM_EDGE) eval $(DEMO_OUT)/map --truth $(DEMO_DRIVE)
 	@echo "recording: $(DEMO_OUT)/recording   report: $(DEMO_OUT)/map/report.html   map: $(DEMO_OUT)/map/map.ply"
 
+# what runs in real time runs alone: faults are judged by what they cost, not by a busy machine.
+# Freed memory is kept: giving pages back and asking for them anew is half the time of the tests
+test: export MALLOC_MMAP_MAX_ := 0
+test: export MALLOC_TRIM_THRESHOLD_ := 8000000000
 test: setup
-	.venv/bin/python -m pytest
+	.venv/bin/python -m pytest -n 2 --dist loadfile --ignore tests/faults
+	.venv/bin/python -m pytest tests/faults
 
 lint: setup
 	.venv/bin/ruff check $(PYTHON_SOURCES)
