@@ -154,13 +154,17 @@ class CorrectionConfig:
 
 @dataclass(frozen=True, slots=True)
 class LoopConfig:
-    """Paper IV-D. min_gap: keyframes between a place and its return. max_places: remembered."""
+    """Paper IV-D. min_gap: keyframes between a place and its return. max_places: remembered.
+
+    descriptor: `auto` (the network's of the backbone where it has one, else gradients), or either.
+    """
 
     enabled: bool = True
     min_gap: int = 60
     top_k: int = 3
     max_places: int = 1000
     min_matches: int = 30
+    descriptor: Literal["auto", "gradients", "learned"] = "auto"
 
 
 @dataclass(frozen=True, slots=True)

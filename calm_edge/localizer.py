@@ -21,6 +21,7 @@ from calm_edge.atlas import Atlas, SkippedWindow
 from calm_edge.backbones.base import Backbone, BackboneError
 from calm_edge.backbones.kit_memory import KitMemory, ResolvingBackbone
 from calm_edge.backbones.kit_prior import KitPrior
+from calm_edge.backbones.place import descriptor_of
 from calm_edge.config import Config
 from calm_edge.geometry import se3
 from calm_edge.loop_geometry import KnownKit
@@ -70,7 +71,10 @@ class Localizer:
         self._memory = KitMemory(backbone, config.backbone.resolve_windows)
         self._kit_prior = KitPrior(config)
         self._rectifier = Rectifier(config, isinstance(backbone, ResolvingBackbone))
-        self._loops = loops or (PlaceLoops(config.loops) if config.loops.enabled else None)
+        self._loops = loops
+        if loops is None and config.loops.enabled:
+            knows = descriptor_of(backbone, config.loops.descriptor)
+            self._loops = PlaceLoops(config.loops, knows)
         self._optimiser = optimiser or Immediate()
         self._atlas = Atlas(config)
         self._optimised = False

@@ -2,16 +2,19 @@
 
 The paper takes SALAD. This one has nothing to learn or to load: which way the brightness changes,
 cell by cell over a small picture. It ignores exposure, not viewpoint: a return in the same lane is
-found, one from the other direction is not. A learned descriptor takes its place by the protocol.
+found, one from the other direction is not. A learned descriptor takes its place by the protocol,
+as that of bundle's network does (`bundle/place`).
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Literal, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
 
+from calm_edge.config import ConfigError
 from calm_edge.types import Bytes, Float32
 
 COLUMNS, ROWS, BINS = 20, 6, 8
@@ -36,6 +39,16 @@ class PlaceDescriptor(Protocol):
 
     def similarity(self, queries: Float32, places: Float32) -> Float32:
         """(Q, D) and (P, D) descriptors -> (Q, P), larger is more alike."""
+        ...
+
+
+@runtime_checkable
+class KnowsPlaces(Protocol):
+    """A backbone that may have a network of its own which knows places."""
+
+    @property
+    def places(self) -> PlaceDescriptor | None:
+        """None where there is no such network."""
         ...
 
 
@@ -77,15 +90,37 @@ class GradientLayout:
 
         What all the places share says nothing of which of them it is, and is taken out first.
         """
-        common = places.mean(0) if len(places) > 1 else np.zeros(places.shape[1], np.float32)
-        a = (queries - common).reshape(len(queries), ROWS, COLUMNS, BINS)
-        b = (places - common).reshape(len(places), ROWS, COLUMNS, BINS)
-        best = np.full((len(queries), len(places)), -np.inf, np.float32)
-        for shift in SHIFTS:
-            moved = a[:, :, max(0, shift) : COLUMNS + min(0, shift)]
-            still = b[:, :, max(0, -shift) : COLUMNS + min(0, -shift)]
-            best = np.maximum(best, _unit(moved) @ _unit(still).T)
-        return np.asarray(best, np.float32)
+        a, b = (each.reshape(len(each), ROWS, COLUMNS, BINS) for each in (queries, places))
+        return layout_likeness(a, b, SHIFTS)
+
+
+def layout_likeness(queries: Float32, places: Float32, shifts: Sequence[int]) -> Float32:
+    """(Q, rows, columns, D) and (P, rows, columns, D) -> (Q, P): the cosine of what all places do
+    not share, at the best of the shifts [columns] sideways."""
+    common = places.mean(0) if len(places) > 1 else np.zeros(places.shape[1:], np.float32)
+    a, b, columns = queries - common, places - common, places.shape[2]
+    best = np.full((len(queries), len(places)), -np.inf, np.float32)
+    for shift in shifts:
+        moved = a[:, :, max(0, shift) : columns + min(0, shift)]
+        still = b[:, :, max(0, -shift) : columns + min(0, -shift)]
+        best = np.maximum(best, _unit(moved) @ _unit(still).T)
+    return np.asarray(best, np.float32)
+
+
+def descriptor_of(
+    backbone: object, asked: Literal["auto", "gradients", "learned"]
+) -> PlaceDescriptor:
+    """What the loops of a drive look places up by; auto: the backbone's own where it has one.
+
+    Raises ConfigError where a learned one is asked for and there is none.
+    """
+    own = backbone.places if isinstance(backbone, KnowsPlaces) else None
+    if asked == "learned" and own is None:
+        raise ConfigError(
+            "loops.descriptor=learned: this backbone has no network that knows places; "
+            "take auto, or backbone.name=bundle:calm-geo"
+        )
+    return GradientLayout() if own is None or asked == "gradients" else own
 
 
 def _unit(cells: Float32) -> Float32:

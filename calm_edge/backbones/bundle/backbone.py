@@ -22,6 +22,7 @@ from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig
 from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
 from calm_edge.backbones.bundle.tracks import Matching
 from calm_edge.backbones.kit_belief import product
+from calm_edge.backbones.place import PlaceDescriptor
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, KitBelief, Prediction
@@ -56,9 +57,14 @@ class BundleBackbone:
         config: BackboneConfig,
         matching: Matching | None = None,
         notices: tuple[str, ...] = (),
+        places: PlaceDescriptor | None = None,
     ) -> None:
-        """matching: a network's; None is Lucas-Kanade. notices: lines for every prediction."""
+        """matching: a network's; None is Lucas-Kanade. notices: lines for every prediction.
+
+        places: what the same network knows places by.
+        """
         self._seed, self._matching, self._notices = config.seed, matching, notices
+        self.places = places
 
     @classmethod
     def from_config(cls, config: Config) -> BundleBackbone:
@@ -70,10 +76,11 @@ class BundleBackbone:
         # without a network, ONNX Runtime need not be there
         from calm_edge.backbones.bundle.features import FeatureNet
         from calm_edge.backbones.bundle.learned import LearnedMatching
+        from calm_edge.backbones.bundle.place import LearnedPlace
 
         model = opened(config)
-        matching = LearnedMatching(FeatureNet(model.manifest, model.precision))
-        return cls(config.backbone, matching, model.notices)
+        net = FeatureNet(model.manifest, model.precision)
+        return cls(config.backbone, LearnedMatching(net), model.notices, LearnedPlace(net))
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, K and landmarks; depth comes with `densify`. Raises BackboneError."""

@@ -126,21 +126,3 @@ class FeatureNet:
         the input; raises BackboneError."""
         out = self._refine.run({"there": there, "here": here})
         return np.asarray(out["offset"], np.float32), np.asarray(out["sigma"], np.float32)
-
-
-class LearnedPlace:
-    """The encoder's own word for a place, for `loops` in place of a layout of gradients."""
-
-    # of unrelated pictures it seldom is above this
-    worth_a_look = 0.35
-
-    def __init__(self, net: FeatureNet) -> None:
-        self._net = net
-
-    def describe(self, image: Bytes) -> Float32:
-        """(H, W, 3) uint8 BGR -> (256,) of unit length; raises BackboneError."""
-        return self._net.of([image])[0].place
-
-    def similarity(self, queries: Float32, places: Float32) -> Float32:
-        """(Q, 256) and (P, 256) -> (Q, P) cosines."""
-        return np.asarray(queries @ places.T, np.float32)

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.bundle.correspond import Bool, Found, find
-from calm_edge.backbones.bundle.features import FeatureNet, LearnedPlace
+from calm_edge.backbones.bundle.features import FeatureNet
+from calm_edge.backbones.bundle.place import LearnedPlace
 from calm_edge.backbones.bundle.tracks import (
     MATCHING,
     detect_corners,

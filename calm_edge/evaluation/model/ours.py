@@ -14,8 +14,8 @@ from calm_edge.evaluation.model.protocols import Matches
 from calm_edge.types import Bytes, Float
 
 if TYPE_CHECKING:
-    from calm_edge.backbones.bundle.features import LearnedPlace
     from calm_edge.backbones.bundle.learned import LearnedMatching
+    from calm_edge.backbones.bundle.place import LearnedPlace
 
 MODEL = "calm-geo"
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle import features
-from calm_edge.backbones.bundle.features import FeatureNet, LearnedPlace
+from calm_edge.backbones.bundle.features import FeatureNet
 from calm_edge.backbones.manifest import ManifestError
 from calm_edge.backbones.model_folder import find_model, read_manifest
 from tests.backbones.bundle.demo_pictures import picture
@@ -53,11 +53,3 @@ def test_a_model_without_the_graphs_is_refused():
     bare = replace(manifest, graphs={"encoder": manifest.graphs["encoder"]})
     with pytest.raises(ManifestError, match="bundle needs the graph refine"):
         FeatureNet(bare, "fp32")
-
-
-def test_a_place_looks_more_like_itself_from_a_step_on_than_like_another(net):
-    place = LearnedPlace(net)
-    here, on, far = (place.describe(picture(k)) for k in (0, 2, 60))
-    likeness = place.similarity(here[None], np.stack([here, on, far]))[0]
-    np.testing.assert_allclose(likeness[0], 1, atol=1e-4)
-    assert likeness[1] > likeness[2] + 0.1

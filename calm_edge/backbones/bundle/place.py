@@ -1,0 +1,64 @@
+"""What a place looks like to the encoder: its own word for it, and where in the picture what is.
+
+Both come from the pass that matching makes anyway. The word is the same wherever things stand in
+the picture, the layout tells streets apart whose things are alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calm_edge.backbones.bundle.features import FeatureNet
+from calm_edge.backbones.place import layout_likeness
+from calm_edge.types import Bytes, Float32
+
+ROWS, COLUMNS, CHANNELS = 4, 10, 64
+# A return is seldom in the same line and heading: columns a picture is moved by to fit.
+SHIFTS = (-1, 0, 1)
+# Of the layout beside the word, which by itself is the better of the two.
+LAYOUT_WEIGHT = 0.5
+
+
+class LearnedPlace:
+    """The encoder's word for a place, with the layout of its features, for `loops`."""
+
+    # of returns one in a hundred is below this
+    worth_a_look = 0.45
+
+    def __init__(self, net: FeatureNet) -> None:
+        self._net = net
+
+    def describe(self, image: Bytes) -> Float32:
+        """(H, W, 3) uint8 BGR -> (256 + ROWS * COLUMNS * CHANNELS,) of unit length: the word, then
+        the layout, rows first; raises BackboneError."""
+        of = self._net.of([image])[0]
+        height, width = of.coarse.shape[:2]
+        columns = np.tensordot(of.coarse, _overlap(COLUMNS, width), (1, 1))
+        layout = np.tensordot(_overlap(ROWS, height), columns, (1, 0)).swapaxes(1, 2).ravel()
+        both = np.concatenate([of.place, layout / np.linalg.norm(layout)])
+        return np.asarray(both / np.linalg.norm(both), np.float32)
+
+    def similarity(self, queries: Float32, places: Float32) -> Float32:
+        """(Q, D) and (P, D) -> (Q, P): weighted cosines, of the layout at the best of SHIFTS.
+
+        What all the places share says nothing of which of them it is, and is taken out first.
+        """
+        q, p = _parts(queries), _parts(places)
+        layout = layout_likeness(q[1], p[1], SHIFTS)
+        alike = layout_likeness(q[0], p[0], (0,)) + LAYOUT_WEIGHT * layout
+        return np.asarray(alike / (1 + LAYOUT_WEIGHT), np.float32)
+
+
+def _parts(described: Float32) -> tuple[Float32, Float32]:
+    """(N, D) -> the words (N, 1, 1, 256), a layout of one cell, and the layouts (N, rows, columns,
+    channels)."""
+    n, word = len(described), described.shape[1] - ROWS * COLUMNS * CHANNELS
+    layout = described[:, word:].reshape(n, ROWS, COLUMNS, CHANNELS)
+    return described[:, :word].reshape(n, 1, 1, word), layout
+
+
+def _overlap(cells: int, samples: int) -> Float32:
+    """(cells, samples) how much of each sample lies in each of so many equal cells."""
+    edges = np.arange(cells + 1) * samples / cells
+    upto = np.clip(edges[:, None] - np.arange(samples), 0, 1)
+    return np.asarray(np.diff(upto, axis=0), np.float32)
