@@ -12,20 +12,23 @@ from __future__ import annotations
 
 import argparse
 import ast
+import copy
 import sys
 import tempfile
+import time
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from onnxruntime import quantization
+from onnxruntime import InferenceSession, quantization
 from onnxruntime.transformers import float16
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from exporting import folder, graph
+from exporting import folder, runtime
 from exporting.pictures import normalised, pictures
 
 # modules whose multiplications become int8, by the name in the manifest
@@ -38,6 +41,9 @@ PARTS = {
 SCOPES = "pkg.torch.onnx.name_scopes"
 CALIBRATION_VIEWS = 4
 WHOLE_BYTES = 1_500_000_000
+INT8 = ["MatMul", "Gemm"]
+MULTIPLY = {*INT8, "Conv", "ConvTranspose"}
+TIMED_RUNS = 5
 
 
 class Calibration(quantization.CalibrationDataReader):
@@ -49,7 +55,7 @@ class Calibration(quantization.CalibrationDataReader):
     def get_next(self) -> dict[str, NDArray[np.float32]] | None:
         """The next window by the name of the input, None behind the last."""
         window = next(self._windows, None)
-        return None if window is None else {graph.INPUT: window}
+        return None if window is None else {runtime.INPUT: window}
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -76,24 +82,18 @@ def main(argv: list[str] | None = None) -> None:
     if not parts:
         raise SystemExit(f"--parts: missing; none are known of {manifest['name']}")
     model = onnx.load(path)
-    # shapes the exporter wrote down contradict the tensors that quantisation adds
-    del model.graph.value_info[:]
     outside = _outside(model, tuple(parts))
+    if args.fp16:
+        to = args.model / "model.fp16.onnx"
+        _fp16(model, to, outside)
+        _report(args.model, "fp16", to, model, outside)
     if args.int8:
         windows = []
         if args.int8 == "static":
             windows = _windows(args.pictures, manifest["input"], args.windows)
         to = args.model / "model.int8.onnx"
         _int8(model, to, outside, windows)
-        _report(args.model, "int8", to)
-    if args.fp16:
-        to = args.model / "model.fp16.onnx"
-        # the heads stay float: depth and confidence are exponentials
-        half = float16.convert_float_to_float16(
-            model, keep_io_types=True, disable_shape_infer=True, node_block_list=outside
-        )
-        onnx.save(half, to, save_as_external_data=half.ByteSize() > WHOLE_BYTES)
-        _report(args.model, "fp16", to)
+        _report(args.model, "int8", to, model, outside)
 
 
 def _outside(model: onnx.ModelProto, parts: tuple[str, ...]) -> list[str]:
@@ -117,10 +117,33 @@ def _list(text: str) -> list[str]:
         return []
 
 
+def _fp16(model: onnx.ModelProto, to: Path, outside: list[str]) -> None:
+    """The heads stay float: depth and confidence are exponentials.
+
+    Casts come between them and the rest only where the type of a tensor is written down.
+    """
+    half = float16.convert_float_to_float16(
+        copy.deepcopy(model),
+        keep_io_types=True,
+        disable_shape_infer=True,
+        node_block_list=outside,
+    )
+    onnx.save(half, to, save_as_external_data=half.ByteSize() > WHOLE_BYTES)
+
+
 def _int8(
     model: onnx.ModelProto, to: Path, outside: list[str], windows: list[NDArray[np.float32]]
 ) -> None:
-    """windows: none for dynamic. Ranges are halved: AVX2 without VNNI overflows on full ones."""
+    """windows: none for dynamic. Products of two activations stay float: attention is not weights.
+
+    Ranges are halved: AVX2 without VNNI overflows on full ones.
+    """
+    # shapes the exporter wrote down contradict the tensors that quantisation adds
+    del model.graph.value_info[:]
+    weights = {tensor.name for tensor in model.graph.initializer}
+    products = [n.name for n in model.graph.node if weights.isdisjoint(n.input)]
+    # the dynamic one makes two nodes of a Gemm, and excludes by the new name
+    excluded = [*outside, *products, *(f"{name}_MatMul" for name in outside)]
     big = model.ByteSize() > WHOLE_BYTES
     with tempfile.TemporaryDirectory() as scratch:
         plain = Path(scratch) / "plain.onnx"
@@ -130,8 +153,8 @@ def _int8(
                 plain,
                 to,
                 Calibration(windows),
-                op_types_to_quantize=["MatMul", "Gemm"],
-                nodes_to_exclude=outside,
+                op_types_to_quantize=INT8,
+                nodes_to_exclude=excluded,
                 per_channel=True,
                 reduce_range=True,
                 use_external_data_format=big,
@@ -140,8 +163,8 @@ def _int8(
             quantization.quantize_dynamic(
                 plain,
                 to,
-                op_types_to_quantize=["MatMul", "Gemm"],
-                nodes_to_exclude=outside,
+                op_types_to_quantize=INT8,
+                nodes_to_exclude=excluded,
                 per_channel=True,
                 reduce_range=True,
                 weight_type=quantization.QuantType.QInt8,
@@ -158,22 +181,58 @@ def _windows(source: Path, spec: dict[str, object], count: int) -> list[NDArray[
     ]
 
 
-def _report(where: Path, precision: str, to: Path) -> None:
-    """Writes the manifest's line and prints how far the golden outputs are off."""
+def _report(
+    where: Path, precision: str, to: Path, model: onnx.ModelProto, outside: list[str]
+) -> None:
+    """Writes the manifest's line; prints what stays float, drift, size and time."""
     folder.set_variant(where, precision, to)
+    print(f"{precision}: {_left_float(model, precision, set(outside))}")
     spec = tomllib.loads((where / folder.MANIFEST).read_text())["input"]
-    session = graph.session(to)
+    session, before = runtime.session(to), runtime.session(where / "model.onnx")
     with np.load(where / "golden.npz") as golden:
-        for case in sorted({name.split("/")[1] for name in golden.files}):
-            shown = golden[f"model/{case}/pictures"]
-            image = normalised(shown, spec)
-            for name, found in graph.run(session, image).items():
+        cases = sorted({name.split("/")[1] for name in golden.files})
+        for case in cases:
+            image = normalised(golden[f"model/{case}/pictures"], spec)
+            for name, found in runtime.run(session, image).items():
                 wanted = golden[f"model/{case}/out/{name}"].astype(np.float64)
                 error = np.sqrt(np.mean((found - wanted) ** 2))
                 size, spread = np.sqrt(np.mean(wanted**2)), np.std(wanted)
                 shares = f"{error / size:.4f} of its RMS, {error / spread:.4f} of its spread"
                 print(f"{precision} {case} {name}: RMS error {shares}")
-    print(f"{to}: {to.stat().st_size / 1e6:.1f} MB")
+    share = _cpu_s(session, image) / _cpu_s(before, image)
+    print(f"{precision} {cases[-1]}: {share:.2f} of the processor time of fp32, one thread")
+    print(f"{to}: {_bytes(to) / 1e6:.1f} MB of {_bytes(where / 'model.onnx') / 1e6:.1f} MB")
+
+
+def _left_float(model: onnx.ModelProto, precision: str, outside: set[str]) -> str:
+    """How many multiplications and convolutions stay float, and of which modules they are."""
+    weights = {tensor.name for tensor in model.graph.initializer}
+    left: Counter[str] = Counter()
+    every = [node for node in model.graph.node if node.op_type in MULTIPLY]
+    for node in every:
+        of_weights = node.op_type in INT8 and not weights.isdisjoint(node.input)
+        if node.name in outside or not (precision == "fp16" or of_weights):
+            scopes = next((p.value for p in node.metadata_props if p.key == SCOPES), "[]")
+            named = [scope for scope in _list(scopes) if scope.count(".") == 1]
+            left[named[0] if named else "the rest"] += 1
+    parts = ", ".join(f"{name} {count}" for name, count in left.most_common())
+    return f"{left.total()} of {len(every)} multiplications stay float: {parts}"
+
+
+def _cpu_s(session: InferenceSession, image: NDArray[np.float32]) -> float:
+    """Processor time of the quickest of some runs; a clock would tell what else runs here."""
+    seconds = []
+    for _ in range(TIMED_RUNS):
+        begin = time.process_time()
+        runtime.run(session, image)
+        seconds.append(time.process_time() - begin)
+    return min(seconds)
+
+
+def _bytes(path: Path) -> int:
+    """Of a graph and the weight files it names."""
+    beside = [path.with_name(name) for name in folder.weight_files(path)]
+    return sum(each.stat().st_size for each in [path, *beside])
 
 
 if __name__ == "__main__":

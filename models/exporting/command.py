@@ -14,7 +14,7 @@ import onnxruntime
 import torch
 from numpy.typing import NDArray
 
-from exporting import folder, graph
+from exporting import folder, graph, runtime
 from exporting.graph import Network
 from exporting.pictures import normalised, pictures
 
@@ -120,7 +120,7 @@ def _write(args: argparse.Namespace, network: Network, template: str) -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     path = args.out / "model.onnx"
     graph.export(network, args.size, args.max_views, path)
-    session = graph.session(path, args.threads)
+    session = runtime.session(path, args.threads)
     golden: dict[str, NDArray[np.generic]] = {}
     for n in views:
         image = normalised(shown[:n], spec)
@@ -150,7 +150,7 @@ def _compare(
     expected: dict[str, NDArray[np.float32]],
     tolerance: float,
 ) -> None:
-    error, name = graph.worst_error(graph.run(session, image), expected)
+    error, name = runtime.worst_error(runtime.run(session, image), expected)
     views = image.shape[1]
     print(f"{views} views: ONNX against torch, worst value {error:.1e} of the spread ({name})")
     if not error <= tolerance:

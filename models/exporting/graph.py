@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 import torch
 from numpy.typing import NDArray
 
 from exporting.patches import Patch, applied
+from exporting.runtime import INPUT
 
-INPUT = "images"
 OPSET = 20
 # a protobuf holds 2 GiB; above this, weights go to a file beside the graph
 MAX_INSIDE_BYTES = 1_500_000_000
@@ -63,36 +62,3 @@ def reference(network: Network, image: NDArray[np.float32]) -> dict[str, NDArray
     return {
         name: value.float().numpy() for name, value in zip(network.outputs, values, strict=True)
     }
-
-
-def session(path: Path, threads: int = 1) -> onnxruntime.InferenceSession:
-    """On the processor, as calm-edge runs it."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 3
-    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-
-
-def run(
-    graph: onnxruntime.InferenceSession, image: NDArray[np.float32]
-) -> dict[str, NDArray[np.float32]]:
-    """Outputs of a graph by name."""
-    names = [output.name for output in graph.get_outputs()]
-    return dict(zip(names, graph.run(names, {INPUT: image}), strict=True))
-
-
-def worst_error(
-    found: dict[str, NDArray[np.float32]], expected: dict[str, NDArray[np.float32]]
-) -> tuple[float, str]:
-    """Largest difference of any value over the spread of its output; and which output.
-
-    The spread is the standard deviation: depth of random weights is nearly constant, and errors
-    over its RMS would say nothing.
-    """
-    errors = []
-    for name, wanted in expected.items():
-        spread = float(np.std(wanted.astype(np.float64)))
-        gap = float(np.abs(found[name].astype(np.float64) - wanted).max())
-        known = np.isfinite(gap) and spread > 0
-        errors.append((gap / spread if known else float("inf"), name))
-    return max(errors)
