@@ -64,6 +64,7 @@ def ate_table(results: Mapping[str, Any]) -> Table:
     checks: list[Check] = []
     notes = [
         "ratios of the error, below 1 the first is better; a drive's interval needs two seeds",
+        "seed 0 is the drive as it is, each other one without 5 % of its frames, drawn by lot",
         "sigmas are of the scatter between a drive's seeds, pooled over the drives",
     ]
     if plain.keys() & network.keys():

@@ -5,9 +5,14 @@ from types import SimpleNamespace
 import pytest
 
 from calm_edge.backbones.base import BackboneError
+from calm_edge.evaluation.drives import there
 from calm_edge.evaluation.model import pipeline, pipeline_runs
 from calm_edge.evaluation.model.pipeline import ate_table, main, time_table, worst_drive
 from calm_edge.evaluation.model.pipeline_runs import INT8, NETWORK, PLAIN, TIMED
+from calm_edge.evaluation.trajectory_file import EvaluationError
+from calm_edge.frontend.sequence import SequenceFolder
+from device.frame import Eye
+from tests.replay.small_drive import write_drive
 
 SCATTER = (0.98, 1.0, 1.02)
 
@@ -135,3 +140,24 @@ def test_windows_are_timed_once_whole_and_after_the_first():
 
     updates = [update(0, 15, 9000.0), update(1, 15, 500.0), update(1, 15, 20.0), update(2, 7, 1.0)]
     assert pipeline_runs.full_windows_s(updates, 15) == [{"infer": 0.5}]
+
+
+def test_a_seed_is_a_drive_of_its_own_and_the_same_for_every_variant(tmp_path, monkeypatch):
+    source = write_drive(tmp_path / "drive", 40)
+    played = []
+
+    def record(sequence, out, options):
+        folder = SequenceFolder(sequence)
+        played.append([tuple(folder.t_ns(eye).tolist()) for eye in Eye])
+        raise EvaluationError("seen enough")
+
+    monkeypatch.setattr(pipeline_runs.steps, "record", record)
+    drive = pipeline_runs.Drive("small", there(source), ())
+    for seed in (0, 1, 2):
+        for variant in (PLAIN, NETWORK):
+            found = pipeline_runs.run(drive, variant, seed, tmp_path)
+            assert found == {"failed": "seen enough"}
+    assert played[0::2] == played[1::2]
+    whole, one, other = played[0::2]
+    assert [len(t_ns) for t_ns in whole] == [40, 40] and one != other
+    assert all(set(t) <= set(w) for lost in (one, other) for t, w in zip(lost, whole, strict=True))
