@@ -27,7 +27,8 @@ from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import CalmEdgeError, KitBelief, PoseSample, PoseStatus, SubmapWindow
 from device.frame import Frame
 
-START_LIMIT_S = 60.0
+# a cold start from a slow card takes its time; the unit waits for 120 s in all
+START_LIMIT_S = 100.0
 
 
 class DaemonError(CalmEdgeError):

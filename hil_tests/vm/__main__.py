@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hil_tests.report import Row, Verdict, judged, skipped, text_of, write
-from hil_tests.vm import cameras, power_cut, service
+from hil_tests.vm import cameras, loopback, power_cut, service
 from hil_tests.vm.kernel import MachineError
 
 TESTS: dict[str, Callable[[Path], Iterator[Row]]] = {
     "cameras": cameras.rows,
+    "mjpeg": loopback.rows,
     "power_cut": power_cut.rows,
     "service": service.rows,
 }
