@@ -48,9 +48,10 @@ faults: setup
 interop: setup
 	.venv/bin/python -m tests.interop.mavlink_decoders
 
+# 3: completed with loss, which a machine that is too slow or too busy does
 bench: setup
 	@rm -rf build/bench
-	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace realtime --out build/bench
+	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace realtime --out build/bench || [ $$? -eq 3 ]
 	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.bench build/bench
 	.venv/bin/python -m calm_edge.evaluation.bench.load --pictures build/bench_pictures --drive $(DEMO_DRIVE)
