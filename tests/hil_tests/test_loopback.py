@@ -18,5 +18,3 @@ def test_each_is_a_jpeg_unlike_the_others_that_an_encoder_would_not_give_back() 
         assert image.shape[1::-1] == SIZE
         again = cv2.imencode(".jpg", image)[1].tobytes()
         assert b"number" in data and b"number" not in again
-    # the device pads with zeros, which can so be told from the picture's own end
-    assert not any(data.endswith(b"\0") for data in pictures)
