@@ -43,6 +43,8 @@ CALIBRATION_VIEWS = 4
 WHOLE_BYTES = 1_500_000_000
 INT8 = ["MatMul", "Gemm"]
 MULTIPLY = {*INT8, "Conv", "ConvTranspose"}
+# how the conversion to fp16 ends the names of the casts behind float nodes
+HALVED = "_cast_to_fp16_node"
 TIMED_RUNS = 5
 
 
@@ -128,7 +130,19 @@ def _fp16(model: onnx.ModelProto, to: Path, outside: list[str]) -> None:
         disable_shape_infer=True,
         node_block_list=outside,
     )
+    _float_stays_float(half)
     onnx.save(half, to, save_as_external_data=half.ByteSize() > WHOLE_BYTES)
+
+
+def _float_stays_float(half: onnx.ModelProto) -> None:
+    """The conversion brings whatever a float node gives to 16 bits, for other float nodes and for
+    the outputs too: depth would be rounded, or infinite above 65504."""
+    exact = {n.output[0]: n.input[0] for n in half.graph.node if n.name.endswith(HALVED)}
+    for node in half.graph.node:
+        back = node.op_type == "Cast" and node.attribute[0].i == onnx.TensorProto.FLOAT
+        if back and node.input[0] in exact:
+            node.op_type, node.input[0] = "Identity", exact[node.input[0]]
+            del node.attribute[:]
 
 
 def _int8(
@@ -213,8 +227,8 @@ def _left_float(model: onnx.ModelProto, precision: str, outside: set[str]) -> st
         of_weights = node.op_type in INT8 and not weights.isdisjoint(node.input)
         if node.name in outside or not (precision == "fp16" or of_weights):
             scopes = next((p.value for p in node.metadata_props if p.key == SCOPES), "[]")
-            named = [scope for scope in _list(scopes) if scope.count(".") == 1]
-            left[named[0] if named else "the rest"] += 1
+            module = next((scope for scope in _list(scopes) if "." in scope), "the rest")
+            left[".".join(module.split(".")[:2])] += 1
     parts = ", ".join(f"{name} {count}" for name, count in left.most_common())
     return f"{left.total()} of {len(every)} multiplications stay float: {parts}"
 
