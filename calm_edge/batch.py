@@ -82,7 +82,9 @@ def without_loop(
     marks = prediction.landmarks
     if marks is not None:
         kept = marks.view < n
-        marks = replace(marks, index=marks.index[kept], view=marks.view[kept], uv=marks.uv[kept])
+        index, view, uv = marks.index[kept], marks.view[kept], marks.uv[kept]
+        sigma_px = None if marks.sigma_px is None else marks.sigma_px[kept]
+        marks = replace(marks, index=index, view=view, uv=uv, sigma_px=sigma_px)
     cut = replace(
         prediction,
         K=prediction.K[:n],

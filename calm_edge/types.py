@@ -87,15 +87,16 @@ class Hints:
 class Landmarks:
     """Sparse points of a sub-map and the pixels that saw them: its matches.
 
-    points_s: (M, 3) raw unit, sub-map frame.
-    index: (O,) landmark of each observation. view: (O,) batch index of the image.
-    uv: (O, 2) pixels of the full image.
+    points_s: (M, 3) raw unit, sub-map frame. index: (O,) landmark of each observation.
+    view: (O,) batch index of the image. uv: (O, 2) pixels of the full image.
+    sigma_px: (O,) one sigma of uv, an axis; None where all are alike.
     """
 
     points_s: Float
     index: Int
     view: Int
     uv: Float32
+    sigma_px: Float32 | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from calm_edge.backbones.bundle.correspond import Bool, Found, find
 from calm_edge.backbones.bundle.features import FeatureNet
 from calm_edge.backbones.bundle.place import LearnedPlace
 from calm_edge.backbones.bundle.tracks import (
+    FOLLOWED_PX,
     MATCHING,
     detect_corners,
     on_epipolar_lines,
@@ -26,8 +27,12 @@ from calm_edge.backbones.bundle.tracks import (
 from calm_edge.geometry.flow import Gray, follow, neighbouring_flow
 from calm_edge.types import Float, Float32
 
-# Of what Lucas-Kanade measures where the features agree.
-MEASURED_PX = 0.4
+# What a measured match is off by: so much of the features' own sigma, and so many times as far as
+# half the window puts it elsewhere. Fitted to true errors (models/calm-geo/README.md), but for the
+# common factor: see `_as_a_whole`.
+FEATURES_SHARE, WINDOWS_SHARE = 0.25, 2.6
+SIGMA_RANGE_PX = (0.2, 3.0)
+HALF_WINDOW = replace(MATCHING, window_px=MATCHING.window_px // 2 + 1, levels=1)
 # Lucas-Kanade that leaves the features' place by more sigmas found something else.
 MAX_SIGMAS = 3.0
 # What neighbours alone led to, and what the features alone placed.
@@ -103,10 +108,34 @@ def finished(a: Gray, b: Gray, uv: Float32, found: Found) -> Found:
     led = np.zeros(len(uv), bool)
     led[rest] = returned & ~agree & ~found.sure[rest]
     alone = found.sure & ~ok & (found.sigma_px < MAX_SIGMA_PX)
-    sigma = np.select([ok, led], [MEASURED_PX, UNSUPPORTED_PX], found.sigma_px)
+    sigma = np.where(led, UNSUPPORTED_PX, found.sigma_px)
+    sigma[ok] = _as_a_whole(_measured_sigma(a, b, uv[ok], moved[ok], found.sigma_px[ok]))
     uv_b = np.where((ok | led)[:, None], moved, found.uv)
     sure = ok | led | alone
     return Found(np.asarray(uv_b, np.float32), sure, np.asarray(sigma, np.float32), ok)
+
+
+def _measured_sigma(a: Gray, b: Gray, uv: Float32, moved: Float32, features_px: Float32) -> Float32:
+    """(N,) px, of points uv (N, 2) px of a that Lucas-Kanade has at `moved` (N, 2) in b.
+
+    features_px: (N,) their sigma. A smaller window disagrees where a patch has two depths, or has
+    changed.
+    """
+    half, _ = follow(a, b, uv, moved, HALF_WINDOW)
+    apart = np.linalg.norm(half - moved, axis=1)
+    sigma = np.hypot(FEATURES_SHARE * features_px, WINDOWS_SHARE * apart)
+    return np.asarray(np.maximum(sigma, SIGMA_RANGE_PX[0]), np.float32)
+
+
+def _as_a_whole(sigma: Float32) -> Float32:
+    """Sigmas (N,) px of a pair of pictures, made to say as much as N corners that were followed.
+
+    Else a pair whose eyes see differently would leave their distance to the other pairs.
+    """
+    if len(sigma) == 0:
+        return sigma
+    factor = FOLLOWED_PX * np.sqrt((1 / np.square(sigma)).mean())
+    return np.asarray(np.clip(factor * sigma, *SIGMA_RANGE_PX), np.float32)
 
 
 def _twice_seen(found: Found) -> Found:

@@ -93,7 +93,8 @@ def window_part(prediction: Prediction) -> Prediction:
         kept = np.setdiff1d(np.arange(len(marks.points_s)), of_loop)
         rows = ~np.isin(marks.index, of_loop)
         index = np.searchsorted(kept, marks.index[rows])
-        marks = Landmarks(marks.points_s[kept], index, marks.view[rows], marks.uv[rows])
+        sigma_px = None if marks.sigma_px is None else marks.sigma_px[rows]
+        marks = Landmarks(marks.points_s[kept], index, marks.view[rows], marks.uv[rows], sigma_px)
     sigma = prediction.focal_log_sigma
     return replace(
         prediction,
@@ -233,11 +234,16 @@ def _with_tracks(marks: Landmarks, tracks: LoopTracks, pose: LoopPose, loop_view
     number[chosen] = len(marks.points_s) + np.arange(len(chosen))
     rows = pose.kept & pose.inlier[tracks.point]
     uv: list[Float | Float32] = [marks.uv, tracks.uv[rows], tracks.loop_uv[chosen]]
+    sigma = marks.sigma_px
+    if sigma is not None:
+        added = int(rows.sum()) + len(chosen)
+        sigma = np.concatenate([sigma, np.full(added, EPIPOLAR_PX, np.float32)])
     return Landmarks(
         np.concatenate([marks.points_s, pose.points_s[chosen]]),
         np.concatenate([marks.index, number[tracks.point[rows]], number[chosen]]),
         np.concatenate([marks.view, tracks.view[rows], np.full(len(chosen), loop_view)]),
         np.concatenate(uv).astype(np.float32),
+        sigma,
     )
 
 

@@ -77,7 +77,7 @@ def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
         tracks.view[keep],
         point,
         tracks.uv[keep],
-        np.maximum(tracks.sigma_px[keep], FOLLOWED_PX),
+        tracks.sigma_px[keep],
         np.asarray(hints.eyes),
         seconds(hints),
         size,
@@ -94,14 +94,18 @@ def thinned(m: Measurements, n_points: int) -> Measurements:
 
 
 def to_landmarks(state: State, m: Measurements) -> Landmarks:
-    """The solved points, none of them beyond infinity, and the observations that fit them."""
+    """The solved points, none of them beyond infinity, and the observations that fit them.
+
+    Sigmas that are all FOLLOWED_PX are left out.
+    """
     X = state.points.copy()
     X[:, 3] = np.maximum(X[:, 3], np.linalg.norm(X[:, :3], axis=1) / FARTHEST)
     predicted, _ = project(State(state.T_c_s, X, state.theta), m)
     keep = np.linalg.norm(predicted - m.uv, axis=1) < KEPT_PX
-    return Landmarks(
-        X[:, :3] / X[:, 3:], m.point[keep], m.view[keep], m.uv[keep].astype(np.float32)
-    )
+    alike = bool((m.sigma_px == FOLLOWED_PX).all())
+    sigma = None if alike else m.sigma_px[keep].astype(np.float32)
+    uv = m.uv[keep].astype(np.float32)
+    return Landmarks(X[:, :3] / X[:, 3:], m.point[keep], m.view[keep], uv, sigma)
 
 
 def from_prediction(
@@ -112,6 +116,8 @@ def from_prediction(
     if marks is None or hints.sizes is None:
         raise BackboneError("bundle: a prediction without landmarks cannot be solved again")
     sigma = np.full(len(marks.index), FOLLOWED_PX)
+    if marks.sigma_px is not None:
+        sigma = marks.sigma_px.astype(np.float64)
     m = Measurements(
         marks.view, marks.index, marks.uv.astype(np.float64), sigma,
         np.asarray(hints.eyes), seconds(hints), hints.sizes,

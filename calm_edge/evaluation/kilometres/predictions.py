@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -95,13 +94,11 @@ def _read(file: Path) -> Prediction:
         arrays = dict(data)
     landmarks = None
     if "uv" in arrays:
-        of_landmarks = {field.name: arrays.pop(field.name) for field in fields(Landmarks)}
-        landmarks = Landmarks(**of_landmarks)
         landmarks = Landmarks(
-            landmarks.points_s,
-            landmarks.index.astype(np.int64),
-            landmarks.view.astype(np.int64),
-            landmarks.uv,
+            arrays["points_s"],
+            arrays["index"].astype(np.int64),
+            arrays["view"].astype(np.int64),
+            arrays["uv"],
         )
     return Prediction(
         K=arrays["K"],

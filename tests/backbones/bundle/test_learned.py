@@ -93,6 +93,29 @@ def test_a_guess_is_measured_and_a_wrong_one_not_believed(gray):
     error = np.linalg.norm(found.uv - truth, axis=1)
     assert np.median(error[found.sure & ~wrong]) < 0.15
     assert found.sure[~wrong].mean() > 0.7 and found.sure[wrong].mean() < 0.2
+    said = (1 / found.sigma_px[found.measured] ** 2).mean()
+    assert said == pytest.approx(1 / tracks.FOLLOWED_PX**2, rel=0.1)
+
+
+def test_sigma_grows_with_the_error(matching, gray):
+    """Over half of the picture something else is in front, as fine as leaves: what is behind moves
+    otherwise, and corners on the border between the two are measured wrongly."""
+    rng = np.random.default_rng(0)
+    H = similarity(gray, 1.0, 0.0, (6.4, -2.3))
+    after = seen(gray, H).astype(np.float64)
+    leaves = cv2.GaussianBlur(rng.random(gray.shape), (0, 0), 2.0) > 0.52
+    leaves[:, : gray.shape[1] // 2] = False
+    dull = np.float64(gray).mean()
+    here, there = np.where(leaves, dull, gray), np.where(np.roll(leaves, 3, 1), dull, after)
+    a, b = (np.clip(p + rng.normal(0, 2, p.shape), 0, 255).astype(np.uint8) for p in (here, there))
+    uv = tracks.detect_corners(a, NONE)
+    found = matching.along(a, b, uv)
+    error = np.linalg.norm(found.uv - through(H, uv), axis=1)[found.sure]
+    sigma = found.sigma_px[found.sure]
+    assert sigma.min() >= learned.SIGMA_RANGE_PX[0] and sigma.max() <= learned.SIGMA_RANGE_PX[1]
+    assert found.sure.sum() > 60
+    surest = sigma <= np.quantile(sigma, 0.5)
+    assert np.median(error[surest]) < 0.5 * np.median(error[~surest])
 
 
 def test_a_network_follows_a_window_as_lucas_kanade_does(matching):

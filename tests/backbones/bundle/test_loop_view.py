@@ -169,6 +169,20 @@ def test_solving_again_what_was_not_found_finds_nothing(lost, batch):
     assert not again.loop_found and len(again.T_s_c) == 2 * N + 1
 
 
+def test_sigmas_of_the_window_go_with_it(solved, alone):
+    assert solved.landmarks.sigma_px is None
+    sigma = np.arange(len(solved.landmarks.uv), dtype=np.float32)
+    weighed = replace(solved, landmarks=replace(solved.landmarks, sigma_px=sigma))
+    part = window_part(weighed)
+    assert len(part.landmarks.sigma_px) == len(alone.landmarks.uv)
+    assert np.array_equal(
+        solved.landmarks.uv[part.landmarks.sigma_px.astype(int)], part.landmarks.uv
+    )
+    again = loop_view.placed_again(part, weighed).landmarks
+    assert len(again.sigma_px) == len(again.uv) > len(part.landmarks.uv)
+    assert np.array_equal(again.sigma_px[: len(part.landmarks.uv)], part.landmarks.sigma_px)
+
+
 def test_a_loop_view_whose_landmarks_fail_keeps_its_place_beside_the_nearest_view(solved):
     marks = solved.landmarks
     uv = marks.uv.copy()

@@ -63,6 +63,20 @@ def test_only_observations_that_fit_are_landmarks():
     assert np.allclose(marks.points_s, X[:, :3] / X[:, 3:])
 
 
+def test_sigmas_stay_with_their_observations_and_are_left_out_where_alike():
+    made = exact_window(turn(N), theta_of())
+    plain = prediction_of(made)
+    assert plain.landmarks.sigma_px is None
+    m, _ = window.from_prediction(plain, hints_of(made.m), theta_of())
+    assert (m.sigma_px == window.FOLLOWED_PX).all()
+    sigma = np.linspace(0.2, 3.0, len(made.m.uv)).astype(np.float32)
+    uv = made.m.uv.copy()
+    uv[7] += window.KEPT_PX
+    weighed = replace(made, m=replace(made.m, uv=uv, sigma_px=sigma.astype(np.float64)))
+    m, _ = window.from_prediction(prediction_of(weighed), hints_of(made.m), theta_of())
+    assert np.array_equal(m.sigma_px, np.delete(sigma, 7))
+
+
 @pytest.mark.parametrize("missing", ["landmarks", "sizes"])
 def test_what_was_not_kept_cannot_be_solved_again(missing):
     made = exact_window(turn(N), theta_of())
