@@ -107,9 +107,9 @@ class EstimatorLink:
     def leave(self, window: SubmapWindow) -> None:
         """A window that only `map` will see, for the machine has no time for it now."""
         self.left_to_map.append(window.submap_id)
-        self._left_out.append(
-            LeftOut(window.submap_id, tuple(k.frame.t_ns for k in window.primary))
-        )
+        if not self.given_up:
+            stamps = tuple(keyframe.frame.t_ns for keyframe in window.primary)
+            self._left_out.append(LeftOut(window.submap_id, stamps))
 
     def make_depth(self, on: bool) -> None:
         """Depth where the configuration asks for it, or left to `map`."""
