@@ -19,7 +19,9 @@ def halved(update: LocalizerUpdate) -> LocalizerUpdate:
     submap, prediction = update.submap, update.prediction
     marks = prediction.landmarks
     if marks is not None:
-        marks = replace(marks, uv=np.asarray((marks.uv + 0.5) / 2 - 0.5, np.float32))
+        uv = np.asarray((marks.uv + 0.5) / 2 - 0.5, np.float32)
+        sigma_px = None if marks.sigma_px is None else marks.sigma_px / np.float32(2)
+        marks = replace(marks, uv=uv, sigma_px=sigma_px)
     prediction = replace(prediction, K=_HALF @ prediction.K, landmarks=marks)
     submap = replace(submap, K=_HALF @ submap.K, K_raw=_HALF @ submap.K_raw)
     return replace(update, submap=submap, prediction=prediction)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -36,6 +38,17 @@ def test_its_points_are_where_they_were(with_depth: bool) -> None:
     np.testing.assert_allclose(small.p_w[:, 2], 10.0, atol=0.02)
     if not with_depth:
         np.testing.assert_allclose(small.p_w, of_update(update, 200).p_w, atol=1e-4)
+
+
+def test_sigmas_are_of_the_small_picture() -> None:
+    update = WORLD.update(0, IDS, STAMPS, drive(7)[[0, 3, 6]], with_depth=False)
+    marks = update.prediction.landmarks
+    assert marks is not None
+    sigma = np.full(len(marks.uv), 0.5, np.float32)
+    prediction = replace(update.prediction, landmarks=replace(marks, sigma_px=sigma))
+    small = halved(replace(update, prediction=prediction)).prediction.landmarks
+    assert small is not None and small.sigma_px is not None
+    assert (small.sigma_px == 0.25).all()
 
 
 def test_tracked_at_half_the_size_the_pose_stays_true() -> None:
