@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from calm_edge.backbones.bundle.learned import place
 from calm_edge.config import LoopConfig
 from calm_edge.geometry import se3, sift
 from calm_edge.loop_geometry import KnownKit
@@ -97,6 +98,16 @@ def test_a_return_is_found_and_roughly_placed(street):
     assert np.linalg.norm(rough - true[:3, 3]) < 0.4
     assert candidate.agrees(true, SETTINGS.spacing_m)
     assert candidate.score >= CONFIG.min_matches
+
+
+def test_a_return_is_found_by_the_network_as_well(street):
+    descriptor = place()
+    known = visited(street.elsewhere[::-1] + street.first, street.kit, descriptor=descriptor)
+    candidate = found(known, street)
+    there = candidate.keyframe.id - N
+    assert 0 <= there < N
+    true = se3.inverse(street.T_again[candidate.query_view]) @ street.T_first[there]
+    assert candidate.agrees(true, SETTINGS.spacing_m)
 
 
 def test_another_measurement_far_off_does_not_agree(street):
