@@ -35,7 +35,8 @@ def test_a_hung_tracker_is_ended_and_started_again(
 def test_a_hung_estimator_is_ended_and_started_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(estimator_link, "HUNG_S", 1.0)
+    # long enough for a window on a busy machine
+    monkeypatch.setattr(estimator_link, "HUNG_S", 3.0)
     drive = write_drive(tmp_path / "drive", 40)
     hung: list[int] = []
 
@@ -46,5 +47,5 @@ def test_a_hung_estimator_is_ended_and_started_again(
 
     result, said = record(drive, tmp_path / "rec", lockstep=False, during=hang_once)
     assert hung and result.estimator_restarts == 1
-    assert any("has not answered for 1 s" in line for line in said)
+    assert any("has not answered for 3 s" in line for line in said)
     assert result.frames == [40, 40] and len(result.lost_windows) == 1
