@@ -8,20 +8,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from calm_edge.backbones.bundle.correspond import Bool, Found, find
+from calm_edge.backbones.bundle.alike import (
+    SAME_ZOOM,
+    agreeing,
+    are_alike,
+    homography,
+    seen_at,
+    turned,
+    warped,
+    zoom_of,
+)
+from calm_edge.backbones.bundle.correspond import Found, find
 from calm_edge.backbones.bundle.features import FeatureNet
 from calm_edge.backbones.bundle.place import LearnedPlace
 from calm_edge.backbones.bundle.tracks import (
     FOLLOWED_PX,
     MATCHING,
     detect_corners,
-    on_epipolar_lines,
     sift_homography,
 )
 from calm_edge.geometry.flow import Gray, follow, neighbouring_flow
@@ -37,13 +43,8 @@ HALF_WINDOW = replace(MATCHING, window_px=MATCHING.window_px // 2 + 1, levels=1)
 MAX_SIGMAS = 3.0
 # What neighbours alone led to, and what the features alone placed.
 UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
-# Turned or zoomed by less, patches are alike as they are.
-SAME_TURN_RAD, SAME_ZOOM = 0.07, 0.12
-MIN_FOR_WARP, WARP_SHARE, MIN_ZOOM = 12, 0.3, 0.2
-WARP_EPIPOLAR_PX = 3.0
-WARP_INLIER = 0.03  # of the picture's width: parallax stays outside of the homography
-# With fewer sure matches, other turns and zooms of the second picture are tried.
-ENOUGH_SURE = 0.35
+# Where fewer matches agree on a turn and a zoom, others of the second picture are tried.
+ENOUGH_AGREE = 0.5
 TURNS_DEG, ZOOMS = (-20.0, 0.0, 20.0), (0.5, 1.0, 2.0)
 
 
@@ -79,15 +80,31 @@ class LearnedMatching:
 
         Their sigma says how they were found; `measured` are those to build on.
         """
-        found = _any_way_up(self.net, a, b, uv)
-        H_b_a = homography(uv, found, a.shape[1])
-        return finished(a, b, uv, found) if H_b_a is None else self._across(a, b, H_b_a, uv)
+        direct = self._measured(a, b, uv)
+        H_b_a = homography(uv, _any_way_up(self.net, a, b, uv), a.shape[1])
+        if H_b_a is None or are_alike(H_b_a, a):
+            return direct
+        return _better(direct, self._across(a, b, H_b_a, uv))
 
     def _across(self, a: Gray, b: Gray, H_b_a: Float, uv: Float32) -> Found:
-        if _alike(H_b_a, np.array(a.shape[::-1]) / 2):
-            return finished(a, b, uv, _found(self.net, a, b, uv))
-        seen = warped(b, H_b_a, a)
-        return _through(finished(a, seen, uv, _found(self.net, a, seen, uv)), H_b_a, b)
+        if are_alike(H_b_a, a):
+            return self._measured(a, b, uv)
+        if zoom_of(H_b_a, a) > 1 + SAME_ZOOM:
+            return self._enlarged(a, b, H_b_a, uv)
+        return _through(self._measured(a, warped(b, H_b_a, a), uv), H_b_a, b)
+
+    def _enlarged(self, a: Gray, b: Gray, H_b_a: Float, uv: Float32) -> Found:
+        """Points of a in b, which shows things larger, and is looked at as it is."""
+        start, inside = seen_at(H_b_a, uv, b)
+        seen = warped(a, np.asarray(np.linalg.inv(H_b_a)), b)
+        there = self._measured(seen, b, start[inside])
+        found = Found(start, inside.copy(), np.ones(len(uv), np.float32), inside.copy())
+        found.uv[inside], found.sure[inside] = there.uv, there.sure
+        found.sigma_px[inside], found.measured[inside] = there.sigma_px, there.measured
+        return found
+
+    def _measured(self, a: Gray, b: Gray, uv: Float32) -> Found:
+        return finished(a, b, uv, _found(self.net, a, b, uv))
 
 
 def finished(a: Gray, b: Gray, uv: Float32, found: Found) -> Found:
@@ -138,46 +155,19 @@ def _as_a_whole(sigma: Float32) -> Float32:
     return np.asarray(np.clip(factor * sigma, *SIGMA_RANGE_PX), np.float32)
 
 
+def _better(one: Found, other: Found) -> Found:
+    """Of each of N points what is measured, sure, or at least surer."""
+    rank = [np.where(f.measured, 0, np.where(f.sure, 1, 2)) for f in (one, other)]
+    take = (rank[1] < rank[0]) | ((rank[1] == rank[0]) & (other.sigma_px < one.sigma_px))
+    best = Found(one.uv.copy(), one.sure.copy(), one.sigma_px.copy(), one.measured.copy())
+    best.uv[take], best.sure[take] = other.uv[take], other.sure[take]
+    best.sigma_px[take], best.measured[take] = other.sigma_px[take], other.measured[take]
+    return best
+
+
 def _twice_seen(found: Found) -> Found:
     """Only what is measured: wrong matches cost a bundle more than missing ones."""
     return replace(found, sure=found.measured)
-
-
-def homography(uv: Float32, found: Found, width: int) -> Float | None:
-    """H_b_a (3, 3) px through the sure ones of N matches, parallax left out; None where too few."""
-    sure = found.sure.copy()
-    sure[sure] = on_epipolar_lines(uv[sure], found.uv[sure], WARP_EPIPOLAR_PX)
-    if sure.sum() < MIN_FOR_WARP:
-        return None
-    H, fits = cv2.findHomography(uv[sure], found.uv[sure], cv2.RANSAC, WARP_INLIER * width)
-    if H is None or fits.sum() < max(MIN_FOR_WARP, WARP_SHARE * sure.sum()):
-        return None
-    if not MIN_ZOOM < _zoom_and_turn(H, uv[sure].mean(0))[0] < 1 / MIN_ZOOM:
-        return None
-    return np.asarray(H, np.float64)
-
-
-def _alike(H_b_a: Float, middle: NDArray[Any]) -> bool:
-    """Patches around `middle` (2,) px of a look the same in b."""
-    zoom, turn = _zoom_and_turn(H_b_a, middle)
-    return abs(np.log(zoom)) < SAME_ZOOM and abs(turn) < SAME_TURN_RAD
-
-
-def _zoom_and_turn(H: NDArray[Any], at: NDArray[Any]) -> tuple[float, float]:
-    """What H (3, 3) px does around a pixel (2,): its zoom, and its turn in radians."""
-    x, y, w = H @ np.array([*at, 1.0])
-    local = (H[:2, :2] - np.outer([x / w, y / w], H[2, :2])) / w
-    turn = np.arctan2(local[1, 0] - local[0, 1], local[0, 0] + local[1, 1])
-    return float(np.sqrt(max(np.linalg.det(local), 1e-12))), float(turn)
-
-
-def warped(b: Gray, H_b_a: Float, a: Gray) -> Gray:
-    """b as a would show it, smoothed where that shrinks it: what aliases has moved."""
-    zoom = float(np.sqrt(abs(np.linalg.det(H_b_a[:2, :2]))))
-    if zoom > 1 + SAME_ZOOM:
-        b = np.asarray(cv2.GaussianBlur(b, (0, 0), 0.5 * np.sqrt(zoom**2 - 1)), np.uint8)
-    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpPerspective(b, H_b_a, a.shape[::-1], flags=flags), np.uint8)
 
 
 def _found(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Found:
@@ -186,25 +176,19 @@ def _found(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Found:
 
 
 def _any_way_up(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Found:
-    """Points of a in b; where few are found, the best of several turns and zooms of b."""
+    """Points of a in b; where few agree, the best of several turns and zooms of b."""
     best = _found(net, a, b, uv)
-    if best.sure.sum() >= ENOUGH_SURE * len(uv):
+    most = agreeing(uv, best, b.shape[1])
+    if most >= ENOUGH_AGREE * len(uv):
         return best
     for turn, zoom in product(TURNS_DEG, ZOOMS):
         if (turn, zoom) != (0.0, 1.0):
-            H_b_a = _turned(a, b, turn, zoom)
+            H_b_a = turned(a, b, turn, zoom)
             there = _through(_found(net, a, warped(b, H_b_a, a), uv), H_b_a, b)
-            best = max(best, there, key=lambda each: int(each.sure.sum()))
+            agree = agreeing(uv, there, b.shape[1])
+            if agree > most:
+                best, most = there, agree
     return best
-
-
-def _turned(a: Gray, b: Gray, turn_deg: float, zoom: float) -> Float:
-    """H_b_a (3, 3) px: about the middles, b being zoomed and turned against a."""
-    (ha, wa), (hb, wb) = a.shape, b.shape
-    centred = np.array([[1, 0, -(wa - 1) / 2], [0, 1, -(ha - 1) / 2], [0, 0, 1]])
-    c, s = zoom * np.cos(np.radians(turn_deg)), zoom * np.sin(np.radians(turn_deg))
-    turned = np.array([[c, -s, (wb - 1) / 2], [s, c, (hb - 1) / 2], [0, 0, 1]])
-    return np.asarray(turned @ centred)
 
 
 def _through(found: Found, H_b_a: Float, b: Gray) -> Found:
@@ -212,14 +196,8 @@ def _through(found: Found, H_b_a: Float, b: Gray) -> Found:
 
     Sigma stays as it was there: weighing the eyes less would leave their distance to the rest.
     """
-    if len(found.uv) == 0:
-        return found
-    uv = cv2.perspectiveTransform(found.uv[None].astype(np.float64), H_b_a)[0]
-    height, width = b.shape
-    inside: Bool = (uv >= 0).all(1) & (uv <= np.array([width - 1, height - 1])).all(1)
-    return Found(
-        np.asarray(uv, np.float32), found.sure & inside, found.sigma_px, found.measured & inside
-    )
+    uv, inside = seen_at(H_b_a, found.uv, b)
+    return Found(uv, found.sure & inside, found.sigma_px, found.measured & inside)
 
 
 def matcher(name: str = "calm-geo") -> LearnedMatching:

@@ -53,7 +53,9 @@ def test_a_shift_no_pyramid_reaches_is_found(matching, gray):
     assert right > 0.6 and of_found > 0.95
 
 
-@pytest.mark.parametrize(("zoom", "turn"), [(1.0, 12.0), (1.5, 0.0), (0.6, -8.0)])
+@pytest.mark.parametrize(
+    ("zoom", "turn"), [(1.0, 12.0), (1.5, 0.0), (0.6, -8.0), (2.0, 20.0), (0.5, -20.0)]
+)
 def test_pictures_turned_and_zoomed_against_each_other(matching, gray, zoom, turn):
     H = similarity(gray, zoom, turn)
     uv = tracks.detect_corners(gray, NONE)
