@@ -88,7 +88,8 @@ class FrontendConfig:
 
 @dataclass(frozen=True, slots=True)
 class BackboneConfig:
-    """name: `bundle`, `scripted:FOLDER`, or a model: `feedforward:NAME_OR_FOLDER`, or its NAME.
+    """name: `bundle:NAME_OR_FOLDER`, matching by that model; `bundle`, without one;
+    `scripted:FOLDER`; or a model alone: `feedforward:NAME_OR_FOLDER`, or its NAME.
 
     precision: of a model's graphs; auto is what `model check` found best here, fp32 in lockstep.
     max_views: a run of a feedforward model, at least 2; 0 is what `model check` found.
@@ -96,7 +97,7 @@ class BackboneConfig:
     kit_file: where what a drive learns of these cameras is kept for the next one; empty for none.
     """
 
-    name: str = "bundle"
+    name: str = "bundle:calm-geo"
     precision: Literal["auto", "fp32", "fp16", "int8"] = "auto"
     max_views: int = 0
     hfov_deg: tuple[float, ...] = ()

@@ -38,7 +38,7 @@ def test_every_noun_comes_back_bit_for_bit(folder: Path) -> None:
     ]
     assert recording.config == samples.config(chunk_bytes=8192, log_depth=True)
     assert recording.metadata["camera_primary"] == "usb-1"
-    assert recording.metadata["backbone"] == "bundle"
+    assert recording.metadata["backbone"] == samples.config().backbone.name
     assert {"version", "boot_id"} <= set(recording.metadata)
     assert recording.count(schema.POSE_LIVE) == N
 
