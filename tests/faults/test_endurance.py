@@ -14,4 +14,4 @@ def test_memory_stays_and_nothing_vanishes(tmp_path: Path) -> None:
 
 
 def test_the_table_names_each_fault_once(tmp_path: Path) -> None:
-    assert len(table(tmp_path, tmp_path)) == 21
+    assert len(table(tmp_path, tmp_path)) == 22
