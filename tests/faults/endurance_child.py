@@ -34,8 +34,9 @@ RATE_HZ, PX_A_FRAME, SPACING_M = 10, 1, 0.5
 TURN_FRAMES = 400
 START_NS = 10**9
 SAMPLE_S = 0.5
-# old drives that lie there from the start: the first is to go, the second is kept
-OLD_BYTES = 4 << 20
+# old drives that lie there from the start: the first is to go, the second is kept; so large that
+# two minutes need its room, whatever a busy machine leaves out of the recording
+OLD_BYTES = 12 << 20
 
 
 class FastClock(TimelineClock):
