@@ -12,7 +12,6 @@ from itertools import product
 import numpy as np
 
 from calm_edge.backbones.bundle.alike import (
-    SAME_ZOOM,
     agreeing,
     are_alike,
     homography,
@@ -43,6 +42,9 @@ HALF_WINDOW = replace(MATCHING, window_px=MATCHING.window_px // 2 + 1, levels=1)
 MAX_SIGMAS = 3.0
 # What neighbours alone led to, and what the features alone placed.
 UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
+# What is shown so much larger is looked at as it is: shrunk, it would lose too much. By less, making
+# the other one larger costs more: what is blurred is measured worse.
+MUCH_LARGER = 1.5
 # Where fewer matches agree on a turn and a zoom, others of the second picture are tried.
 ENOUGH_AGREE = 0.5
 TURNS_DEG, ZOOMS = (-20.0, 0.0, 20.0), (0.5, 1.0, 2.0)
@@ -88,8 +90,12 @@ class LearnedMatching:
 
     def _across(self, a: Gray, b: Gray, H_b_a: Float, uv: Float32) -> Found:
         if are_alike(H_b_a, a):
-            return self._measured(a, b, uv)
-        if zoom_of(H_b_a, a) > 1 + SAME_ZOOM:
+            # to features; Lucas-Kanade is as exact as patches are the same
+            found = _found(self.net, a, b, uv)
+            back, _ = seen_at(np.asarray(np.linalg.inv(H_b_a)), found.uv, a)
+            there = finished(a, warped(b, H_b_a, a), uv, replace(found, uv=back))
+            return _through(there, H_b_a, b)
+        if zoom_of(H_b_a, a) > MUCH_LARGER:
             return self._enlarged(a, b, H_b_a, uv)
         return _through(self._measured(a, warped(b, H_b_a, a), uv), H_b_a, b)
 
