@@ -42,8 +42,8 @@ HALF_WINDOW = replace(MATCHING, window_px=MATCHING.window_px // 2 + 1, levels=1)
 MAX_SIGMAS = 3.0
 # What neighbours alone led to, and what the features alone placed.
 UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
-# What is shown so much larger is looked at as it is: shrunk, it would lose too much. By less, making
-# the other one larger costs more: what is blurred is measured worse.
+# What is shown so much larger is looked at as it is: shrunk, it would lose too much. By less,
+# making the other one larger costs more: what is blurred is measured worse.
 MUCH_LARGER = 1.5
 # Where fewer matches agree on a turn and a zoom, others of the second picture are tried.
 ENOUGH_AGREE = 0.5
