@@ -97,7 +97,7 @@ class BackboneConfig:
     kit_file: where what a drive learns of these cameras is kept for the next one; empty for none.
     """
 
-    name: str = "bundle:calm-geo"
+    name: str = "bundle"
     precision: Literal["auto", "fp32", "fp16", "int8"] = "auto"
     max_views: int = 0
     hfov_deg: tuple[float, ...] = ()
