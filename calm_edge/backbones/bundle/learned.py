@@ -20,7 +20,7 @@ from calm_edge.backbones.bundle.alike import (
     warped,
     zoom_of,
 )
-from calm_edge.backbones.bundle.correspond import Found, find
+from calm_edge.backbones.bundle.correspond import Bool, Found, find
 from calm_edge.backbones.bundle.features import FeatureNet
 from calm_edge.backbones.bundle.place import LearnedPlace
 from calm_edge.backbones.bundle.tracks import (
@@ -71,7 +71,9 @@ class LearnedMatching:
         if rough is not None:
             return rough
         uv = detect_corners(primary, np.zeros((0, 2), np.float32))
-        return homography(uv, _any_way_up(self.net, primary, assistant, uv), primary.shape[1])
+        found = _found(self.net, primary, assistant, uv)
+        found = _any_way_up(self.net, primary, assistant, uv, found)
+        return homography(uv, found, primary.shape[1])
 
     def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Found:
         """See tracks.Matching; raises BackboneError."""
@@ -82,8 +84,9 @@ class LearnedMatching:
 
         Their sigma says how they were found; `measured` are those to build on.
         """
-        direct = self._measured(a, b, uv)
-        H_b_a = homography(uv, _any_way_up(self.net, a, b, uv), a.shape[1])
+        found = _found(self.net, a, b, uv)
+        direct = finished(a, b, uv, found)
+        H_b_a = homography(uv, _any_way_up(self.net, a, b, uv, found), a.shape[1])
         if H_b_a is None or are_alike(H_b_a, a):
             return direct
         return _better(direct, self._across(a, b, H_b_a, uv))
@@ -104,10 +107,7 @@ class LearnedMatching:
         start, inside = seen_at(H_b_a, uv, b)
         seen = warped(a, np.asarray(np.linalg.inv(H_b_a)), b)
         there = self._measured(seen, b, start[inside])
-        found = Found(start, inside.copy(), np.ones(len(uv), np.float32), inside.copy())
-        found.uv[inside], found.sure[inside] = there.uv, there.sure
-        found.sigma_px[inside], found.measured[inside] = there.sigma_px, there.measured
-        return found
+        return _with(Found(start, inside, np.ones(len(uv), np.float32), inside), inside, there)
 
     def _measured(self, a: Gray, b: Gray, uv: Float32) -> Found:
         return finished(a, b, uv, _found(self.net, a, b, uv))
@@ -165,10 +165,16 @@ def _better(one: Found, other: Found) -> Found:
     """Of each of N points what is measured, sure, or at least surer."""
     rank = [np.where(f.measured, 0, np.where(f.sure, 1, 2)) for f in (one, other)]
     take = (rank[1] < rank[0]) | ((rank[1] == rank[0]) & (other.sigma_px < one.sigma_px))
-    best = Found(one.uv.copy(), one.sure.copy(), one.sigma_px.copy(), one.measured.copy())
-    best.uv[take], best.sure[take] = other.uv[take], other.sure[take]
-    best.sigma_px[take], best.measured[take] = other.sigma_px[take], other.measured[take]
-    return best
+    part = Found(other.uv[take], other.sure[take], other.sigma_px[take], other.measured[take])
+    return _with(one, take, part)
+
+
+def _with(found: Found, rows: Bool, part: Found) -> Found:
+    """N matches, of which R rows (N,) are those of `part`."""
+    out = Found(found.uv.copy(), found.sure.copy(), found.sigma_px.copy(), found.measured.copy())
+    out.uv[rows], out.sure[rows] = part.uv, part.sure
+    out.sigma_px[rows], out.measured[rows] = part.sigma_px, part.measured
+    return out
 
 
 def _twice_seen(found: Found) -> Found:
@@ -181,9 +187,9 @@ def _found(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Found:
     return find(net, features_a, features_b, uv)
 
 
-def _any_way_up(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Found:
-    """Points of a in b; where few agree, the best of several turns and zooms of b."""
-    best = _found(net, a, b, uv)
+def _any_way_up(net: FeatureNet, a: Gray, b: Gray, uv: Float32, found: Found) -> Found:
+    """Points of a in b, found as they are; where few agree, the best of turns and zooms of b."""
+    best = found
     most = agreeing(uv, best, b.shape[1])
     if most >= ENOUGH_AGREE * len(uv):
         return best
