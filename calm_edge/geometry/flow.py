@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -67,25 +67,30 @@ def follow(
     """
     if len(uv) == 0:
         return np.zeros((0, 2), np.float32), np.zeros(0, bool)
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, how.iterations, how.step_px)
-    window = (how.window_px, how.window_px)
     start = np.ascontiguousarray(uv, np.float32)
-    # a copy: OpenCV writes into its guess
-    begin = np.array(start if guess is None else guess, np.float32, order="C")
-    ahead, found, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, start, begin, winSize=window, maxLevel=how.levels,
-        criteria=criteria, flags=0 if guess is None else cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )  # fmt: skip
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(
-        target, source, ahead, start.copy(), winSize=window, maxLevel=how.backward_levels,
-        criteria=criteria, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )  # fmt: skip
+    ahead, found = follow_ahead(source, target, start, start if guess is None else guess, how)
+    there_and_back = replace(how, levels=how.backward_levels)
+    back, returned = follow_ahead(target, source, ahead, start, there_and_back)
     height, width = target.shape
     last = np.array([width, height], np.float32) - 1 - how.margin_px
-    good = (found[:, 0] > 0) & (returned[:, 0] > 0)
-    good &= np.linalg.norm(back - start, axis=1) < how.backward_px
+    good = found & returned & (np.linalg.norm(back - start, axis=1) < how.backward_px)
     good &= (ahead >= how.margin_px).all(1) & (ahead <= last).all(1)
-    return np.asarray(ahead, np.float32), np.asarray(good, bool)
+    return ahead, np.asarray(good, bool)
+
+
+def follow_ahead(
+    source: Gray, target: Gray, uv: Float32, guess: Float32, how: LucasKanade
+) -> tuple[Float32, NDArray[np.bool_]]:
+    """Points (M, 2) px, M > 0, from a guess (M, 2) px, and which were found (M,): no way back."""
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, how.iterations, how.step_px)
+    # a copy: OpenCV writes into its guess
+    begin = np.array(guess, np.float32, order="C")
+    ahead, found, _ = cv2.calcOpticalFlowPyrLK(
+        source, target, np.ascontiguousarray(uv, np.float32), begin,
+        winSize=(how.window_px, how.window_px), maxLevel=how.levels,
+        criteria=criteria, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    return np.asarray(ahead, np.float32), found[:, 0] > 0
 
 
 def neighbouring_flow(uv: Float32, flow: Float32, known: NDArray[np.bool_]) -> Float32:

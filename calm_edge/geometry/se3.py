@@ -84,7 +84,8 @@ def inverse(T: Float) -> Float:
     return compose(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 
 
-def _left_jacobian(w: Float) -> Float:
+def so3_left_jacobian(w: Float) -> Float:
+    """(..., 3) -> (..., 3, 3): J with exp(w + d) = exp(J d) exp(w) + O(d^2)."""
     theta2 = (w * w).sum(-1)[..., None, None]
     theta = np.sqrt(theta2)
     small = theta2 < 1e-10
@@ -99,13 +100,13 @@ def exp(xi: Float) -> Float:
     """Twists (..., 6) = (translation, rotation) -> (..., 4, 4)."""
     xi = np.asarray(xi, np.float64)
     rho, w = xi[..., :3], xi[..., 3:]
-    return compose(so3_exp(w), (_left_jacobian(w) @ rho[..., None])[..., 0])
+    return compose(so3_exp(w), (so3_left_jacobian(w) @ rho[..., None])[..., 0])
 
 
 def log(T: Float) -> Float:
     """(..., 4, 4) -> twists (..., 6) = (translation, rotation)."""
     w = so3_log(T[..., :3, :3])
-    rho = np.linalg.solve(_left_jacobian(w), T[..., :3, 3, None])[..., 0]
+    rho = np.linalg.solve(so3_left_jacobian(w), T[..., :3, 3, None])[..., 0]
     return np.concatenate([rho, w], -1)
 
 

@@ -33,8 +33,10 @@ TEMPERING = 0.02
 # What the pinhole model leaves out (distortion, rolling shutter, a stamp's error) as a share of f.
 FOCAL_FLOOR = 0.015
 # Wide first, so that a poor start loses no match; then narrow, for what a wrong match pulls at is
-# not noise around the truth: most err towards the camera and shrink the scene.
+# not noise around the truth: most err towards the camera and shrink the scene. The wide solution is
+# only a start and need not be as exact.
 ROBUST_SCALES = (2.0, 0.5)
+TOLERANCES = (1e-3, 1e-4)
 # A belief this sharp is used as it is; a vaguer one makes several first guesses compete.
 RIG_KNOWN_RAD = 0.02
 FOCAL_KNOWN = 0.05
@@ -42,6 +44,8 @@ FOCAL_GUESSES = (1.0, 1.25, 0.75)
 GUESS_ITERATIONS = 15
 GUESS_POINTS = 200
 SEED_SHARES = (0.5, 0.3, 0.15)
+# A start that costs no more an observation has not slipped: of a known kit the others are as good.
+GOOD_START = 1.0
 # Beyond these a solution is believed neither as a sub-map nor as evidence on the kit.
 MAX_MEDIAN_PX = 2.0
 MAX_EVIDENCE_PX = 0.8
@@ -154,8 +158,10 @@ def _determined() -> Iterator[None]:
 
 
 def _solve(start: State, m: Measurements, ties: RigTies, belief: KitBelief) -> Solution:
-    for robust_scale in ROBUST_SCALES:
-        solution = solve(start, m, ties, _sharpened(belief), robust_scale=robust_scale)
+    for robust_scale, tolerance in zip(ROBUST_SCALES, TOLERANCES, strict=True):
+        solution = solve(
+            start, m, ties, _sharpened(belief), robust_scale=robust_scale, tolerance=tolerance
+        )
         start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
@@ -206,6 +212,8 @@ def _best_start(
             continue
         cost = total_cost(state, m, ties, _sharpened(belief), ROBUST_SCALES[0])
         starts.append((cost, state))
+        if known and cost < GOOD_START * len(m.uv):
+            break
     if not starts:
         raise failure
     return min(starts, key=lambda start: start[0])

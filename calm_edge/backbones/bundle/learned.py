@@ -29,7 +29,7 @@ from calm_edge.backbones.bundle.tracks import (
     detect_corners,
     sift_homography,
 )
-from calm_edge.geometry.flow import Gray, follow, neighbouring_flow
+from calm_edge.geometry.flow import Gray, follow, follow_ahead, neighbouring_flow
 from calm_edge.types import Float, Float32
 
 # What a measured match is off by: so much of the features' own sigma, and so many times as far as
@@ -144,7 +144,9 @@ def _measured_sigma(a: Gray, b: Gray, uv: Float32, moved: Float32, features_px: 
     features_px: (N,) their sigma. A smaller window disagrees where a patch has two depths, or has
     changed.
     """
-    half, _ = follow(a, b, uv, moved, HALF_WINDOW)
+    if len(uv) == 0:
+        return features_px
+    half, _ = follow_ahead(a, b, uv, moved, HALF_WINDOW)
     apart = np.linalg.norm(half - moved, axis=1)
     sigma = np.hypot(FEATURES_SHARE * features_px, WINDOWS_SHARE * apart)
     return np.asarray(np.maximum(sigma, SIGMA_RANGE_PX[0]), np.float32)

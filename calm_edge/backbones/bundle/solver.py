@@ -1,7 +1,4 @@
-"""Levenberg-Marquardt on one window: points eliminated in closed form, everything in numpy.
-
-The reduced system has 6 unknowns a view and 15 for the kit, some 200 in all: dense is fastest.
-"""
+"""Levenberg-Marquardt on one window, and what a solved window says of the kit."""
 
 from __future__ import annotations
 
@@ -11,6 +8,7 @@ import numpy as np
 import scipy.linalg
 
 from calm_edge.backbones.bundle import kit
+from calm_edge.backbones.bundle.normal_equations import Normal, Structure, normal_equations
 from calm_edge.backbones.bundle.problem import (
     NEAREST,
     Measurements,
@@ -18,75 +16,13 @@ from calm_edge.backbones.bundle.problem import (
     State,
     move_points,
     project,
-    reprojection,
     tangent_basis,
-    tie_jacobians,
     tie_residuals,
 )
 from calm_edge.geometry import se3
-from calm_edge.types import Float, Int, KitBelief
+from calm_edge.types import Float, KitBelief
 
-# What keeps the block of a point nobody constrains, or a view all but touches, invertible.
-POINT_FLOOR = 1e-3
-POINT_FLOOR_SHARE = 1e-10
 BEHIND = 100.0  # sigmas charged for a point behind its view: an outlier, not a wall
-
-
-@dataclass(frozen=True, slots=True)
-class Groups:
-    """Rows sorted by a key, to sum blocks that share it. keys: (G,) the distinct keys."""
-
-    order: Int
-    starts: Int
-    keys: Int
-
-    def sum(self, blocks: Float) -> Float:
-        """(O, ...) -> (G, ...)."""
-        return np.asarray(np.add.reduceat(blocks[self.order], self.starts))
-
-
-def grouped(key: Int) -> Groups:
-    order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.r_[True, np.diff(key[order]) > 0])
-    return Groups(order, starts, key[order][starts])
-
-
-@dataclass(frozen=True, slots=True)
-class Structure:
-    """What of a window's normal equations never changes while it is solved."""
-
-    by_view: Groups
-    by_point: Groups
-    by_point_and_eye: Groups
-    rows: Int  # (O, 10) of each observation's pose and optics in the reduced system
-
-    @classmethod
-    def of(cls, m: Measurements) -> Structure:
-        eye = m.eye[m.view]
-        optics = 6 * m.n_views + 4 * eye[:, None] + np.arange(4)
-        rows = np.concatenate([6 * m.view[:, None] + np.arange(6), optics], 1)
-        return cls(grouped(m.view), grouped(m.point), grouped(2 * m.point + eye), rows)
-
-
-@dataclass(frozen=True, slots=True)
-class Normal:
-    """The normal equations, points eliminated. H: (D, D), g: (D,) of poses then kit.
-
-    With L L^T the inverse of each point's 3x3 block: root (M, 3, 3) is L, cross (D, M, 3) the
-    pose-point blocks times L, gradient (M, 3) the points' gradient times L: to step the points.
-    """
-
-    H: Float
-    g: Float
-    root: Float
-    cross: Float
-    gradient: Float
-
-    def point_step(self, delta: Float) -> Float:
-        """(M, 3) that goes with a step (D,) of the reduced unknowns."""
-        D = len(delta)
-        coupled = self.gradient + (delta @ self.cross.reshape(D, -1)).reshape(-1, 3)
-        return np.asarray(-(self.root @ coupled[..., None])[..., 0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,71 +59,6 @@ def total_cost(
     )  # fmt: skip
     off = state.theta - prior.mean
     return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off)
-
-
-def _scatter(H: Float, rows: np.ndarray, blocks: Float) -> None:
-    """Add blocks (B, k, k) to H at index sets rows (B, k)."""
-    np.add.at(H, (rows[:, :, None], rows[:, None, :]), blocks)
-
-
-def normal_equations(
-    state: State,
-    m: Measurements,
-    ties: RigTies,
-    structure: Structure,
-    weight: Float,
-    damping: float,
-) -> Normal:
-    """Measurements and ties only: the kit prior and the gauge are added by the caller."""
-    n_views, n_points = m.n_views, len(state.points)
-    D = 6 * n_views + kit.SIZE
-    jac = reprojection(state, m, tangent_basis(state.points))
-    whiten = np.sqrt(weight) / m.sigma_px * jac.in_front
-    r = ((jac.predicted - m.uv) * whiten[:, None])[..., None]
-    camera = np.concatenate([jac.pose, jac.optics], 2) * whiten[:, None, None]  # (O, 2, 10)
-    point = jac.point * whiten[:, None, None]
-    camera_t, point_t = camera.transpose(0, 2, 1), point.transpose(0, 2, 1)
-
-    H, g = np.zeros((D, D)), np.zeros(D)
-    rows = structure.rows[structure.by_view.order][structure.by_view.starts]
-    _scatter(H, rows, structure.by_view.sum(camera_t @ camera))
-    np.add.at(g, rows, structure.by_view.sum((camera_t @ r)[..., 0]))
-
-    Hpp = np.tile(np.eye(3), (n_points, 1, 1))
-    gp = np.zeros((n_points, 3))
-    seen = structure.by_point.keys
-    Hpp[seen] = structure.by_point.sum(point_t @ point)
-    gp[seen] = structure.by_point.sum((point_t @ r)[..., 0])
-    diagonal = np.einsum("mii->mi", Hpp)
-    largest = diagonal.max(1, keepdims=True)
-    diagonal += damping * diagonal + POINT_FLOOR_SHARE * largest + POINT_FLOOR
-    root = np.linalg.inv(np.linalg.cholesky(Hpp)).transpose(0, 2, 1)
-    gradient = (gp[:, None] @ root)[:, 0]
-
-    blocks = camera_t @ point @ root[m.point]  # (O, 10, 3)
-    cross = np.zeros((D, n_points, 3))
-    cross[structure.rows[:, :6], m.point[:, None]] = blocks[:, :6]  # a view sees a point once
-    pairs = structure.by_point_and_eye
-    optics = 6 * n_views + 4 * (pairs.keys % 2)[:, None] + np.arange(4)
-    cross[optics, pairs.keys[:, None] // 2] = pairs.sum(blocks[:, 6:])
-    flat = cross.reshape(D, -1)
-    H -= flat @ flat.T
-    g -= flat @ gradient.reshape(-1)
-
-    if len(ties.alpha):
-        residual, J = tie_jacobians(state, ties)
-        views = np.stack([ties.before, ties.after, ties.assistant], 1)
-        tie_rows = np.concatenate(
-            [
-                (6 * views[..., None] + np.arange(6)).reshape(-1, 18),
-                np.broadcast_to(6 * n_views + np.arange(8, kit.SIZE), (len(ties.alpha), 7)),
-            ],
-            1,
-        )
-        J_t = J.transpose(0, 2, 1)
-        _scatter(H, tie_rows, J_t @ J)
-        np.add.at(g, tie_rows, (J_t @ residual[..., None])[..., 0])
-    return Normal(H, g, root, cross, gradient)
 
 
 def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, Float]:
@@ -230,7 +101,7 @@ def solve(
     tolerance: float = 1e-4,
 ) -> Solution:
     """Minimise pixels (Cauchy), rig ties and the kit prior from `state`; view 0 stays."""
-    structure = Structure.of(m)
+    structure = Structure.of(m, len(state.points))
     damping = 1e-3
     cost = total_cost(state, m, ties, prior, robust_scale)
     n = m.n_views
@@ -275,7 +146,7 @@ def kit_evidence(
     """
     state = solution.state
     weight = robust_weights(solution.residual, robust_scale)
-    normal = normal_equations(state, m, ties, Structure.of(m), weight, 0.0)
+    normal = normal_equations(state, m, ties, Structure.of(m, len(state.points)), weight, 0.0)
     n = 6 * m.n_views
     pose = slice(6, n)
     H, g = normal.H, normal.g

@@ -1,0 +1,160 @@
+"""The normal equations of one window, points eliminated in closed form, everything in numpy.
+
+The reduced system has 6 unknowns a view and 15 for the kit, some 200 in all: dense is fastest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from calm_edge.backbones.bundle import kit
+from calm_edge.backbones.bundle.problem import (
+    Measurements,
+    RigTies,
+    State,
+    reprojection,
+    tangent_basis,
+    tie_jacobians,
+    times,
+)
+from calm_edge.types import Float, Int
+
+# What keeps the block of a point nobody constrains, or a view all but touches, invertible.
+POINT_FLOOR = 1e-3
+POINT_FLOOR_SHARE = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class Groups:
+    """Rows sorted by a key, to sum blocks that share it. keys: (G,) the distinct keys."""
+
+    order: Int
+    starts: Int
+    keys: Int
+
+    def sum(self, blocks: Float) -> Float:
+        """(..., O) -> (..., G)."""
+        return np.asarray(np.add.reduceat(blocks.take(self.order, -1), self.starts, -1))
+
+
+def grouped(key: Int) -> Groups:
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.r_[True, np.diff(key[order]) > 0])
+    return Groups(order, starts, key[order][starts])
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """What of a window's normal equations never changes while it is solved.
+
+    views: rows of each view. cross: (18, O) where each observation's pose-point block goes.
+    """
+
+    views: tuple[slice, ...]
+    by_point: Groups
+    by_point_and_eye: Groups
+    rows: Int  # (C, 10) of each view's pose and optics in the reduced system
+    cross: Int
+
+    @classmethod
+    def of(cls, m: Measurements, n_points: int) -> Structure:
+        bounds = np.searchsorted(m.view, np.arange(m.n_views + 1))
+        optics = 6 * m.n_views + 4 * m.eye[:, None] + np.arange(4)
+        return cls(
+            tuple(slice(first, last) for first, last in pairwise(bounds)),
+            grouped(m.point),
+            grouped(2 * m.point + m.eye[m.view]),
+            np.concatenate([6 * np.arange(m.n_views)[:, None] + np.arange(6), optics], 1),
+            (18 * m.view + np.arange(18)[:, None]) * n_points + m.point,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Normal:
+    """The normal equations, points eliminated. H: (D, D), g: (D,) of poses then kit.
+
+    With L L^T the inverse of each point's 3x3 block: root (M, 3, 3) is L, cross (D, 3, M) the
+    pose-point blocks times L, gradient (3, M) the points' gradient times L: to step the points.
+    """
+
+    H: Float
+    g: Float
+    root: Float
+    cross: Float
+    gradient: Float
+
+    def point_step(self, delta: Float) -> Float:
+        """(M, 3) that goes with a step (D,) of the reduced unknowns."""
+        D = len(delta)
+        coupled = self.gradient + (delta @ self.cross.reshape(D, -1)).reshape(3, -1)
+        return np.asarray(-(self.root @ coupled.T[..., None])[..., 0])
+
+
+def _scatter(H: Float, rows: np.ndarray, blocks: Float) -> None:
+    """Add blocks (B, k, k) to H at index sets rows (B, k)."""
+    np.add.at(H, (rows[:, :, None], rows[:, None, :]), blocks)
+
+
+def normal_equations(
+    state: State,
+    m: Measurements,
+    ties: RigTies,
+    structure: Structure,
+    weight: Float,
+    damping: float,
+) -> Normal:
+    """Measurements and ties only: the kit prior and the gauge are added by the caller."""
+    n_views, n_points = m.n_views, len(state.points)
+    D = 6 * n_views + kit.SIZE
+    jac = reprojection(state, m, tangent_basis(state.points))
+    whiten = np.sqrt(weight) / m.sigma_px * jac.in_front
+    r = (jac.predicted - m.uv).T * whiten
+    camera, point = jac.camera * whiten, jac.point * whiten
+
+    H, g = np.zeros((D, D)), np.zeros(D)
+    joined = [
+        np.concatenate([camera[..., rows], r[None, :, rows]]).reshape(11, -1)
+        for rows in structure.views
+    ]
+    own = np.stack([J @ J.T for J in joined])
+    _scatter(H, structure.rows, own[:, :10, :10])
+    np.add.at(g, structure.rows, own[:, :10, 10])
+
+    Hpp = np.tile(np.eye(3), (n_points, 1, 1))
+    gp = np.zeros((n_points, 1, 3))
+    seen, by_point = structure.by_point.keys, structure.by_point
+    Hpp[seen] = by_point.sum(np.einsum("iko,jko->ijo", point, point)).transpose(2, 0, 1)
+    gp[seen, 0] = by_point.sum(np.einsum("iko,ko->io", point, r)).T
+    diagonal = np.einsum("mii->mi", Hpp)
+    largest = diagonal.max(1, keepdims=True)
+    diagonal += damping * diagonal + POINT_FLOOR_SHARE * largest + POINT_FLOOR
+    root = np.linalg.inv(np.linalg.cholesky(Hpp)).transpose(0, 2, 1)
+    gradient = np.ascontiguousarray((gp @ root)[:, 0].T)
+
+    blocks = np.einsum("iko,jko->ijo", camera, times(point, root, m.point))  # (10, 3, O)
+    cross = np.zeros((D, 3, n_points))
+    cross.reshape(-1)[structure.cross] = blocks[:6].reshape(18, -1)  # a view sees a point once
+    pairs = structure.by_point_and_eye
+    optics = cross[6 * n_views : 6 * n_views + 8].reshape(2, 4, 3, n_points)
+    optics[pairs.keys % 2, ..., pairs.keys // 2] = pairs.sum(blocks[6:]).transpose(2, 0, 1)
+    flat = cross.reshape(D, -1)
+    H -= flat @ flat.T
+    g -= flat @ gradient.reshape(-1)
+
+    if len(ties.alpha):
+        residual, J = tie_jacobians(state, ties)
+        views = np.stack([ties.before, ties.after, ties.assistant], 1)
+        tie_rows = np.concatenate(
+            [
+                (6 * views[..., None] + np.arange(6)).reshape(-1, 18),
+                np.broadcast_to(6 * n_views + np.arange(8, kit.SIZE), (len(ties.alpha), 7)),
+            ],
+            1,
+        )
+        J_t = J.transpose(0, 2, 1)
+        _scatter(H, tie_rows, J_t @ J)
+        np.add.at(g, tie_rows, (J_t @ residual[..., None])[..., 0])
+    return Normal(H, g, root, cross, gradient)
