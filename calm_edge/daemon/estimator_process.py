@@ -6,6 +6,7 @@ import dataclasses
 import logging
 import os
 import signal
+import sys
 import time
 import traceback
 from contextlib import suppress
@@ -37,6 +38,8 @@ from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
 
 # of -1000 (never) to 1000 (first); the capture process has that of its unit, as a rule 0
 OOM_SCORE_ADJ = "500"
+# the network runs beside the solver's small steps: by default each would wait 5 ms for the other
+SWITCH_S = 3e-4
 
 
 class EstimatorWork:
@@ -112,6 +115,7 @@ def run_estimator(connection: Connection, config: Config, lockstep: bool) -> Non
     # what it skips is said by capture, once, and logged into the recording
     logging.basicConfig(level=logging.ERROR)
     cv2.setNumThreads(1)
+    sys.setswitchinterval(SWITCH_S)
     try:
         work = EstimatorWork(config, Immediate() if lockstep else Spawned())
     except CalmEdgeError as error:

@@ -1,11 +1,15 @@
-"""The learned encoder, run once a picture: what matching and place look-up read of it."""
+"""The learned encoder, run once a picture: what matching and place look-up read of it.
+
+It runs in a thread of its own: the pictures of a window are encoded while the first are matched.
+"""
 
 from __future__ import annotations
 
-import hashlib
 from collections import OrderedDict
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -75,7 +79,8 @@ class FeatureNet:
             needs_inputs=["there", "here", *refine.inputs],
             needs_outputs=["offset", "sigma", *refine.outputs],
         )
-        self._kept: OrderedDict[bytes, Features] = OrderedDict()
+        self._kept: OrderedDict[tuple[Any, ...], Future[Features]] = OrderedDict()
+        self._beside = ThreadPoolExecutor(1, "encoder")
 
     @classmethod
     def of_model(cls, name: str, precision: Precision | None = None) -> FeatureNet:
@@ -91,17 +96,20 @@ class FeatureNet:
 
     def of(self, pictures: Sequence[Bytes | Gray]) -> list[Features]:
         """Features of (H, W, 3) BGR or (H, W) grey pictures; raises BackboneError."""
-        return [self._one(picture) for picture in pictures]
+        return [encoded.result() for encoded in self.begin(pictures)]
 
-    def _one(self, picture: Bytes | Gray) -> Features:
+    def begin(self, pictures: Sequence[Bytes | Gray]) -> list[Future[Features]]:
+        """The same, without waiting for it."""
+        return [self._begin(picture) for picture in pictures]
+
+    def _begin(self, picture: Bytes | Gray) -> Future[Features]:
         gray = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         gray = np.ascontiguousarray(gray)
-        key = hashlib.blake2b(gray.tobytes(), digest_size=16).digest() + bytes(
-            str(gray.shape), "ascii"
-        )
+        key = (gray.shape, hash(gray.tobytes()))
         known = self._kept.get(key)
         if known is None:
-            known = self._kept[key] = self._encoded(np.asarray(gray, np.uint8))
+            known = self._beside.submit(self._encoded, np.asarray(gray, np.uint8))
+            self._kept[key] = known
             while len(self._kept) > KEPT:
                 self._kept.popitem(last=False)
         else:

@@ -37,6 +37,8 @@ from calm_edge.types import Float, Float32
 # common factor: see `_as_a_whole`.
 FEATURES_SHARE, WINDOWS_SHARE = 0.25, 2.6
 SIGMA_RANGE_PX = (0.2, 3.0)
+# Features are within a few pixels: from farther up the pyramid, points only get lost.
+FROM_FEATURES = replace(MATCHING, levels=1)
 HALF_WINDOW = replace(MATCHING, window_px=MATCHING.window_px // 2 + 1, levels=1)
 # Lucas-Kanade that leaves the features' place by more sigmas found something else.
 MAX_SIGMAS = 3.0
@@ -55,6 +57,17 @@ class LearnedMatching:
 
     def __init__(self, net: FeatureNet) -> None:
         self.net = net
+        # of the window at hand: assistant's pictures, and as they are looked at under which H_a_p
+        self._expected: list[tuple[Gray, Float, Gray]] = []
+
+    def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
+        """See tracks.Matching."""
+        self.net.begin(primary)
+        self._expected = []
+        if H_a_p is not None:
+            a = primary[0]
+            self._expected = [(b, H_a_p, _made_alike(a, b, H_a_p)) for b in assistant]
+        self.net.begin([alike for _, _, alike in self._expected])
 
     def along(self, source: Gray, target: Gray, uv: Float32) -> Found:
         """See tracks.Matching; raises BackboneError."""
@@ -100,7 +113,9 @@ class LearnedMatching:
             return _through(there, H_b_a, b)
         if zoom_of(H_b_a, a) > MUCH_LARGER:
             return self._enlarged(a, b, H_b_a, uv)
-        return _through(self._measured(a, warped(b, H_b_a, a), uv), H_b_a, b)
+        made = [alike for of, H, alike in self._expected if of is b and H is H_b_a]
+        alike = made[0] if made else _made_alike(a, b, H_b_a)
+        return _through(self._measured(a, alike, uv), H_b_a, b)
 
     def _enlarged(self, a: Gray, b: Gray, H_b_a: Float, uv: Float32) -> Found:
         """Points of a in b, which shows things larger, and is looked at as it is."""
@@ -113,6 +128,12 @@ class LearnedMatching:
         return finished(a, b, uv, _found(self.net, a, b, uv))
 
 
+def _made_alike(a: Gray, b: Gray, H_b_a: Float) -> Gray:
+    """The second picture as its features are computed: as it is, or as the first would show it."""
+    as_it_is = are_alike(H_b_a, a) or zoom_of(H_b_a, a) > MUCH_LARGER
+    return b if as_it_is else warped(b, H_b_a, a)
+
+
 def finished(a: Gray, b: Gray, uv: Float32, found: Found) -> Found:
     """Matches of uv (N, 2) px, measured on pictures that are alike.
 
@@ -121,7 +142,7 @@ def finished(a: Gray, b: Gray, uv: Float32, found: Found) -> Found:
     may they, where there is nothing to measure.
     """
     near = MAX_SIGMAS * found.sigma_px
-    moved, ok = follow(a, b, uv, found.uv, MATCHING)
+    moved, ok = follow(a, b, uv, found.uv, FROM_FEATURES)
     ok &= found.sure & (np.linalg.norm(moved - found.uv, axis=1) < near)
     rest = np.flatnonzero(~ok)
     start = uv + neighbouring_flow(uv, moved - uv, ok)

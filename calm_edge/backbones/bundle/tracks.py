@@ -47,6 +47,10 @@ class Tracks:
 class Matching(Protocol):
     """Finds points without a guess, in place of Lucas-Kanade from one."""
 
+    def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
+        """Pictures that will be asked for: what they need may begin. H_a_p: None if not known."""
+        ...
+
     def along(self, source: Gray, target: Gray, uv: Float32) -> Found:
         """Points uv (N, 2) px of a picture in a later one of the same eye."""
         ...
@@ -219,6 +223,8 @@ def window_tracks(
 
     H_a_p: the infinite homography when the kit is known, else it is found from matches.
     """
+    if matching is not None:
+        matching.expect(primary, assistant, H_a_p)
     views = temporal_tracks(primary, matching)
     rows = [(ids, np.full(len(ids), i), uv, sigma) for i, (ids, uv, sigma) in enumerate(views)]
     homography = sift_homography if matching is None else matching.homography
