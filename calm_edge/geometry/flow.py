@@ -19,11 +19,11 @@ class LucasKanade:
     margin_px: what of the image's border is not believed.
     """
 
-    window_px: int = 21
+    window_px: int = 17
     levels: int = 3
     iterations: int = 20
     step_px: float = 0.03
-    backward_levels: int = 3
+    backward_levels: int = 1
     backward_px: float = 0.7
     margin_px: float = 0.0
 
