@@ -176,7 +176,8 @@ class Golden:
 class Manifest:
     """folder and digest (sha256 of the manifest) are not keys but where it was read.
 
-    settings: of a `bundle`, whatever its own code reads.
+    settings: of a `bundle`, whatever its own code reads. unmeasured: the precision to run where
+    `model check` never ran, of a model whose maker knows; empty for fp32, which is said.
     """
 
     format: int
@@ -188,6 +189,7 @@ class Manifest:
     frames: FrameRange
     golden: Golden
     source: str = ""
+    unmeasured: Literal["", "fp32", "fp16", "int8"] = ""
     output: Outputs | None = None
     settings: dict[str, Any] = field(default_factory=dict)
     folder: Path = Path()

@@ -136,6 +136,8 @@ def _graph_mistakes(m: Manifest) -> Iterator[str]:
             files |= variant.files()
     if m.graphs and not m.precisions():
         yield "graphs: no precision that all of them come in"
+    elif m.unmeasured and m.unmeasured not in m.precisions():
+        yield f"unmeasured = {m.unmeasured}: not all graphs come in it"
     for file, sha256 in files.items():
         path = PurePosixPath(file)
         if not path.name or path.is_absolute() or ".." in path.parts:

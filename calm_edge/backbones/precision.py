@@ -26,8 +26,8 @@ def model_of(config: Config) -> str:
 def chosen(manifest: Manifest, asked: str, *, deterministic: bool = False) -> Precision:
     """asked: `backbone.precision`. Raises ManifestError where the model does not come in it.
 
-    auto is what `model check` measured best on this machine; fp32 where it never ran, and where
-    the answer must not depend on the machine.
+    auto is what `model check` measured best on this machine, what the manifest says where it never
+    ran, and fp32 where the answer must not depend on the machine.
     """
     have = manifest.precisions()
     if asked != "auto":
@@ -35,10 +35,12 @@ def chosen(manifest: Manifest, asked: str, *, deterministic: bool = False) -> Pr
             if precision == asked:
                 return precision
         raise ManifestError(f"{manifest.name}: has no {asked} graphs; it has {', '.join(have)}")
-    measured = None if deterministic else verdict.load(manifest)
+    if deterministic:
+        return have[0]
+    measured = verdict.load(manifest)
     if measured is not None and measured.precision in have:
         return measured.precision
-    return have[0]
+    return manifest.unmeasured or have[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,7 @@ def opened(config: Config) -> Opened:
         raise BackboneError(f"{manifest.name}: refused by model check: {found.refusal}")
     verify(manifest, [precision])
     notices: tuple[str, ...] = ()
-    if found is None:
+    if found is None and not manifest.unmeasured:
         notices = (
             f"{manifest.name} runs in {precision}, never checked on this machine: "
             f"calm-edge model check {name}",

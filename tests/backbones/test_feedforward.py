@@ -158,6 +158,16 @@ def test_what_was_never_checked_says_so(folder):
     assert [n for n in notices if "never checked" in n and "runs in fp32" in n]
 
 
+def test_a_maker_may_say_what_runs_unchecked(folder):
+    path = folder / "manifest.toml"
+    path.write_text('unmeasured = "int8"\n' + path.read_text())
+    assert pinned(config_of(f"feedforward:{folder}"), deterministic=False).backbone.precision == (
+        "int8"
+    )
+    notices = opened(folder).infer(paint(centres(2)), hints_of(2)).notices
+    assert not [n for n in notices if "never checked" in n]
+
+
 def test_a_verdict_rules(folder):
     manifest = read_manifest(folder)
     verdict.save(manifest, Verdict("", "int8", {"int8": 3, "fp32": 2}, "faster"))

@@ -158,6 +158,12 @@ def test_all_graphs_must_share_a_precision(tmp_path):
         read_manifest(tmp_path)
 
 
+def test_what_runs_unmeasured_has_to_be_there(tmp_path):
+    folder_of(tmp_path, BUNDLE | {"unmeasured": "fp16"})
+    with pytest.raises(ManifestError, match="unmeasured = fp16: not all graphs come in it"):
+        read_manifest(tmp_path)
+
+
 def test_outputs_mean_nothing_to_a_bundle(tmp_path):
     folder_of(tmp_path, BUNDLE | {"output": FEEDFORWARD["output"]})
     with pytest.raises(ManifestError, match="output: only of kind feedforward"):

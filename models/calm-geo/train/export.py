@@ -153,7 +153,8 @@ def write_manifest(folder: Path, int8_encoder: bool) -> None:
     int8 = ["int8 = " + entry("encoder.int8.onnx")] if int8_encoder else []
     lines = [
         "format = 1", 'name = "calm-geo"', 'kind = "bundle"', 'license = "LICENSE"',
-        'source = "trained by train/ on random worlds"', "", "[graphs.encoder]",
+        'source = "trained by train/ on random worlds"', 'unmeasured = "int8"', "",
+        "[graphs.encoder]",
         "fp32 = " + entry("encoder.onnx"), *int8, 'inputs = ["image"]',
         'outputs = ["coarse", "reliability", "fine", "place"]', "", "[graphs.refine]",
         "fp32 = " + entry("refine.onnx"),
