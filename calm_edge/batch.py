@@ -37,6 +37,7 @@ def raw_submap(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Su
         T_w_s=np.eye(4),
         focal_log_sigma=_focal_log_sigma(len(window.primary), prediction),
         assistant_late_ns=round(prediction.assistant_late_s * 1e9),
+        stamps_off_ns=_stamps_off_ns(prediction),
     )
 
 
@@ -50,6 +51,7 @@ def solved_again(submap: Submap, prediction: Prediction | None) -> Submap:
         K_raw=prediction.K,
         focal_log_sigma=_focal_log_sigma(submap.n_primary, prediction),
         assistant_late_ns=round(prediction.assistant_late_s * 1e9),
+        stamps_off_ns=_stamps_off_ns(prediction),
     )
 
 
@@ -64,6 +66,11 @@ def sizes(window: SubmapWindow, images: list[Bytes]) -> Int | None:
         return None
     shapes = [images[0].shape, images[len(window.primary)].shape]
     return np.array([[shape[1], shape[0]] for shape in shapes], np.int64)
+
+
+def _stamps_off_ns(prediction: Prediction) -> Int | None:
+    off_s = prediction.stamps_off_s
+    return None if off_s is None else np.round(off_s * 1e9).astype(np.int64)
 
 
 def _focal_log_sigma(n_primary: int, prediction: Prediction) -> Float:

@@ -110,6 +110,7 @@ class Prediction:
     focal_log_sigma: (N,) one sigma of log focal, None where the model has no idea of it.
     kit: this batch's own evidence on the kit (without the hints), or None.
     assistant_late_s: how much later than stamped, on the primary's clock, assistants were exposed.
+    stamps_off_s: (A,) how much later than that each was, None where stamps are even.
     loop_found: False where the trailing loop keyframe could not be placed: its pose says nothing.
     notices: lines for the user, the same for every such batch.
     """
@@ -122,6 +123,7 @@ class Prediction:
     landmarks: Landmarks | None = None
     kit: KitBelief | None = None
     assistant_late_s: float = 0.0
+    stamps_off_s: Float | None = None
     loop_found: bool = True
     notices: tuple[str, ...] = ()
 
@@ -135,7 +137,7 @@ class Submap:
     K can re-rectify them. T_s_c: (N, 4, 4) rectified, in world units. K: (N, 3, 3) rectified px.
     scale: world units a raw unit; depth is multiplied by it. T_w_s: (4, 4).
     focal_log_sigma: (2,) an eye, as believed when the sub-map was placed.
-    assistant_late_ns: see Prediction.assistant_late_s.
+    assistant_late_ns, stamps_off_ns: see Prediction.assistant_late_s, stamps_off_s.
     """
 
     id: int
@@ -151,6 +153,7 @@ class Submap:
     T_w_s: Float
     focal_log_sigma: Float
     assistant_late_ns: int = 0
+    stamps_off_ns: Int | None = None
 
     @property
     def n_primary(self) -> int:
@@ -158,9 +161,11 @@ class Submap:
 
     @property
     def exposed_ns(self) -> Int:
-        """(N,) t_ns, the assistant's brought to the primary's clock."""
+        """(N,) t_ns, the assistant's brought to the primary's clock and beat."""
         late = np.zeros(len(self.t_ns), np.int64)
-        late[self.n_primary : self.n_primary + len(self.assistant_ids)] = self.assistant_late_ns
+        off = 0 if self.stamps_off_ns is None else self.stamps_off_ns
+        end = self.n_primary + len(self.assistant_ids)
+        late[self.n_primary : end] = self.assistant_late_ns + off
         return self.t_ns + late
 
     def T_w_c(self) -> Float:

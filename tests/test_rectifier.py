@@ -32,6 +32,16 @@ def test_each_submap_has_its_own_factor():
         assert rectifier.rectify(raw_submap(k, unit)).scale == pytest.approx(1 / (unit * SPACING))
 
 
+def test_stamps_known_to_be_off_do_not_lengthen_the_spacing():
+    off_ns = np.random.default_rng(0).normal(0, 5e6, N).astype(np.int64)
+    submap = raw_submap(0, 1.0)
+    submap.t_ns[N:] += off_ns
+    rectifier = Rectifier(Config(), learns_kit=True)
+    told = replace(submap, stamps_off_ns=-off_ns)
+    assert rectifier.rectify(told).scale == pytest.approx(1 / SPACING)
+    assert rectifier.rectify(submap).scale < 0.999 / SPACING
+
+
 def test_without_rectification_all_take_the_factor_of_the_first_as_it_now_is():
     rectifier = Rectifier(ONE_FACTOR, learns_kit=True)
     first, second = raw_submap(3, 1.0), raw_submap(4, 3.0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle import kit, loop_view, window
+from calm_edge.backbones.bundle import kit, loop_view, stamps, window
 from calm_edge.backbones.bundle.initialise import initial_state, triangulated
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
 from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
@@ -100,7 +100,7 @@ class BundleBackbone:
             m = window.measure(images, hints, belief.mean, rig_known, self._matching)
             ties = rig_ties(m)
             start = _first_guess(m, ties, belief, known)
-            solved = _prediction(m, ties, belief, _solve(start, m, ties, belief))
+            solved = _prediction(m, belief, *_solve(start, m, ties, belief))
         return replace(solved, notices=self._notices)
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
@@ -113,7 +113,7 @@ class BundleBackbone:
         m, start = window.from_prediction(prediction, hints, belief.mean)
         ties = rig_ties(m)
         with _determined():
-            return _prediction(m, ties, belief, _solve(start, m, ties, belief))
+            return _prediction(m, belief, *_solve(start, m, ties, belief))
 
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
@@ -157,15 +157,20 @@ def _determined() -> Iterator[None]:
         raise BackboneError("bundle: the pictures do not determine their poses") from None
 
 
-def _solve(start: State, m: Measurements, ties: RigTies, belief: KitBelief) -> Solution:
-    for robust_scale, tolerance in zip(ROBUST_SCALES, TOLERANCES, strict=True):
+def _solve(
+    start: State, m: Measurements, ties: RigTies, belief: KitBelief
+) -> tuple[Solution, RigTies]:
+    """The solution, and the ties as it read the stamps."""
+    passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
+    for robust_scale, tolerance, read in passes:
+        read_so = read(ties, start)
         solution = solve(
-            start, m, ties, _sharpened(belief), robust_scale=robust_scale, tolerance=tolerance
+            start, m, read_so, _sharpened(belief), robust_scale=robust_scale, tolerance=tolerance
         )
         start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
-    return solution
+    return solution, read_so
 
 
 def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool) -> State:
@@ -187,7 +192,7 @@ def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool)
             continue
         if not known:
             trial = solve(
-                state, few, ties, _sharpened(belief),
+                state, few, stamps.freed(ties, state), _sharpened(belief),
                 robust_scale=ROBUST_SCALES[0], max_iterations=GUESS_ITERATIONS,
             )  # fmt: skip
             cost, state = trial.cost, trial.state
@@ -210,7 +215,8 @@ def _best_start(
         except BackboneError as error:
             failure = error
             continue
-        cost = total_cost(state, m, ties, _sharpened(belief), ROBUST_SCALES[0])
+        freed = stamps.freed(ties, state)
+        cost = total_cost(state, m, freed, _sharpened(belief), ROBUST_SCALES[0])
         starts.append((cost, state))
         if known and cost < GOOD_START * len(m.uv):
             break
@@ -220,7 +226,7 @@ def _best_start(
 
 
 def _prediction(
-    m: Measurements, ties: RigTies, belief: KitBelief, solution: Solution
+    m: Measurements, belief: KitBelief, solution: Solution, ties: RigTies
 ) -> Prediction:
     state = solution.state
     evidence = None
@@ -237,4 +243,5 @@ def _prediction(
         landmarks=window.to_landmarks(state, m),
         kit=evidence,
         assistant_late_s=float(state.theta[kit.LATE]),
+        stamps_off_s=ties.late_s if ties.late_s.any() else None,
     )

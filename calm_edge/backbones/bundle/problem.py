@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.backbones.bundle import kit
+from calm_edge.backbones.bundle import beat, kit
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
@@ -140,7 +140,10 @@ class RigTies:
 
     assistant, before, after: (A,) view indices. alpha: (A,) share of the way from before to after
     as the stamps say it. rate: (A,) that share a second. information_root: (A, 6) one over sigma
-    of (translation [spacings], rotation [rad]).
+    of (translation [spacings], rotation [rad]). off_beat: (A,) s, how much later than by even
+    beats of both cameras an assistant's stamp is; empty where there is no beat. late_s: (A,) what
+    of it alpha has been corrected by. along: (A, 6) in whitened residuals, where a tie gives way
+    because its instant is uncertain; 0 where it does not.
     """
 
     assistant: Int
@@ -149,6 +152,16 @@ class RigTies:
     alpha: Float
     rate: Float
     information_root: Float
+    off_beat: Float
+    late_s: Float
+    along: Float
+
+    def whitened(self, residual: Float) -> Float:
+        """(..., A, 6) -> the same in sigmas."""
+        out = residual * self.information_root
+        if self.along.any():
+            out -= self.along * (out * self.along).sum(-1, keepdims=True)
+        return np.asarray(out)
 
 
 # A car's body between two instants: what constant velocity misses grows with their distance.
@@ -170,13 +183,19 @@ def rig_ties(m: Measurements) -> RigTies:
     root = np.empty((len(assistant), 6))
     root[:, :3] = 1 / np.hypot(TIE_TRANSLATION_SIGMA, ACCELERATION * bend)[:, None]
     root[:, 3:] = 1 / np.hypot(TIE_ROTATION_SIGMA_RAD, ANGULAR_ACCELERATION * bend)[:, None]
-    return RigTies(assistant, primary[i], primary[i + 1], alpha, 1 / gap, root)
+    off_p, off_a = beat.off_beat(t), beat.off_beat(m.t[assistant])
+    off = np.zeros(0)
+    if off_p is not None and off_a is not None:
+        off = off_a - (1 - alpha) * off_p[i] - alpha * off_p[i + 1]
+    still = np.zeros_like(alpha)
+    along = np.zeros_like(root)
+    return RigTies(assistant, primary[i], primary[i + 1], alpha, 1 / gap, root, off, still, along)
 
 
-def tie_residuals(
+def tie_errors(
     T_before: Float, T_after: Float, T_assistant: Float, rig: Float, late_s: float, ties: RigTies
 ) -> Float:
-    """(..., A, 6) whitened log of (T_p(t_a) T_p_a)^-1 T_a; poses are T_c_s (..., A, 4, 4).
+    """(..., A, 6) log of (T_p(t_a) T_p_a)^-1 T_a; poses are T_c_s (..., A, 4, 4).
 
     late_s: how much later than its stamp an assistant's picture was exposed.
     """
@@ -185,7 +204,14 @@ def tie_residuals(
     share = ties.alpha + ties.rate * late_s
     T_p_s = se3.exp(share[:, None] * step) @ T_before
     error = T_p_s @ se3.inverse(T_assistant)  # T_p_a as the poses have it
-    return np.asarray(se3.log(se3.inverse(rig) @ error) * ties.information_root)
+    return np.asarray(se3.log(se3.inverse(rig) @ error))
+
+
+def tie_residuals(
+    T_before: Float, T_after: Float, T_assistant: Float, rig: Float, late_s: float, ties: RigTies
+) -> Float:
+    """tie_errors in sigmas, (..., A, 6)."""
+    return ties.whitened(tie_errors(T_before, T_after, T_assistant, rig, late_s, ties))
 
 
 def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
@@ -198,9 +224,8 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     T_before, T_after, T_assistant = (
         state.T_c_s[v] for v in (ties.before, ties.after, ties.assistant)
     )
-    root = ties.information_root
-    residual = tie_residuals(T_before, T_after, T_assistant, rig, late, ties)
-    inverse_right = se3.right_jacobian_inverse(residual / root)
+    error = tie_errors(T_before, T_after, T_assistant, rig, late, ties)
+    inverse_right = se3.right_jacobian_inverse(error)
     xi = se3.log(T_after @ se3.inverse(T_before))
     share = (ties.alpha + ties.rate * late)[:, None]
     part = share * xi
@@ -218,6 +243,7 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     turn = state.theta[kit.RIG][:3]
     step = np.zeros((6, 6))
     step[:3, 3:], step[3:, :3] = rig[:3, :3].T, se3.so3_left_jacobian(-turn)
-    J[..., 18:24] = -se3.right_jacobian_inverse(-residual / root) @ step
+    J[..., 18:24] = -se3.right_jacobian_inverse(-error) @ step
     J[..., 24] = (by_primary @ (ties.rate[:, None] * xi)[..., None])[..., 0]
-    return residual, root[..., None] * J
+    by_step = ties.whitened(np.moveaxis(J, 2, 0))
+    return ties.whitened(error), np.moveaxis(by_step, 0, 2)
