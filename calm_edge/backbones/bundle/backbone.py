@@ -164,9 +164,8 @@ def _solve(
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
     for robust_scale, tolerance, read in passes:
         read_so = read(ties, start)
-        solution = solve(
-            start, m, read_so, _sharpened(belief), robust_scale=robust_scale, tolerance=tolerance
-        )
+        prior = kit.blurred(_sharpened(belief), stamps.common_sigma_s(read_so))
+        solution = solve(start, m, read_so, prior, robust_scale=robust_scale, tolerance=tolerance)
         start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
@@ -232,6 +231,7 @@ def _prediction(
     evidence = None
     if np.median(solution.residual * m.sigma_px) < MAX_EVIDENCE_PX:
         evidence = kit_evidence(solution, m, ties, ROBUST_SCALES[-1], TEMPERING)
+        evidence = kit.blurred(evidence, stamps.common_sigma_s(ties) / TEMPERING**0.5)
     joint = product([belief, evidence])
     assert joint is not None
     sigma = np.hypot(_sigma(joint)[list(kit.LOG_FOCAL)], FOCAL_FLOOR)

@@ -66,3 +66,12 @@ def rig_vector(T_p_a: Float) -> Float:
     """The rig part (6,) of theta of a T_p_a, its length brought to one spacing."""
     t = T_p_a[:3, 3]
     return np.concatenate([se3.so3_log(T_p_a[:3, :3]), t / np.linalg.norm(t)])
+
+
+def blurred(belief: KitBelief, late_s: float) -> KitBelief:
+    """The belief where the lateness of one window is off the kit's by late_s, one sigma."""
+    if late_s <= 0:
+        return belief
+    column = belief.information[:, LATE]
+    known = column[LATE] + late_s**-2
+    return KitBelief(belief.mean, belief.information - np.outer(column, column) / known)

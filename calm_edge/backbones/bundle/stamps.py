@@ -45,6 +45,11 @@ def corrected(ties: RigTies, state: State) -> RigTies:
     return _softened(moved, state, sigma * _spread(ties))
 
 
+def common_sigma_s(ties: RigTies) -> float:
+    """One sigma that all instants of `corrected` ties share: their beats are known no better."""
+    return float(np.sqrt(np.mean(ties.late_s**2) / len(ties.late_s)))
+
+
 def told_share(ties: RigTies, state: State) -> tuple[float, float]:
     """The share of the irregularity that is the stamps', in [0, 1], and one sigma of it.
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -41,3 +43,21 @@ def test_the_rig_there_and_back():
 def test_a_rig_of_any_length_becomes_one_spacing():
     T_p_a = se3.compose(se3.so3_exp(np.array([0.0, 0.1, 0.0])), np.array([3.0, 0.0, 4.0]))
     assert np.allclose(kit.rig_vector(T_p_a), [0, 0.1, 0, 0.6, 0, 0.8])
+
+
+def test_a_window_off_the_kits_lateness_blurs_that_and_nothing_else():
+    belief = kit.prior((None, None))
+    rng = np.random.default_rng(0)
+    mixed = belief.information + 1e4 * np.cov(rng.normal(size=(kit.SIZE, 40)))
+    blurred = kit.blurred(replace(belief, information=mixed), 0.002)
+    more = np.linalg.inv(blurred.information) - np.linalg.inv(mixed)
+    where = np.zeros((kit.SIZE, kit.SIZE))
+    where[kit.LATE, kit.LATE] = 1
+    assert np.allclose(more, 0.002**2 * where, atol=1e-10)
+    assert np.array_equal(blurred.mean, belief.mean)
+    # evidence that is silent on some of the kit has no covariance
+    silent = replace(belief, information=np.diag(1e8 * (np.arange(kit.SIZE) == kit.LATE)))
+    assert kit.blurred(silent, 0.002).information[kit.LATE, kit.LATE] == pytest.approx(
+        1 / (1e-8 + 0.002**2)
+    )
+    assert kit.blurred(belief, 0.0) is belief

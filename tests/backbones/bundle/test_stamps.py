@@ -99,6 +99,10 @@ def test_a_corrected_tie_weighs_by_the_covariance_of_its_instant():
     share, sigma = stamps.told_share(ties, state)
     assert np.allclose(corrected.late_s, -share * ties.off_beat)
     assert np.allclose(corrected.alpha, ties.alpha + ties.rate * corrected.late_s)
+    # twelve frames place a beat no better than this
+    shared = share * np.sqrt(np.mean(ties.off_beat**2) / N)
+    assert stamps.common_sigma_s(corrected) == pytest.approx(shared)
+    assert stamps.common_sigma_s(ties) == 0
     _, J = problem.tie_jacobians(state, replace(corrected, along=np.zeros((N, 6))))
     root = ties.information_root
     d = sigma * np.sqrt(np.mean(ties.off_beat**2)) * J[..., -1] / root
