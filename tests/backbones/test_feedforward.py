@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -158,7 +160,8 @@ def test_what_was_never_checked_says_so(folder):
     assert [n for n in notices if "never checked" in n and "runs in fp32" in n]
 
 
-def test_a_maker_may_say_what_runs_unchecked(folder):
+def test_a_maker_may_say_what_runs_unchecked(folder, tmp_path):
+    folder = Path(shutil.copytree(folder, tmp_path / "sure"))
     path = folder / "manifest.toml"
     path.write_text('unmeasured = "int8"\n' + path.read_text())
     assert pinned(config_of(f"feedforward:{folder}"), deterministic=False).backbone.precision == (
