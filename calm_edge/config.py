@@ -97,7 +97,7 @@ class BackboneConfig:
     kit_file: where what a drive learns of these cameras is kept for the next one; empty for none.
     """
 
-    name: str = "bundle"
+    name: str = "bundle:calm-geo"
     precision: Literal["auto", "fp32", "fp16", "int8"] = "auto"
     max_views: int = 0
     hfov_deg: tuple[float, ...] = ()

@@ -33,8 +33,8 @@ UNUSED = (
     *("gtsam/Data", "gtsam/examples", "onnxruntime/transformers", "onnxruntime/tools"),
     *("onnxruntime/quantization", "onnxruntime/datasets", "depthai_cli"),
 )
-# of models/: what is needed to run one, not to make it
-MODEL_SUFFIXES = {".toml", ".json", ".onnx"}
+# of models/: what is needed to run one, not to make it; a model without its licence is refused
+MODEL_SUFFIXES = {".toml", ".json", ".onnx", ".npz"}
 MAINTAINER = "calm-edge maintainers <maintainers@calm-edge.invalid>"
 ABOUT = {
     "Suggests": "calm-edge-oak",
@@ -133,7 +133,7 @@ def unpack_commit(stage: Path, target: Target, commit: str) -> None:
     for name in ("calm_edge", "device"):
         shutil.copytree(kept / name, app / name)
     for path in (kept / "models").rglob("*"):
-        if path.is_file() and path.suffix in MODEL_SUFFIXES:
+        if path.suffix in MODEL_SUFFIXES or path.name == "LICENSE":
             place = app / path.relative_to(kept)
             place.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(path, place)

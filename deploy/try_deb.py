@@ -154,6 +154,12 @@ print(n)
     return f"{n} modules import, systemd-python too"
 
 
+def model() -> str:
+    """Our own network is whole, and runs."""
+    said = inside("runuser -u calm-edge -- calm-edge model check calm-geo")
+    return " ".join(said.strip().splitlines()[-1].split())
+
+
 def record() -> str:
     """A drive through the installed daemon, as the user of the service."""
     drive = TREE / "tmp" / "drive"
