@@ -190,7 +190,7 @@ def run(hours: float, speed: float, folder: Path) -> dict[str, object]:
     unexplained = 2 * n - sum(result.frames) - result.overflowed - result.camera_drops
     for found in on_disk:
         gaps = sum(b - a - 1 for a, b in itertools.pairwise(found))
-        unexplained += gaps + n - 1 - found[-1]
+        unexplained += gaps + n - 1 - (found[-1] if found else -1)
     return {
         "frames": n,
         "unexplained": unexplained - result.unrecorded,
