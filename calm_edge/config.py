@@ -55,8 +55,8 @@ class RecordingConfig:
 class DegradeConfig:
     """Work is shed in the order depth, half the keyframes, all windows; frames never.
 
-    hot_c: from here on, or with more than behind_windows waiting, a step each step_s; back below
-    cool_c and caught up. thermal_root: where the kernel's thermal zones are.
+    hot_c: from here on, or with more than behind_windows waiting or some given up for newer ones, a
+    step each step_s; back below cool_c and caught up. thermal_root: the kernel's thermal zones.
     """
 
     hot_c: float = 85.0

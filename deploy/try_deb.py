@@ -229,6 +229,7 @@ STEPS: dict[str, Callable[[], str]] = {
     "install": install,
     "unit": unit,
     "commands": commands,
+    "model": model,
     "record": record,
     "upgrade": upgrade,
     "remove": remove,

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -106,13 +107,25 @@ class Child:
             self._inbox.put((self, message))
 
 
-def serve(connection: Connection, stop: type, handle: Callable[[Any], Any]) -> None:
-    """A child's main loop: answers each message until `stop` comes or the parent is gone."""
+def serve(
+    connection: Connection,
+    stop: type,
+    handle: Callable[[Any], Any],
+    overhear: Callable[[Any], None] = lambda _: None,
+) -> None:
+    """A child's main loop: answers each message until `stop` comes or the parent is gone.
+
+    overhear: gets every message that is there before the first of them is handled.
+    """
+    arrived: deque[Any] = deque()
     while True:
         try:
-            message = connection.recv()
+            while not arrived or connection.poll():
+                arrived.append(connection.recv())
+                overhear(arrived[-1])
         except (EOFError, OSError):
             return
+        message = arrived.popleft()
         if isinstance(message, stop):
             return
         answer = handle(message)

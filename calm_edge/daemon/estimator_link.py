@@ -69,6 +69,8 @@ class EstimatorLink:
         self.refusal = ""
         # without a pose nothing counts but the next one
         self.pose_lost = False
+        # windows of those left to map that newer ones went before
+        self.overtaken = 0
         self.lost: list[int] = []
         self.left_to_map: list[int] = []
         self.unsolved: list[int] = []
@@ -128,7 +130,7 @@ class EstimatorLink:
         if not self.child.alive:
             self._bury()
         elif self._ready and self._in_hand is None and self._inbox:
-            if self.pose_lost and not self._lockstep:
+            if not self._lockstep:
                 self._catch_up()
             self._in_hand, self._handed_s = self._inbox.popleft(), time.monotonic()
             self.child.send(Process(self._in_hand, tuple(self._left_out)))
@@ -164,15 +166,20 @@ class EstimatorLink:
         self.child.stop(Stop(), timeout_s)
 
     def _catch_up(self) -> None:
-        """Where the next window would give no pose any more, all but the newest are left to `map`.
+        """All but the newest window are left to `map` where the next would give no pose any more.
 
-        One after the other they would all be too late: each is solved while others come.
+        One after the other they would all be too late: each is solved while others come. And where
+        the pose is lost it was lost on the way from an earlier window, and would be again.
         """
+        if len(self._inbox) < 2:
+            return
         waited_s = (self._now_ns() - self._inbox[0].primary[-1].frame.t_ns) / 1e9
-        if len(self._inbox) < 2 or waited_s + self._took_s <= IN_TIME_S:
+        if not self.pose_lost and waited_s + self._took_s <= IN_TIME_S:
             return
         *late, newest = self._inbox
-        self._say(f"no pose, and {len(late)} windows too late to give one: left to map")
+        what = "no pose: " if self.pose_lost else ""
+        self._say(f"{what}the newest window goes first, {len(late)} before it are left to map")
+        self.overtaken += len(late)
         for window in late:
             self.leave(window)
         self._inbox = deque([newest])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -36,10 +37,13 @@ _WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """waiting: windows the estimator has not answered."""
+    """waiting: windows the estimator has not answered. overtaken: those left to `map` so far, for
+    newer ones were there already.
+    """
 
     thermal: Thermal
     waiting: int
+    overtaken: int = 0
 
 
 def check(config: DegradeConfig) -> None:
@@ -70,6 +74,7 @@ class Ladder:
         self._at = 0
         self._pressed_since: float | None = None
         self._calm_since: float | None = None
+        self._overtaken, self._overtaken_s = 0, -math.inf
         self.reasons: tuple[str, ...] = ()
 
     @property
@@ -79,7 +84,9 @@ class Ladder:
 
     def update(self, now_s: float, load: Load) -> Shed:
         """The step from now on; `reasons` then says what presses."""
-        hot, behind = self._heat(load.thermal), self._backlog(load.waiting)
+        if load.overtaken > self._overtaken:
+            self._overtaken, self._overtaken_s = load.overtaken, now_s
+        hot, behind = self._heat(load.thermal), self._backlog(now_s, load.waiting)
         self.reasons = (*hot, *behind)
         if self.reasons:
             self._calm_since = None
@@ -109,8 +116,12 @@ class Ladder:
             said.append("processor throttled")
         return tuple(said)
 
-    def _backlog(self, waiting: int) -> tuple[str, ...]:
-        return (f"{waiting} windows wait",) if waiting > self._config.behind_windows else ()
+    def _backlog(self, now_s: float, waiting: int) -> tuple[str, ...]:
+        if waiting > self._config.behind_windows:
+            return (f"{waiting} windows wait",)
+        # few wait, for others were given up
+        late = now_s - self._overtaken_s < self._config.step_s
+        return ("windows come faster than they are solved",) if late else ()
 
     def _cool(self, thermal: Thermal) -> bool:
         return thermal.celsius is None or thermal.celsius <= self._config.cool_c

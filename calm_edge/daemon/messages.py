@@ -65,11 +65,15 @@ class Posed:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What a frame led to: its slot is free again. problem: why it could not be used, or empty."""
+    """What a frame led to: its slot is free again.
+
+    problem: why it could not be used, or empty. late: it got no pose, for it waited too long.
+    """
 
     slot: int
     windows: tuple[SubmapWindow, ...]
     problem: str = ""
+    late: bool = False
 
 
 @dataclass(frozen=True, slots=True)

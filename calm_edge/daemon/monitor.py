@@ -113,11 +113,15 @@ class Monitor:
 
     def _climb(self, now_s: float, thermal: Thermal) -> None:
         before = self._desk.shed
-        shed = self._ladder.update(now_s, Load(thermal, self._desk.estimator.waiting))
+        shed = self._ladder.update(now_s, self._load(thermal))
         if shed is not before:
             self._desk.leave_out(shed)
             why = ", ".join(self._ladder.reasons) or "cool and caught up"
             self._desk.say(f"{shed.words}: {why}; every frame is recorded")
+
+    def _load(self, thermal: Thermal) -> Load:
+        estimator = self._desk.estimator
+        return Load(thermal, estimator.waiting, estimator.overtaken)
 
     def _conditions(self, ticks_late: bool) -> Conditions:
         waiting = self._desk.estimator.waiting

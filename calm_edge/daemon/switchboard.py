@@ -163,8 +163,10 @@ class Switchboard:
                     "T_map_odom": np.asarray(message.T_map_odom).ravel().tolist(),
                 }
             )
-        if isinstance(message, Tracked) and message.problem:
-            self._unreadable(message.problem)
+        if isinstance(message, Tracked):
+            self.result.untracked += message.late
+            if message.problem:
+                self._unreadable(message.problem)
         if not isinstance(message, Posed):
             return 0
         self._pose(message.sample)

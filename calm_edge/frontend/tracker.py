@@ -81,16 +81,18 @@ class Tracker:
             twist_covariance=twist_covariance,
         )
 
-    def prepare(self, keyframe_id: int | None = None) -> None:
+    def prepare(self, keyframe_id: int | None = None, *, in_haste: bool = False) -> None:
         """What the next frame needs and this one's pose did not: call it when the pose has left.
 
-        keyframe_id: of the frame just tracked, when it became a keyframe.
+        keyframe_id: of the frame just tracked, when it became a keyframe. in_haste: newer frames
+        wait.
         """
         self._past[-1].keyframe_id = keyframe_id
         if self._unripe is not None and self._tracks is not None:
             self._tracks = self._ripened(self._tracks, *self._unripe)
         self._unripe = None
-        self._advance_follower()
+        if not in_haste or self._tracks is None:
+            self._advance_follower()
 
     def attach(self, update: LocalizerUpdate) -> bool:
         """Takes over a new sub-map's points where its keyframes are remembered; False if it cannot.

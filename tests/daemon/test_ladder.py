@@ -45,6 +45,21 @@ def test_a_backlog_alone_never_sheds_all_windows() -> None:
     assert ladder.reasons == ("5 windows wait",)
 
 
+def test_windows_given_up_press_like_windows_that_wait() -> None:
+    ladder = Ladder(CONFIG, depth=False)
+    # they never wait long, for every few seconds newer ones go first
+    for start in range(0, 30, 5):
+        ladder.update(start, Load(Thermal(60), 1, overtaken=start))
+    assert ladder.shed is Shed.HALF_THE_WINDOWS
+    assert ladder.reasons == ("windows come faster than they are solved",)
+    assert steps(ladder, Load(Thermal(60), 1, overtaken=25), 30, 60)[-1] is Shed.NOTHING
+
+
+def test_windows_given_up_once_shed_nothing() -> None:
+    ladder = Ladder(CONFIG, depth=False)
+    assert steps(ladder, Load(Thermal(60), 1, overtaken=9), 0, 100) == [Shed.NOTHING]
+
+
 def test_a_backlog_after_a_heat_leaves_the_step_where_it_was() -> None:
     ladder = Ladder(CONFIG, depth=True)
     steps(ladder, HOT, 0, 100)

@@ -82,7 +82,7 @@ class Scene:
         self.left_out: list[Shed] = []
         self.said: list[str] = []
         self.estimator = SimpleNamespace(
-            waiting=0, given_up=False, left_to_map=[], lost=[], unsolved=[]
+            waiting=0, given_up=False, overtaken=0, left_to_map=[], lost=[], unsolved=[]
         )
         self.desk = SimpleNamespace(
             config=Config(),

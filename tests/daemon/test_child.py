@@ -1,0 +1,30 @@
+"""A child's main loop."""
+
+from __future__ import annotations
+
+from multiprocessing import Pipe
+from typing import Any
+
+from calm_edge.daemon.child import serve
+from calm_edge.daemon.messages import Stop
+
+
+def test_what_has_come_is_overheard_before_the_first_of_it_is_handled() -> None:
+    ours, theirs = Pipe()
+    for message in (1, 2, 3, Stop()):
+        ours.send(message)
+    met: list[str] = []
+
+    def handle(message: Any) -> Any:
+        met.append(f"handle {message}")
+        return 10 * message
+
+    serve(theirs, Stop, handle, lambda m: met.append(f"hear {m}") if m != Stop() else None)
+    assert met == [*(f"hear {i}" for i in (1, 2, 3)), *(f"handle {i}" for i in (1, 2, 3))]
+    assert [ours.recv() for _ in range(3)] == [10, 20, 30]
+
+
+def test_it_ends_with_the_parent() -> None:
+    ours, theirs = Pipe()
+    ours.close()
+    serve(theirs, Stop, lambda message: message)

@@ -1,0 +1,100 @@
+"""Which frames get a pose when the tracker cannot keep up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import pytest
+
+from calm_edge.config import FrontendConfig
+from calm_edge.daemon.messages import Attach, Counters, FrameIn, Posed, Tracked
+from calm_edge.daemon.ring import FrameRing, RingReader
+from calm_edge.daemon.tracker_process import LATE_NS, TrackerWork
+from calm_edge.types import PoseStatus
+from device.frame import Eye
+from tests.frontend.plane_world import PlaneWorld, drive
+
+MS = 1_000_000
+EVERY_NS, START_NS = 33 * MS, 1_000_000_000
+WORLD, POSES = PlaneWorld(), drive(60)
+
+
+class Bench:
+    """The tracker's work with a sub-map of its first frames, 30 a second."""
+
+    def __init__(self) -> None:
+        self.ring = FrameRing(60, 1 << 18)
+        self.posed: list[Posed] = []
+        config = FrontendConfig(max_keyframe_gap_s=0.05, flow_px=2.0)
+        reader = RingReader(self.ring.name, self.ring.slot_bytes)
+        self.work = TrackerWork(config, reader, Counters(), self.posed.append)
+        self._frames = 0
+
+    def come(self, count: int) -> list[FrameIn]:
+        """The next frames, which have come but are not handled."""
+        frames = []
+        for i in range(self._frames, self._frames + count):
+            jpeg = cv2.imencode(".jpg", WORLD.render(POSES[i]))[1].tobytes()
+            slot = self.ring.put(jpeg)
+            assert slot is not None
+            frames.append(FrameIn(Eye.PRIMARY, i, START_NS + i * EVERY_NS, slot, len(jpeg)))
+            self.work.overhear(frames[-1])
+        self._frames += count
+        return frames
+
+    def handle(self, frames: list[FrameIn]) -> list[bool]:
+        """Which of them were too late for a pose."""
+        answers = [self.work.handle(frame) for frame in frames]
+        assert all(isinstance(answer, Tracked) for answer in answers)
+        return [answer.late for answer in answers]
+
+    def posed_stamps(self) -> list[int]:
+        return [message.sample.t_ns for message in self.posed]
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    """Ten frames have been tracked, one by one, and a sub-map of them is followed."""
+    bench = Bench()
+    for _ in range(10):
+        assert bench.handle(bench.come(1)) == [False]
+    assert len(bench.posed) == 10
+    keyframes = [(p.keyframe_id, i) for i, p in enumerate(bench.work._tracker._past)]
+    known = [(k, i) for k, i in keyframes if k is not None]
+    ids, at = [k for k, _ in known], [i for _, i in known]
+    stamps = [START_NS + i * EVERY_NS for i in at]
+    assert bench.work.handle(Attach(WORLD.update(0, ids, stamps, POSES[at]))).taken
+    bench.posed.clear()
+    yield bench
+    bench.ring.close()
+
+
+def test_frames_that_wait_too_long_get_no_pose_and_the_newest_do(bench: Bench) -> None:
+    frames = bench.come(8)
+    newest = frames[-1].t_ns
+    late = [newest - frame.t_ns > LATE_NS for frame in frames]
+    assert bench.handle(frames) == late and sum(late) == 5
+    assert bench.posed_stamps() == [
+        f.t_ns for f, is_late in zip(frames, late, strict=True) if not is_late
+    ]
+    assert all(message.sample.status is PoseStatus.LIVE for message in bench.posed)
+
+
+def test_over_a_longer_wait_the_track_is_not_lost(bench: Bench) -> None:
+    # a second and a half: five times what may lie between two frames that are tracked
+    frames = bench.come(45)
+    assert sum(bench.handle(frames)) == 42
+    assert [message.sample.status for message in bench.posed] == [PoseStatus.LIVE] * 3
+    assert {message.sample.epoch for message in bench.posed} == {0}
+
+
+def test_a_slot_is_given_back_for_each(bench: Bench) -> None:
+    frames = bench.come(20)
+    assert [bench.work.handle(f).slot for f in frames] == [f.slot for f in frames]
+
+
+def test_without_a_wait_every_frame_has_its_pose(bench: Bench) -> None:
+    for _ in range(20):
+        assert bench.handle(bench.come(1)) == [False]
+    assert len(bench.posed) == 20
