@@ -177,8 +177,9 @@ class EstimatorLink:
         if not self.pose_lost and waited_s + self._took_s <= IN_TIME_S:
             return
         *late, newest = self._inbox
-        what = "no pose: " if self.pose_lost else ""
-        self._say(f"{what}the newest window goes first, {len(late)} before it are left to map")
+        if not self.overtaken:
+            # once: from here on the status counts them
+            self._say("windows come too late to give a pose: newer ones go first, late ones to map")
         self.overtaken += len(late)
         for window in late:
             self.leave(window)
