@@ -7,6 +7,7 @@ joins its batch. Cost and memory are capped: the look-up by `max_places`, geomet
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -27,6 +28,8 @@ BESIDE = 3
 CLOSURE_GAP = 15
 SUPPRESSION = 10
 MAX_PICTURE_BYTES = 96 << 20
+# Pictures described at a time: a network waits for none of the others.
+DESCRIBERS = 2
 JPEG_QUALITY = 92
 # What two rough answers to the same question may differ by.
 AGREE_DISTANCE_SHARE, AGREE_DISTANCE, AGREE_RAD = 0.5, 3.0, np.radians(8.0)
@@ -139,9 +142,10 @@ class PlaceLoops:
         """
         new = range(min(window.n_overlap, len(window.primary)), len(window.primary))
         looked_at = new[::EVERY]
-        self._described = {
-            window.primary[view].id: self._descriptor.describe(images[view]) for view in looked_at
-        }
+        with ThreadPoolExecutor(DESCRIBERS) as pool:
+            vectors = pool.map(self._descriptor.describe, [images[view] for view in looked_at])
+        ids = [window.primary[view].id for view in looked_at]
+        self._described = dict(zip(ids, vectors, strict=True))
         if kit is None or not window.assistant:
             return None
         views = [view for view in looked_at if self._may_close(window.primary[view].id)]

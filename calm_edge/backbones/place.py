@@ -34,7 +34,7 @@ class PlaceDescriptor(Protocol):
     worth_a_look: float
 
     def describe(self, image: Bytes) -> Float32:
-        """(H, W, 3) uint8 BGR -> (D,) of unit length."""
+        """(H, W, 3) uint8 BGR -> (D,) of unit length; from several threads at a time."""
         ...
 
     def similarity(self, queries: Float32, places: Float32) -> Float32:

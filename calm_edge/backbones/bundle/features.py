@@ -1,10 +1,11 @@
 """The learned encoder, run once a picture: what matching and place look-up read of it.
 
-It runs in a thread of its own: the pictures of a window are encoded while the first are matched.
+It runs in threads of its own: the pictures of a window are encoded while the first are matched.
 """
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,6 +24,8 @@ from calm_edge.types import Bytes, Float32
 
 # Pictures whose features are kept: windows overlap, and so do a loop's and the next one's.
 KEPT = 64
+# While nothing else is to be done, a picture for each of two cores.
+ENCODERS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +62,8 @@ class Features:
 class FeatureNet:
     """The `encoder` and `refine` graphs of a model of kind bundle.
 
-    The same picture gives the same features, kept or not: to its users it is stateless.
+    The same picture gives the same features, kept or not: to its users it is stateless. They may
+    be several threads.
     """
 
     def __init__(self, manifest: Manifest, precision: Precision) -> None:
@@ -80,7 +84,8 @@ class FeatureNet:
             needs_outputs=["offset", "sigma", *refine.outputs],
         )
         self._kept: OrderedDict[tuple[Any, ...], Future[Features]] = OrderedDict()
-        self._beside = ThreadPoolExecutor(1, "encoder")
+        self._keeping = threading.Lock()
+        self._beside = ThreadPoolExecutor(ENCODERS, "encoder")
 
     @classmethod
     def of_model(cls, name: str, precision: Precision | None = None) -> FeatureNet:
@@ -106,14 +111,15 @@ class FeatureNet:
         gray = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         gray = np.ascontiguousarray(gray)
         key = (gray.shape, hash(gray.tobytes()))
-        known = self._kept.get(key)
-        if known is None:
-            known = self._beside.submit(self._encoded, np.asarray(gray, np.uint8))
-            self._kept[key] = known
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        else:
-            self._kept.move_to_end(key)
+        with self._keeping:
+            known = self._kept.get(key)
+            if known is None:
+                known = self._beside.submit(self._encoded, np.asarray(gray, np.uint8))
+                self._kept[key] = known
+                while len(self._kept) > KEPT:
+                    self._kept.popitem(last=False)
+            else:
+                self._kept.move_to_end(key)
         return known
 
     def _encoded(self, gray: Gray) -> Features:

@@ -7,7 +7,7 @@ turned or zoomed against each other, one is warped to look like the other, and r
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
+from itertools import product, zip_longest
 
 import numpy as np
 
@@ -62,12 +62,13 @@ class LearnedMatching:
 
     def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
         """See tracks.Matching."""
-        self.net.begin(primary)
         self._expected = []
         if H_a_p is not None:
             a = primary[0]
             self._expected = [(b, H_a_p, _made_alike(a, b, H_a_p)) for b in assistant]
-        self.net.begin([alike for _, _, alike in self._expected])
+        # in the order they will be matched in
+        for pair in zip_longest(primary, (alike for _, _, alike in self._expected)):
+            self.net.begin([picture for picture in pair if picture is not None])
 
     def along(self, source: Gray, target: Gray, uv: Float32) -> Found:
         """See tracks.Matching; raises BackboneError."""

@@ -6,6 +6,8 @@ for bundle adjustment. A learned encoder can take this file's place: it only has
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -44,8 +46,12 @@ class Tracks:
     sigma_px: Float
 
 
+# track (n,), view (n,), uv (n, 2) px, sigma (n,) px of one view
+Rows = tuple[Int, Int, Float32, Float32]
+
+
 class Matching(Protocol):
-    """Finds points without a guess, in place of Lucas-Kanade from one."""
+    """Finds points without a guess, in place of Lucas-Kanade from one; from several threads."""
 
     def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
         """Pictures that will be asked for: what they need may begin. H_a_p: None if not known."""
@@ -136,7 +142,7 @@ def _apply(H: Float, uv: Float32) -> Float32:
 
 def temporal_tracks(
     pictures: list[Gray], matching: Matching | None = None
-) -> list[tuple[Int, Float32, Float32]]:
+) -> Iterator[tuple[Int, Float32, Float32]]:
     """Corner tracks through consecutive pictures.
 
     Per view the track ids (n,), uv (n, 2) px and sigma (n,) px.
@@ -147,7 +153,7 @@ def temporal_tracks(
     known = np.zeros(len(uv), bool)
     n_tracks = len(uv)
     sigma = np.full(len(uv), FOLLOWED_PX, np.float32)
-    views = [(ids, uv, sigma)]
+    yield ids, uv, sigma
     for source, target in pairwise(pictures):
         if matching is None:
             moved, ok = _followed(source, target, uv, flow, known)
@@ -165,8 +171,7 @@ def temporal_tracks(
         flow = np.concatenate([flow, np.zeros_like(new)])
         uv = np.concatenate([uv, new])
         sigma = np.concatenate([sigma[inlier], np.full(len(new), FOLLOWED_PX, np.float32)])
-        views.append((ids, uv, sigma))
-    return views
+        yield ids, uv, sigma
 
 
 def _followed(
@@ -225,30 +230,43 @@ def window_tracks(
     """
     if matching is not None:
         matching.expect(primary, assistant, H_a_p)
-    views = temporal_tracks(primary, matching)
-    rows = [(ids, np.full(len(ids), i), uv, sigma) for i, (ids, uv, sigma) in enumerate(views)]
-    homography = sift_homography if matching is None else matching.homography
     if H_a_p is None:
-        for j in _spread(len(assistant)):
-            H_a_p = homography(primary[partner[j]], assistant[j])
+        H_a_p = _first_homography(primary, assistant, partner, matching)
+    parallax: dict[int, Float32] = {}
+
+    def across(j: int, ids: Int, points: Float32, H_a_p: Float) -> Rows:
+        eyes = primary[partner[j]], assistant[j]
+        if matching is None:
+            there, ok = _across_from(parallax, ids, *eyes, H_a_p, points)
+            sigma = np.full(len(ids), FOLLOWED_PX, np.float32)
+        else:
+            found = matching.across(*eyes, H_a_p, points)
+            there, ok, sigma = found.uv, found.sure, found.sigma_px
+            index = np.flatnonzero(ok)
+            ok[index[~on_epipolar_lines(points[index], there[index], EPIPOLAR_PX)]] = False
+        return ids[ok], np.full(int(ok.sum()), len(primary) + j), there[ok], sigma[ok]
+
+    rows: list[Rows] = []
+    # a view's points are looked for in the other eye while they are followed to the next view
+    with ThreadPoolExecutor(1, "across") as beside:
+        found_across = []
+        for i, (ids, uv, sigma) in enumerate(temporal_tracks(primary, matching)):
+            rows.append((ids, np.full(len(ids), i), uv, sigma))
             if H_a_p is not None:
-                break
-    if H_a_p is not None:
-        parallax: dict[int, Float32] = {}
-        for j, gray in enumerate(assistant):
-            ids, points, _ = views[partner[j]]
-            if matching is None:
-                there, ok = _across_from(parallax, ids, primary[partner[j]], gray, H_a_p, points)
-                sigma = np.full(len(ids), FOLLOWED_PX, np.float32)
-            else:
-                found = matching.across(primary[partner[j]], gray, H_a_p, points)
-                there, ok, sigma = found.uv, found.sure, found.sigma_px
-                index = np.flatnonzero(ok)
-                ok[index[~on_epipolar_lines(points[index], there[index], EPIPOLAR_PX)]] = False
-            view = np.full(int(ok.sum()), len(primary) + j)
-            rows.append((ids[ok], view, there[ok], sigma[ok]))
-    track, view, uv, sigma_px = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return Tracks(track, view, uv.astype(np.float64), sigma_px.astype(np.float64))
+                own = [j for j, primary_view in enumerate(partner) if primary_view == i]
+                found_across += [beside.submit(across, j, ids, uv, H_a_p) for j in own]
+        rows += [each.result() for each in found_across]
+    track, view, xy, sigma_px = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return Tracks(track, view, xy.astype(np.float64), sigma_px.astype(np.float64))
+
+
+def _first_homography(
+    primary: list[Gray], assistant: list[Gray], partner: list[int], matching: Matching | None
+) -> Float | None:
+    """H_a_p (3, 3) of the first pair that gives one, the middle of the window before its ends."""
+    homography = sift_homography if matching is None else matching.homography
+    tried = (homography(primary[partner[j]], assistant[j]) for j in _spread(len(assistant)))
+    return next((H_a_p for H_a_p in tried if H_a_p is not None), None)
 
 
 def _across_from(
