@@ -157,7 +157,8 @@ print(n)
 def model() -> str:
     """Our own network is whole, and runs."""
     said = inside("runuser -u calm-edge -- calm-edge model check calm-geo")
-    return " ".join(said.strip().splitlines()[-1].split())
+    runs = next(line for line in said.splitlines() if line.startswith("runs"))
+    return " ".join(runs.split())
 
 
 def record() -> str:
