@@ -67,8 +67,8 @@ class EstimatorLink:
         self._handed_s = 0.0
         self._died_finishing = False
         self.refusal = ""
-        # without a pose nothing counts but the next one
-        self.pose_lost = False
+        # while frames come a pose in time counts most; without one, nothing but the next one
+        self.capturing, self.pose_lost = True, False
         # windows of those left to map that newer ones went before
         self.overtaken = 0
         self.lost: list[int] = []
@@ -171,7 +171,7 @@ class EstimatorLink:
         One after the other they would all be too late: each is solved while others come. And where
         the pose is lost it was lost on the way from an earlier window, and would be again.
         """
-        if len(self._inbox) < 2:
+        if not self.capturing or len(self._inbox) < 2:
             return
         waited_s = (self._now_ns() - self._inbox[0].primary[-1].frame.t_ns) / 1e9
         if not self.pose_lost and waited_s + self._took_s <= IN_TIME_S:

@@ -134,8 +134,8 @@ class Switchboard:
             elif child is self.tracker.child:
                 poses += self._from_tracker(message)
         silent_ms = (self.source.clock.now_ns() - self.live_ns) / 1e6
-        # when frames have ended no pose will come of haste
-        self.estimator.pose_lost = self.capturing and silent_ms > self.config.frontend.lost_after_ms
+        self.estimator.capturing = self.capturing
+        self.estimator.pose_lost = silent_ms > self.config.frontend.lost_after_ms
         # after what they said was heard, or a capture that slept would take them for hung
         self.estimator.pump()
         self.tracker.pump()

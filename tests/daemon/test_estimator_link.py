@@ -160,6 +160,14 @@ def test_in_lockstep_every_window_is_solved(make_bench: MakeBench) -> None:
     assert [bench.answer() for _ in range(8)] == list(range(1, 9))
 
 
+def test_when_frames_have_ended_every_window_is_solved(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.windows(9)
+    bench.link.capturing, bench.link.pose_lost = False, True
+    assert [bench.answer() for _ in range(8)] == list(range(1, 9))
+    assert bench.link.left_to_map == []
+
+
 def test_windows_beyond_the_inbox_are_told_to_the_estimator_too(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.windows(INBOX_WINDOWS + 3)
