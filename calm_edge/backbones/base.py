@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,15 @@ class Backbone(Protocol):
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
         """The same prediction with depth and confidence; returned as is when it has them."""
+        ...
+
+
+@runtime_checkable
+class ExpectsPictures(Protocol):
+    """A backbone that can begin on a picture before the window it belongs to is whole."""
+
+    def expect(self, image: NDArray[np.uint8]) -> None:
+        """(H, W, 3) uint8 BGR of a primary keyframe; the answer to its window stays the same."""
         ...
 
 

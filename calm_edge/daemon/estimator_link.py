@@ -12,6 +12,7 @@ from calm_edge.config import Config
 from calm_edge.daemon.child import Child
 from calm_edge.daemon.estimator_process_entry import run_estimator
 from calm_edge.daemon.messages import (
+    Expect,
     Finish,
     Finished,
     LeftOut,
@@ -24,6 +25,7 @@ from calm_edge.daemon.messages import (
 )
 from calm_edge.frontend.remembered import REMEMBERED_NS
 from calm_edge.types import SubmapWindow
+from device.frame import Frame
 
 # A window holds some 5 MB of JPEG. Beyond this they are left to `map`.
 INBOX_WINDOWS = 32
@@ -105,6 +107,11 @@ class EstimatorLink:
         self._inbox.append(window)
         self.pump()
         return True
+
+    def expect(self, keyframe: Frame) -> None:
+        """A primary keyframe of a window to come; while windows wait there is no time for it."""
+        if self._ready and not self.given_up and not self._inbox:
+            self.child.send(Expect(keyframe))
 
     def leave(self, window: SubmapWindow) -> None:
         """A window that only `map` will see, for the machine has no time for it now."""

@@ -17,11 +17,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calm_edge.backbones.base import open_backbone
+from calm_edge.backbones.base import ExpectsPictures, open_backbone
 from calm_edge.batch import window_hints
 from calm_edge.config import Config
 from calm_edge.daemon.child import serve
 from calm_edge.daemon.messages import (
+    Expect,
     Finish,
     Finished,
     MakeDepth,
@@ -35,6 +36,7 @@ from calm_edge.localizer import Localizer
 from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
 from calm_edge.recording.window_record import of_window
 from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
+from device.frame import UnreadableImage
 
 # of -1000 (never) to 1000 (first); the capture process has that of its unit, as a rule 0
 OOM_SCORE_ADJ = "500"
@@ -60,6 +62,10 @@ class EstimatorWork:
         if isinstance(message, Finish):
             trajectory = self._localizer.finish()
             return Finished(self._localizer.submaps, trajectory)
+        if isinstance(message, Expect) and isinstance(self._backbone, ExpectsPictures):
+            # a picture that cannot be read is told of with its window
+            with suppress(UnreadableImage):
+                self._backbone.expect(message.keyframe.bgr())
         if isinstance(message, MakeDepth):
             self._make_depth = message.on and self._config.recording.log_depth
         return None

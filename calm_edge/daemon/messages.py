@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import Float, LocalizerUpdate, PoseSample, Submap, SubmapWindow, Trajectory
-from device.frame import Eye
+from device.frame import Eye, Frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +67,13 @@ class Posed:
 class Tracked:
     """What a frame led to: its slot is free again.
 
-    problem: why it could not be used, or empty. late: it got no pose, for it waited too long.
+    keyframe: the frame itself, where it became one. problem: why it could not be used, or empty.
+    late: it got no pose, for it waited too long.
     """
 
     slot: int
     windows: tuple[SubmapWindow, ...]
+    keyframe: Frame | None = None
     problem: str = ""
     late: bool = False
 
@@ -131,6 +133,13 @@ class LeftOut:
 
     submap_id: int
     t_ns: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Expect:
+    """A primary keyframe of a window to come: what it needs may begin."""
+
+    keyframe: Frame
 
 
 @dataclass(frozen=True, slots=True)

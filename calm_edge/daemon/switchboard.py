@@ -165,6 +165,8 @@ class Switchboard:
             )
         if isinstance(message, Tracked):
             self.result.untracked += message.late
+            if message.keyframe is not None and self.shed < Shed.ALL_WINDOWS:
+                self.estimator.expect(message.keyframe)
             if message.problem:
                 self._unreadable(message.problem)
         if not isinstance(message, Posed):

@@ -74,9 +74,11 @@ class TrackerWork:
                 data = self._ring.read(message.slot, message.size)
                 frame = Frame(message.eye, message.sequence, message.t_ns, data)
                 try:
-                    return Tracked(message.slot, self._frame(frame, late), late=late)
+                    windows, is_keyframe = self._frame(frame, late)
                 except UnreadableImage as error:
-                    return Tracked(message.slot, (), str(error))
+                    return Tracked(message.slot, (), problem=str(error))
+                keyframe = frame if is_keyframe else None
+                return Tracked(message.slot, windows, keyframe, late=late)
             case Attach():
                 update = halved(message.update) if self._reduction == 2 else message.update
                 taken = self._tracker.attach(update)
@@ -106,11 +108,12 @@ class TrackerWork:
             gray = frame.gray(reduction)
         return gray
 
-    def _frame(self, frame: Frame, late: bool) -> tuple[SubmapWindow, ...]:
+    def _frame(self, frame: Frame, late: bool) -> tuple[tuple[SubmapWindow, ...], bool]:
+        """The windows it completes, and whether it became a primary keyframe."""
         if frame.eye is Eye.ASSISTANT:
             # nothing is done with its pixels here but to see that there are any
             frame.gray(8)
-            return self._builder.add_assistant(frame)
+            return self._builder.add_assistant(frame), False
         gray = self._gray(frame)
         self._tracked_ns = frame.t_ns
         sample = self._tracker.track(frame.t_ns, gray)
@@ -122,7 +125,7 @@ class TrackerWork:
         windows = self._builder.advance(frame.t_ns)
         if keyframe is not None:
             windows += self._builder.add_keyframe(keyframe)
-        return windows
+        return windows, keyframe is not None
 
 
 def run_tracker(

@@ -11,7 +11,7 @@ import pytest
 from calm_edge.config import Config
 from calm_edge.daemon import estimator_link
 from calm_edge.daemon.estimator_link import IN_TIME_S, INBOX_WINDOWS, EstimatorLink
-from calm_edge.daemon.messages import LeftOut, Process, Processed, Ready
+from calm_edge.daemon.messages import Expect, LeftOut, Process, Processed, Ready
 from calm_edge.types import Keyframe, SubmapWindow
 from device.frame import Eye, Frame
 
@@ -158,6 +158,18 @@ def test_in_lockstep_every_window_is_solved(make_bench: MakeBench) -> None:
     bench.link.pose_lost = True
     bench.windows(9)
     assert [bench.answer() for _ in range(8)] == list(range(1, 9))
+
+
+def test_keyframes_to_come_are_told_unless_windows_wait(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    keyframe = window(0, 100.0).primary[0].frame
+    bench.link.expect(keyframe)
+    bench.windows(1, every_s=0.1)
+    bench.link.expect(keyframe)
+    bench.windows(1, every_s=0.1)
+    bench.link.expect(keyframe)
+    sent = [type(message) for message in bench.link.child.sent]  # type: ignore[attr-defined]
+    assert sent == [Expect, Process, Expect]
 
 
 def test_when_frames_have_ended_every_window_is_solved(make_bench: MakeBench) -> None:

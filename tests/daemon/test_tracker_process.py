@@ -26,7 +26,7 @@ class Bench:
     def __init__(self) -> None:
         self.ring = FrameRing(60, 1 << 18)
         self.posed: list[Posed] = []
-        config = FrontendConfig(max_keyframe_gap_s=0.05, flow_px=2.0)
+        config = FrontendConfig(max_keyframe_gap_s=0.05)
         reader = RingReader(self.ring.name, self.ring.slot_bytes)
         self.work = TrackerWork(config, reader, Counters(), self.posed.append)
         self._frames = 0
@@ -98,3 +98,11 @@ def test_without_a_wait_every_frame_has_its_pose(bench: Bench) -> None:
     for _ in range(20):
         assert bench.handle(bench.come(1)) == [False]
     assert len(bench.posed) == 20
+
+
+def test_a_keyframe_is_told_at_once(bench: Bench) -> None:
+    answers = [bench.work.handle(bench.come(1)[0]) for _ in range(12)]
+    told = [answer.keyframe.t_ns for answer in answers if answer.keyframe is not None]
+    past = list(bench.work._tracker._past)[10:]
+    assert told == [frame.t_ns for frame in past if frame.keyframe_id is not None]
+    assert 0 < len(told) < 12

@@ -86,6 +86,12 @@ class BundleBackbone:
         net = FeatureNet(model.manifest, model.precision)
         return cls(config.backbone, LearnedMatching(net), model.notices, LearnedPlace(net))
 
+    def expect(self, image: NDArray[np.uint8]) -> None:
+        """See backbones.base.ExpectsPictures."""
+        if self._matching is not None:
+            gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+            self._matching.expect([gray], [], None)
+
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, K and landmarks; depth comes with `densify`. Raises BackboneError."""
         if loop_view.has_loop(hints):

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle import learned, tracks
+from calm_edge.backbones.bundle.backbone import BundleBackbone
 from calm_edge.backbones.bundle.correspond import Found
+from calm_edge.config import BackboneConfig
 from tests.backbones.bundle.demo_pictures import picture
 
 NONE = np.zeros((0, 2), np.float32)
@@ -129,3 +131,15 @@ def test_a_network_follows_a_window_as_lucas_kanade_does(matching):
     assert set(found.view) == set(range(6))
     assert len(found.uv) == len(found.track) == len(found.sigma_px) > 0.9 * len(bare.uv)
     assert (found.sigma_px > 0).all() and np.isfinite(found.uv).all()
+
+
+def test_a_picture_told_of_is_encoded_before_its_window(matching, monkeypatch):
+    encoded = []
+    own = matching.net._encoded
+    monkeypatch.setattr(matching.net, "_encoded", lambda gray: encoded.append(gray) or own(gray))
+    backbone = BundleBackbone(BackboneConfig(), matching)
+    image = picture(7)
+    backbone.expect(image)
+    matching.net.of([image])
+    assert len(encoded) == 1
+    BundleBackbone(BackboneConfig()).expect(image)
