@@ -38,7 +38,12 @@ class Backbone(Protocol):
 
 @runtime_checkable
 class ExpectsPictures(Protocol):
-    """A backbone that can begin on a picture before the window it belongs to is whole."""
+    """A backbone that may be able to begin on a picture before its window is whole."""
+
+    @property
+    def expects_pictures(self) -> bool:
+        """Whether it is: else there is no use in telling it."""
+        ...
 
     def expect(self, image: NDArray[np.uint8]) -> None:
         """(H, W, 3) uint8 BGR of a primary keyframe; the answer to its window stays the same."""

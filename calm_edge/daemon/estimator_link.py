@@ -62,7 +62,7 @@ class EstimatorLink:
         self._in_hand: SubmapWindow | None = None
         self._left_out: list[LeftOut] = []
         self._took_s = 0.0
-        self._ready = False
+        self._ready = self._expects_pictures = False
         self._deaths_in_a_row = 0
         self._finishing = False
         self._make_depth = True
@@ -110,7 +110,8 @@ class EstimatorLink:
 
     def expect(self, keyframe: Frame) -> None:
         """A primary keyframe of a window to come; while windows wait there is no time for it."""
-        if self._ready and not self.given_up and not self._inbox:
+        wanted = self._ready and self._expects_pictures
+        if wanted and not self.given_up and not self._inbox:
             self.child.send(Expect(keyframe))
 
     def leave(self, window: SubmapWindow) -> None:
@@ -147,7 +148,7 @@ class EstimatorLink:
         """A message of the present process."""
         match message:
             case Ready():
-                self._ready = True
+                self._ready, self._expects_pictures = True, message.expects_pictures
             case Refused():
                 self.refusal = message.reason
             case Processed():

@@ -53,6 +53,11 @@ class EstimatorWork:
         self._backbone = open_backbone(config)
         self._localizer = Localizer(config, self._backbone, optimiser=optimiser)
 
+    @property
+    def expects_pictures(self) -> bool:
+        """Whether Expect is of use."""
+        return isinstance(self._backbone, ExpectsPictures) and self._backbone.expects_pictures
+
     def handle(self, message: Any) -> Any:
         """The answer to one message."""
         if isinstance(message, Process):
@@ -128,5 +133,5 @@ def run_estimator(connection: Connection, config: Config, lockstep: bool) -> Non
     except CalmEdgeError as error:
         connection.send(Refused(str(error)))
         return
-    connection.send(Ready())
+    connection.send(Ready(work.expects_pictures))
     serve(connection, Stop, work.handle)

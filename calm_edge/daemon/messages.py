@@ -11,7 +11,9 @@ from device.frame import Eye, Frame
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The child is set up and waits for work."""
+    """The child is set up and waits for work. expects_pictures: Expect is of use to it."""
+
+    expects_pictures: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,7 @@ class Bench:
             lockstep=lockstep,
             now_ns=lambda: int(self.now_s * S),
         )
-        self.link.accept(Ready())
+        self.link.accept(Ready(expects_pictures=True))
 
     def windows(self, count: int, every_s: float = 2.0) -> None:
         for _ in range(count):
@@ -170,6 +170,13 @@ def test_keyframes_to_come_are_told_unless_windows_wait(make_bench: MakeBench) -
     bench.link.expect(keyframe)
     sent = [type(message) for message in bench.link.child.sent]  # type: ignore[attr-defined]
     assert sent == [Expect, Process, Expect]
+
+
+def test_keyframes_are_not_told_to_whom_they_are_of_no_use(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.link.accept(Ready())
+    bench.link.expect(window(0, 100.0).primary[0].frame)
+    assert not bench.link.child.sent  # type: ignore[attr-defined]
 
 
 def test_when_frames_have_ended_every_window_is_solved(make_bench: MakeBench) -> None:

@@ -86,6 +86,11 @@ class BundleBackbone:
         net = FeatureNet(model.manifest, model.precision)
         return cls(config.backbone, LearnedMatching(net), model.notices, LearnedPlace(net))
 
+    @property
+    def expects_pictures(self) -> bool:
+        """Lucas-Kanade has nothing to begin with."""
+        return self._matching is not None
+
     def expect(self, image: NDArray[np.uint8]) -> None:
         """See backbones.base.ExpectsPictures."""
         if self._matching is not None:
