@@ -184,6 +184,7 @@ class Monitor:
                 "submaps": result.submaps,
                 "poses": result.poses,
                 "lost_poses": result.lost_poses,
+                "late_poses": result.late_poses,
             },
             drops=self._drops(),
             queues=self._queues(),

@@ -20,7 +20,8 @@ class RecordResult:
     """Counts, and the final trajectory.
 
     A window is lost when the estimator died or was stopped with it, left to map when the
-    estimator was too far behind, unsolved when it cannot be solved.
+    estimator was too far behind, unsolved when it cannot be solved. late_poses: frames whose pose
+    newer frames had outrun; it was not given.
     """
 
     frames: list[int] = field(default_factory=lambda: [0, 0])
@@ -42,6 +43,7 @@ class RecordResult:
     unsolved_windows: list[int] = field(default_factory=list)
     poses: int = 0
     lost_poses: int = 0
+    late_poses: int = 0
     pose_lost: bool = True
     # the oldest pose since it was last asked for
     worst_age_ms: float | None = None
@@ -101,6 +103,7 @@ class RecordResult:
             "submaps": self.submaps,
             "poses": self.poses,
             "lost_poses": self.lost_poses,
+            "late_poses": self.late_poses,
             "pose_age_ms": self.pose_age_ms(),
             "untracked": self.untracked,
             "camera_drops": self.camera_drops,

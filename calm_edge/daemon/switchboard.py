@@ -164,7 +164,7 @@ class Switchboard:
                 }
             )
         if isinstance(message, Tracked):
-            self.result.untracked += message.late
+            self.result.late_poses += message.late
             if message.keyframe is not None and self.shed < Shed.ALL_WINDOWS:
                 self.estimator.expect(message.keyframe)
             if message.problem:

@@ -185,7 +185,7 @@ def table(runs: list[Run], command: str) -> Table:
                 f"{tick.p50_ms:.2f} / {tick.p99_ms:.2f} / {tick.max_ms:.1f}",
                 f"{age['p50']:.0f} / {age['p99']:.0f}",
                 f"{result.poses / max(primary, 1):.0%}",
-                result.untracked,
+                result.untracked + result.late_poses,
                 f"{each.core_share:.2f} + {each.tracker_share:.2f}",
                 f"{result.submaps} of {result.windows}",
                 result.estimator_restarts,
@@ -225,7 +225,8 @@ def table(runs: list[Run], command: str) -> Table:
             else "process at ordinary priority, without real-time scheduling"
         ),
         "the processor time is that of the whole capture process: replay, capture, recording",
-        "poses: of the primary's frames; not tracked: recorded, but the tracker was behind",
+        "poses: of the primary's frames; not tracked: recorded, but the tracker was behind, or the "
+        "pose would have been late",
     )
     columns = (
         "meanwhile",
