@@ -3,7 +3,7 @@
 .DEFAULT_GOAL := demo
 .PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test interop faults
 
-PYTHON_SOURCES := calm_edge device tests deploy hil_tests
+PYTHON_SOURCES := calm_edge device bench tests deploy hil_tests
 CALM_EDGE := .venv/bin/python -m calm_edge.cli
 DEMO_DRIVE ?= demo/drive
 DEMO_OUT ?= build/demo
@@ -53,23 +53,23 @@ bench: setup
 	@rm -rf build/bench
 	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace realtime --out build/bench || [ $$? -eq 3 ]
 	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.bench build/bench
-	.venv/bin/python -m calm_edge.evaluation.bench.load --pictures build/bench_pictures --drive $(DEMO_DRIVE)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m bench.cost build/bench
+	.venv/bin/python -m bench.cost.load --pictures build/bench_pictures --drive $(DEMO_DRIVE)
 
 # every table of the report; one that misses a target stops none of the others
 eval: setup
 	@failed=0; \
 	measure() { \
-		echo "eval: python -m calm_edge.evaluation.$$*" >&2; \
-		.venv/bin/python -m "calm_edge.evaluation.$$@" || failed=1; \
+		echo "eval: python -m bench.$$*" >&2; \
+		.venv/bin/python -m "bench.$$@" || failed=1; \
 	}; \
 	measure targets; \
 	measure kilometres.tables; \
 	for drive in demo=demo/drive aalborg=build/sim/aalborg; do \
 		recording=build/eval/$${drive%%=*}/recording; \
 		[ -d $$recording ] || { echo "eval: skipped, $$recording is not here" >&2; continue; }; \
-		measure mapping_quality $$recording --truth $${drive#*=}; \
-		measure mapping_quality $$recording --truth $${drive#*=} --warp 0.05; \
+		measure mapping $$recording --truth $${drive#*=}; \
+		measure mapping $$recording --truth $${drive#*=} --warp 0.05; \
 	done; \
 	measure pixels; \
 	measure tables; \
@@ -95,6 +95,6 @@ vm-test: setup
 eval-model: setup
 	@failed=0; \
 	for part in model model.depth model.place_table model.real_clips model.pipeline; do \
-		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m calm_edge.evaluation.$$part || failed=1; \
+		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m bench.$$part || failed=1; \
 	done; \
 	exit $$failed

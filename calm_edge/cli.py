@@ -17,7 +17,6 @@ COMMANDS = {
     "record": "log two cameras (or replay a folder) and estimate poses live",
     "map": "make a dense map, a trajectory and a report of a recording",
     "eval": "compare a recording, a map or a TUM file with ground truth",
-    "eval-dataset": "repeat the paper's tables on KITTI odometry, KITTI-360 or Argoverse",
     "recover": "rewrite what can be read of a damaged recording",
     "validate": "check every byte of a recording",
     "keep": "keep a recording from being removed when the disk is full",

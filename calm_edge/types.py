@@ -74,6 +74,7 @@ class Hints:
     eyes: (N,) Eye values. t_ns: (N,). hfov_deg: one an eye, None where unknown.
     kit: what earlier windows of the same kit taught, or None.
     sizes: (2, 2) width, height [px] of each eye's pictures, None where not known.
+    loop: the batch ends with a loop keyframe, a primary view behind the assistant's (IV-D).
     """
 
     eyes: Int
@@ -81,6 +82,7 @@ class Hints:
     hfov_deg: tuple[float | None, float | None] = (None, None)
     kit: KitBelief | None = None
     sizes: Int | None = None
+    loop: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ class Kit:
         """Its frames; raises CameraError, SequenceError."""
         if self.sequence is None:
             return live(self.config)
-        from calm_edge.frontend.sequence import SequenceFolder
+        from calm_edge.recording.sequence_folder import SequenceFolder
 
         folder = SequenceFolder(self.sequence)
         epoch_ns = min(int(folder.t_ns(eye)[0]) for eye in Eye)

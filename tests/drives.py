@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calm_edge.backbones.scripted import ScriptedScene
+from bench.scripted import ScriptedScene
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import Float, Keyframe, SubmapWindow
 from device.frame import Eye, Frame

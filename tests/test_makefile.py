@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-MODULES = ["targets", "kilometres.tables", *["mapping_quality"] * 4, "pixels", "tables"]
+MODULES = ["targets", "kilometres.tables", *["mapping"] * 4, "pixels", "tables"]
 
 
 def _evaluated(folder: Path, missed: str, recorded: tuple[str, ...]) -> tuple[int, list[str]]:
@@ -22,17 +22,17 @@ def _evaluated(folder: Path, missed: str, recorded: tuple[str, ...]) -> tuple[in
     (folder / "deploy" / "setup.sh").touch()
     (folder / ".venv" / ".stamp").touch()
     python = folder / ".venv" / "bin" / "python"
-    python.write_text(f'#!/bin/sh\necho "$@"\n[ "$2" != calm_edge.evaluation.{missed} ]\n')
+    python.write_text(f'#!/bin/sh\necho "$@"\n[ "$2" != bench.{missed} ]\n')
     python.chmod(0o755)
     done = subprocess.run(["make", "eval"], cwd=folder, capture_output=True, text=True, check=False)
     return done.returncode, done.stdout.splitlines()
 
 
-@pytest.mark.parametrize("missed", ["", "targets", "mapping_quality", "tables"])
+@pytest.mark.parametrize("missed", ["", "targets", "mapping", "tables"])
 def test_a_missed_target_stops_nothing_and_is_told_at_the_end(tmp_path: Path, missed: str) -> None:
     code, given = _evaluated(tmp_path, missed, ("demo", "aalborg"))
     commands = [line.split() for line in given if line.startswith("-m ")]
-    assert [c[1] for c in commands] == [f"calm_edge.evaluation.{name}" for name in MODULES]
+    assert [c[1] for c in commands] == [f"bench.{name}" for name in MODULES]
     assert bool(code) == bool(missed)
     assert commands[2][2:] == ["build/eval/demo/recording", "--truth", "demo/drive"]
     assert commands[5][-2:] == ["--warp", "0.05"]

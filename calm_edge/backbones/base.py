@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.config import Config
 from calm_edge.types import CalmEdgeError, Hints, Prediction
 
 
@@ -50,49 +48,13 @@ class ExpectsPictures(Protocol):
         ...
 
 
-def _bundle(config: Config) -> Backbone:
-    from calm_edge.backbones.bundle.backbone import BundleBackbone
+@runtime_checkable
+class ResolvingBackbone(Protocol):
+    """A backbone that solves a window again from its landmarks, without the images."""
 
-    return BundleBackbone.from_config(config)
+    def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
+        """The same views under the kit belief of `hints`; raises BackboneError.
 
-
-def _scripted(config: Config) -> Backbone:
-    from calm_edge.backbones.scripted import ScriptedBackbone
-
-    return ScriptedBackbone.from_config(config)
-
-
-def _feedforward(config: Config) -> Backbone:
-    from calm_edge.backbones.feedforward import FeedforwardBackbone
-
-    return FeedforwardBackbone.from_config(config)
-
-
-BACKBONES: dict[str, Callable[[Config], Backbone]] = {
-    "bundle": _bundle,
-    "feedforward": _feedforward,
-    "scripted": _scripted,
-}
-
-
-def open_backbone(config: Config) -> Backbone:
-    """The backbone `backbone.name` asks for: `name`, `name:argument`, or a folder of `models/`.
-
-    Raises BackboneError.
-    """
-    asked = config.backbone.name
-    name = asked.partition(":")[0]
-    if name not in BACKBONES:
-        name = _kind_of_model(asked)
-        config = replace(config, backbone=replace(config.backbone, name=f"{name}:{asked}"))
-    return BACKBONES[name](config)
-
-
-def _kind_of_model(name: str) -> str:
-    """The backbone that runs a folder of `models/`; raises BackboneError where there is none."""
-    from calm_edge.backbones.model_folder import find_model, model_names, read_manifest
-
-    if name not in model_names():
-        known = ", ".join([*BACKBONES, *model_names()])
-        raise BackboneError(f"backbone.name = {name!r}: unknown; known: {known}")
-    return read_manifest(find_model(name)).kind
+        `hints.kit` holds what the other windows taught, not this one.
+        """
+        ...

@@ -95,7 +95,7 @@ def _first_two(found: list[FoundCamera]) -> tuple[str, str]:
 
 
 def _write(path: Path, pair: tuple[str, str]) -> None:
-    from calm_edge.config_file import write_keys
+    from calm_edge.commands.config_file import write_keys
 
     write_keys(path, "capture", {"primary": pair[0], "assistant": pair[1]})
     print(f"calm-edge: {path}: [capture] has primary and assistant", file=sys.stderr)

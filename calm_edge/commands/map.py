@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import json
-import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from calm_edge.commands.exit_codes import LOSS, OK
 
 if TYPE_CHECKING:
-    from calm_edge.config import Config
     from calm_edge.evaluation.estimate import Estimate
-    from calm_edge.evaluation.sequences import Truth
-    from calm_edge.mapping.seams import SeamSummary
+    from calm_edge.evaluation.truth import Truth
     from calm_edge.offline.submaps import Drive
-    from calm_edge.recording.reader import Recording
     from calm_edge.types import Bytes
-
-MAP, TUM, KITTI, SUMMARY, REPORT = (
-    "map.ply",
-    "trajectory.tum",
-    "trajectory.kitti",
-    "summary.json",
-    "report.html",
-)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -43,10 +30,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Makes the map; exit code 3 when the recording had lost something."""
-    from calm_edge.commands.record import say
+    from calm_edge.commands.console import say
     from calm_edge.config import merge, parse_assignment
-    from calm_edge.evaluation.sequences import read_truth
+    from calm_edge.evaluation.truth import read_truth
     from calm_edge.mapping.cloud_file import read_cloud
+    from calm_edge.offline.map_drive import KITTI, MAP, REPORT, TUM, make_cloud, write_trajectory
     from calm_edge.offline.submaps import gather
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
@@ -65,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
             f"({'; '.join(drive.losses + recording.losses) or 'too little motion or overlap'})"
         )
     out.mkdir(parents=True, exist_ok=True)
-    n_points, seams = make_cloud(arguments.recording, recording, config, drive, out)
+    n_points, seams = make_cloud(arguments.recording, recording, config, drive, out, say)
     estimate = write_trajectory(arguments.recording, config, drive, out, seams)
     points_w, color = read_cloud(out / MAP)
     estimate = replace(estimate, points_w=points_w)
@@ -91,6 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def new_folder(out: Path) -> Path:
     """The output folder, which must not hold a map yet; raises CalmEdgeError."""
+    from calm_edge.offline.map_drive import MAP, REPORT, SUMMARY, TUM
     from calm_edge.types import CalmEdgeError
 
     if out.exists() and not out.is_dir():
@@ -99,76 +88,6 @@ def new_folder(out: Path) -> Path:
         if (out / name).exists():
             raise CalmEdgeError(f"{out}: already holds {name}; choose another output folder")
     return out
-
-
-def make_cloud(
-    path: Path, recording: Recording, config: Config, drive: Drive, out: Path
-) -> tuple[int, SeamSummary | None]:
-    """Depth, anchors, tiles, the PLY; how many points it has, and how well sub-maps meet."""
-    from calm_edge.commands.record import say
-    from calm_edge.mapping import seams
-    from calm_edge.mapping.cloud_file import CloudWriter
-    from calm_edge.mapping.mapper import Mapper
-    from calm_edge.offline.densify import densified
-
-    spacing = config.scale.spacing_m or 1.0
-    n = len(drive.updates)
-    with tempfile.TemporaryDirectory(prefix="spool-", dir=out) as spool:
-        mapper = Mapper(config.mapping, spacing, Path(spool), config.backbone.seed)
-        depths = densified(path, config, drive.windows, drive.updates)
-        for k, (record, update, depth) in enumerate(
-            zip(drive.windows, drive.updates, depths, strict=True), 1
-        ):
-            if isinstance(depth, str):
-                drive.losses.append(depth)
-                continue
-            window = recording.window(record)
-            images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
-            mapper.add(update.submap, *depth, images)
-            say(f"depth and anchors: {k} of {n} sub-maps")
-        with CloudWriter(out / MAP) as cloud:
-            for tile in mapper.finish():
-                cloud.write(tile)
-        return cloud.count, seams.summary(mapper.seams())
-
-
-def write_trajectory(
-    path: Path, config: Config, drive: Drive, out: Path, seams: SeamSummary | None
-) -> Estimate:
-    """trajectory.tum, trajectory.kitti and summary.json."""
-    from calm_edge.evaluation.estimate import from_recording, from_updates
-    from calm_edge.evaluation.trajectory_file import write_kitti
-    from calm_edge.trajectories import write_tum
-
-    logged = from_recording(path)
-    estimate = from_updates(
-        str(out),
-        drive.updates,
-        logged.frames,
-        config.scale.spacing_m,
-        logged.pose_age_ms,
-        logged.first_frame,
-    )
-    write_tum(out / TUM, estimate.t_ns, estimate.T_w_c)
-    write_kitti(out / KITTI, estimate.T_w_c)
-    told = summary(estimate) | {"seams": asdict(seams) if seams is not None else None}
-    (out / SUMMARY).write_text(json.dumps(told, indent=2) + "\n")
-    return estimate
-
-
-def summary(estimate: Estimate) -> dict[str, Any]:
-    """What `eval` needs to know of a map beside its trajectory and cloud."""
-    return {
-        "frames": estimate.frames,
-        "keyframes": estimate.keyframes,
-        "submaps": estimate.submaps,
-        "spacing_m": estimate.spacing_m,
-        "focal_px": estimate.focal_px,
-        "focal_sigma_percent": estimate.focal_sigma_percent,
-        "pose_age_ms": estimate.pose_age_ms,
-        "stage_ms": estimate.stage_ms,
-        "first_frame": estimate.first_frame,
-    }
 
 
 def write_report(
@@ -181,9 +100,10 @@ def write_report(
     out: Path,
 ) -> None:
     """report.html, with the error where there is truth. color: (P, 3) RGB of estimate.points_w."""
-    from calm_edge.evaluation.drive_report import report_data
-    from calm_edge.evaluation.report import write_report as write
     from calm_edge.evaluation.results import compare
+    from calm_edge.offline.map_drive import REPORT
+    from calm_edge.report.drive_report import report_data
+    from calm_edge.report.report import write_report as write
 
     figures = compare(estimate, truth) if truth is not None else None
     data = report_data(title, estimate, drive.updates, color, truth, figures, losses)

@@ -49,9 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _list() -> int:
-    from calm_edge.backbones import verdict
     from calm_edge.backbones.base import BackboneError
-    from calm_edge.backbones.model_folder import MODELS, find_model, model_names, read_manifest
+    from calm_edge.backbones.onnx import verdict
+    from calm_edge.backbones.onnx.model_folder import MODELS, find_model, model_names, read_manifest
 
     for name in model_names():
         try:
@@ -71,10 +71,10 @@ def _list() -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from calm_edge.backbones import verdict
     from calm_edge.backbones.model_check.check import check
     from calm_edge.backbones.model_check.probe import MEMORY_SHARE, Limits, free_memory_mb
-    from calm_edge.backbones.model_folder import find_model, read_manifest
+    from calm_edge.backbones.onnx import verdict
+    from calm_edge.backbones.onnx.model_folder import find_model, read_manifest
 
     manifest = read_manifest(find_model(arguments.name))
     memory_mb = arguments.memory_mb
@@ -110,7 +110,7 @@ def _plain(report: Report) -> dict[str, object]:
             return None
         return value
 
-    from calm_edge.backbones.verdict import machine
+    from calm_edge.backbones.onnx.verdict import machine
 
     plain = {key: clean(value) for key, value in dataclasses.asdict(report).items()}
     return plain | {"passed": not report.refusal, "machine": machine()}

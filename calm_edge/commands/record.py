@@ -6,10 +6,10 @@ import argparse
 import logging
 import shutil
 import signal
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calm_edge.commands.console import say
 from calm_edge.commands.exit_codes import ERROR, LOSS, OK
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def effective_config(arguments: argparse.Namespace) -> Config:
 
     Raises ConfigError, BackboneError.
     """
-    from calm_edge.backbones.precision import pinned
+    from calm_edge.backbones.onnx.precision import pinned
     from calm_edge.config import ConfigError, load, merge
 
     config = load(arguments.config, arguments.set)
@@ -92,7 +92,7 @@ def open_source(arguments: argparse.Namespace, config: Config) -> Source:
 
     paced = arguments.pace == "realtime"
     if arguments.sequence is not None:
-        from calm_edge.frontend.sequence import SequenceFolder
+        from calm_edge.recording.sequence_folder import SequenceFolder
 
         folder = SequenceFolder(arguments.sequence)
         epoch_ns = min(int(folder.t_ns(eye)[0]) for eye in Eye)
@@ -236,8 +236,3 @@ def report(result: RecordResult, out: Path) -> int:
         say(result.error)
         return ERROR
     return LOSS if losses or (result.windows and not result.submaps) else OK
-
-
-def say(text: str) -> None:
-    """A line for the user."""
-    print(f"calm-edge: {text}", file=sys.stderr, flush=True)

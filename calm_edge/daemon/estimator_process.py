@@ -17,8 +17,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calm_edge.backbones.base import ExpectsPictures, open_backbone
-from calm_edge.batch import window_hints
+from calm_edge.backbones.base import ExpectsPictures
+from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config
 from calm_edge.daemon.child import serve
 from calm_edge.daemon.messages import (
@@ -32,9 +32,9 @@ from calm_edge.daemon.messages import (
     Refused,
     Stop,
 )
-from calm_edge.localizer import Localizer
+from calm_edge.estimator.localizer import Localizer
 from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
-from calm_edge.recording.window_record import of_window
+from calm_edge.recording.window_record import of_window, window_hints
 from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
 from device.frame import UnreadableImage
 

@@ -9,12 +9,12 @@ from typing import Any, Literal
 import numpy as np
 
 from calm_edge.evaluation import cloud, live, trajectory
+from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.estimate import Estimate, read_estimate
-from calm_edge.evaluation.sequences import Truth, read_truth
-from calm_edge.evaluation.trajectory_file import EvaluationError
-from calm_edge.frontend.sequence import ORIGIN_NS
+from calm_edge.evaluation.truth import Truth, read_truth
 from calm_edge.geometry import se3
 from calm_edge.geometry.similarity import Similarity, align
+from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Int
 
 Alignment = Literal["se3", "sim3"]

@@ -15,11 +15,11 @@ import numpy as np
 from calm_edge.config import FrontendConfig
 from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
-from calm_edge.frontend.pnp import PoseFit, locate, reprojection
 from calm_edge.frontend.remembered import MOST_REMEMBERED, REMEMBERED_NS, Past, Tracks, spaced
 from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
 from calm_edge.geometry.flow import follow
+from calm_edge.geometry.pnp import PoseFit, locate, reprojection
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
 MIN_INLIERS, SAFE_INLIERS = 12, 80

@@ -14,12 +14,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calm_edge.backbones.base import Backbone, open_backbone
-from calm_edge.batch import window_hints
+from calm_edge.backbones.base import Backbone
+from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config
-from calm_edge.daemon.child import CHILD_ENVIRONMENT, environment
+from calm_edge.processes import CHILD_ENVIRONMENT, environment
 from calm_edge.recording.reader import Recording
-from calm_edge.recording.window_record import WindowRecord
+from calm_edge.recording.window_record import WindowRecord, window_hints
 from calm_edge.types import CalmEdgeError, Float32, LocalizerUpdate
 
 WORKERS = 2

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calm_edge.backbones.base import open_backbone
+from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config, merge
+from calm_edge.estimator.localizer import Localizer
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.geometry import pinhole
-from calm_edge.localizer import Localizer
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import STATUS

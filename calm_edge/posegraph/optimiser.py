@@ -20,12 +20,11 @@ from typing import Protocol
 
 from calm_edge.posegraph.optimum import Optimum, optimum
 from calm_edge.posegraph.problem import Problem, State
+from calm_edge.processes import CHILD_ENVIRONMENT
 
 log = logging.getLogger(__name__)
 
 _PROGRAM = "calm_edge.posegraph.optimiser_process"
-# one thread: the same sums in the same order, and no core taken from the estimator
-_ENVIRONMENT = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 _CLOSE_S = 5.0
 
 
@@ -168,7 +167,7 @@ class _Child:
             [sys.executable, "-m", _PROGRAM, str(their_in), str(their_out)],
             pass_fds=(their_in, their_out),
             stdin=subprocess.DEVNULL,
-            env={**os.environ, **_ENVIRONMENT, "PYTHONPATH": path},
+            env={**os.environ, **CHILD_ENVIRONMENT, "PYTHONPATH": path},
         )
         os.close(their_in)
         os.close(their_out)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.types import Int, Keyframe, SubmapWindow
+from calm_edge.config import Config
+from calm_edge.types import Hints, Int, Keyframe, LocalizerUpdate, SubmapWindow
 from device.frame import Eye, Frame
 
 
@@ -58,4 +59,15 @@ def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> Su
         tuple(keyframes[record.n_primary :]),
         record.n_overlap,
         loop,
+    )
+
+
+def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
+    """What is known of a window's batch once it has been placed."""
+    return Hints(
+        record.eyes,
+        record.t_ns,
+        config.backbone.hfov_of_eye,
+        update.kit,
+        loop=record.has_loop,
     )

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calm_edge.backbones.base import BACKBONES, Backbone, BackboneError, open_backbone
+from calm_edge.backbones.base import Backbone, BackboneError
+from calm_edge.backbones.registry import BACKBONES, open_backbone
 from calm_edge.config import Config, merge
-from calm_edge.frontend.sequence import ORIGIN_NS
 from calm_edge.geometry import se3
+from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Hints, Prediction
 from tests.backbones.painted_model import centres, paint, write_model
 from tests.drives import curved

@@ -6,10 +6,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 
-from calm_edge import scale
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import pose_model, rectify
 from calm_edge.correction.rectify import rectified
+from calm_edge.estimator import scale
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import GlobalIntrinsics, Submap
 

@@ -8,10 +8,10 @@ import pytest
 
 from calm_edge.config import Config, merge
 from calm_edge.evaluation.estimate import from_recording, read_estimate
-from calm_edge.evaluation.trajectory_file import EvaluationError
 from calm_edge.mapping.cloud_file import CloudWriter
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.writer import RecordingWriter
+from calm_edge.trajectories import TrajectoryError
 from calm_edge.types import MapTile, PoseSample, PoseStatus
 from device.frame import Eye, Frame
 from tests.evaluation.worlds import curve, stamps, update
@@ -57,7 +57,7 @@ def test_no_recording_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="holds no recording"):
         from_recording(tmp_path)
     (tmp_path / "a.tum").write_text("hello\n")
-    with pytest.raises(EvaluationError, match="TUM rows have 8"):
+    with pytest.raises(TrajectoryError, match="TUM rows have 8"):
         read_estimate(tmp_path / "a.tum")
 
 

@@ -10,7 +10,7 @@ import pytest
 from calm_edge.evaluation import results
 from calm_edge.evaluation.estimate import Estimate
 from calm_edge.evaluation.live import compare, spans
-from calm_edge.evaluation.sequences import Truth
+from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
 from calm_edge.types import PoseSample, PoseStatus
 from tests.evaluation.worlds import STEP_NS, curve, stamps

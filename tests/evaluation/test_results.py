@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.estimate import Estimate, from_updates, pose_ages
 from calm_edge.evaluation.results import common_origin, compare, evaluate
-from calm_edge.evaluation.sequences import Truth
-from calm_edge.evaluation.trajectory_file import EvaluationError, write_kitti
+from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
-from calm_edge.trajectories import write_tum
+from calm_edge.trajectories import write_kitti, write_tum
 from tests.evaluation.worlds import curve, stamps, update
 
 N = 240

@@ -22,7 +22,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from calm_edge.backbones.model_folder import read_manifest
+from calm_edge.backbones.onnx.model_folder import read_manifest
 from calm_edge.config import load
 from calm_edge.pose_output.mavlink import Encoder, Heartbeat, Odometry, StatusText, SystemState
 from calm_edge.pose_output.mavlink_parser import MavlinkParser
@@ -30,7 +30,7 @@ from calm_edge.recording import schema
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.recovery import recover, validate
 from calm_edge.types import CalmEdgeError
-from tests.backbones.test_model_folder import FEEDFORWARD, folder_of
+from tests.backbones.onnx.test_model_folder import FEEDFORWARD, folder_of
 from tests.faults.mutation import mutated, mutated_text
 from tests.recording import samples
 

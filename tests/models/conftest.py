@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from calm_edge.backbones.model_folder import MODELS
+from calm_edge.backbones.onnx.model_folder import MODELS
 
 
 @pytest.fixture(autouse=True)

@@ -27,8 +27,8 @@ from exporting import command
 from exporting.graph import Network
 from exporting.pictures import normalised
 
-from calm_edge.backbones.model_folder import MODELS
-from tests.backbones.decode.test_decoder import quaternion
+from calm_edge.backbones.onnx.model_folder import MODELS
+from tests.backbones.feedforward.decode.test_decoder import quaternion
 from tests.backbones.raw_scene import RawScene, turn
 
 SIZE = (56, 42)

@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 import pytest
 
-from calm_edge.backbones.feedforward import FeedforwardBackbone
+from calm_edge.backbones.feedforward.backbone import FeedforwardBackbone
 from calm_edge.backbones.model_check.check import check
 from calm_edge.backbones.model_check.probe import Limits
-from calm_edge.backbones.model_folder import MODELS, read_manifest
+from calm_edge.backbones.onnx.model_folder import MODELS, read_manifest
 from calm_edge.types import Hints
 
 CODE = Path(os.environ.get("CALM_EDGE_AUTHORS_CODE", "nowhere"))

@@ -12,8 +12,8 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper, shape_inference
 
-from calm_edge.backbones.model_folder import MODELS, read_manifest, verify
-from calm_edge.backbones.session import Session
+from calm_edge.backbones.onnx.model_folder import MODELS, read_manifest, verify
+from calm_edge.backbones.onnx.session import Session
 
 SIZE = (28, 28)
 

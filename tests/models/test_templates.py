@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper, save_model
 
-from calm_edge.backbones.decode.decoder import decode
-from calm_edge.backbones.manifest import Manifest, ManifestError
-from calm_edge.backbones.model_folder import MODELS, find_model, read_manifest, verify
-from calm_edge.backbones.picture_input import fit_pictures, input_tensor
-from tests.backbones.decode.test_decoder import raw_outputs
+from calm_edge.backbones.feedforward.decode.decoder import decode
+from calm_edge.backbones.onnx.manifest import Manifest, ManifestError
+from calm_edge.backbones.onnx.model_folder import MODELS, find_model, read_manifest, verify
+from calm_edge.backbones.onnx.picture_input import fit_pictures, input_tensor
+from tests.backbones.feedforward.decode.test_decoder import raw_outputs
 from tests.backbones.raw_scene import make_scene
 
 NAMES = ["da3", "vggt", "pi3", "mapanything"]
@@ -73,7 +73,7 @@ def test_a_filled_template_is_a_manifest_whose_files_fit(name, tmp_path):
 def test_a_model_that_was_not_exported_says_how(name, tmp_path, monkeypatch):
     (tmp_path / name).mkdir()
     (tmp_path / name / "export.py").touch()
-    monkeypatch.setattr("calm_edge.backbones.model_folder.MODELS", tmp_path)
+    monkeypatch.setattr("calm_edge.backbones.onnx.model_folder.MODELS", tmp_path)
     with pytest.raises(ManifestError, match="not exported yet"):
         find_model(name)
 

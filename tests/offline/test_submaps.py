@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from calm_edge.config import Config, merge
-from calm_edge.frontend.sequence import SequenceFolder
 from calm_edge.offline.submaps import gather
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.recording.window_record import of_window
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import Keyframe, SubmapWindow

@@ -234,5 +234,5 @@ def test_optimising_needs_a_rig_prior():
 
 
 def test_gtsam_waits_until_it_is_needed():
-    code = "import calm_edge.localizer, sys; sys.exit('gtsam' in sys.modules)"
+    code = "import calm_edge.estimator.localizer, sys; sys.exit('gtsam' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 
-from calm_edge.evaluation.nees import honest_band, pose_nees
+from bench.nees import honest_band, pose_nees
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
 from calm_edge.posegraph.marginals import Marginals

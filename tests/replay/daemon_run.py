@@ -12,9 +12,9 @@ from calm_edge.daemon.monitor import SerialLine
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.source import Source, replayed
 from calm_edge.daemon.switchboard import Switchboard
-from calm_edge.frontend.sequence import SequenceFolder
 from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.segment import Write
+from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.recording.writer import RecordingWriter
 from device.frame import Eye
 from device.service import NullNotifier

@@ -121,8 +121,9 @@ def test_capture_never_loads_a_solver() -> None:
     code = (
         "import sys, calm_edge.daemon.capture, calm_edge.daemon.switchboard, "
         "calm_edge.daemon.source, calm_edge.commands.record, calm_edge.pose_output.publisher\n"
-        "print([m for m in ('gtsam', 'calm_edge.localizer', 'calm_edge.posegraph.joint_graph', "
-        "'calm_edge.frontend.tracker', 'onnxruntime') if m in sys.modules])"
+        "print([m for m in ('gtsam', 'calm_edge.estimator.localizer', "
+        "'calm_edge.posegraph.joint_graph', 'calm_edge.frontend.tracker', "
+        "'onnxruntime') if m in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"

@@ -17,9 +17,9 @@ from pymavlink.dialects.v20 import common as peer
 from calm_edge.cli import main
 from calm_edge.config import merge
 from calm_edge.daemon.source import Source
-from calm_edge.frontend.sequence import SequenceFolder
 from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import PoseStatus
 from device.camera import Camera, CameraSpec, open_camera
 from device.clock import ManualClock

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.backbones.bundle.correspond import Bool, Found
+from calm_edge.backbones.bundle.matching import Bool, Found
 from calm_edge.backbones.bundle.tracks import on_epipolar_lines
 from calm_edge.geometry.flow import Gray
 from calm_edge.types import Float, Float32

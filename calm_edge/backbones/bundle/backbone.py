@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle import kit, loop_view, stamps, window
+from calm_edge.backbones.bundle import loop_view, stamps, window
 from calm_edge.backbones.bundle.initialise import initial_state, triangulated
+from calm_edge.backbones.bundle.matching import Matching
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
 from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
-from calm_edge.backbones.bundle.tracks import Matching
-from calm_edge.backbones.kit_belief import product
-from calm_edge.backbones.place import PlaceDescriptor
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
+from calm_edge.kit.belief import product
+from calm_edge.loops.descriptor import PlaceDescriptor
 from calm_edge.types import Float, Hints, KitBelief, Prediction
 
 # Errors along one track and over one texture are not independent news; this share of the
@@ -73,7 +74,7 @@ class BundleBackbone:
     @classmethod
     def from_config(cls, config: Config) -> BundleBackbone:
         """`bundle`, or `bundle:NAME_OR_FOLDER` with a model's network; raises BackboneError."""
-        from calm_edge.backbones.precision import model_of, opened
+        from calm_edge.backbones.onnx.precision import model_of, opened
 
         if not model_of(config):
             return cls(config.backbone)
@@ -99,14 +100,14 @@ class BundleBackbone:
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, K and landmarks; depth comes with `densify`. Raises BackboneError."""
-        if loop_view.has_loop(hints):
+        if hints.loop:
             alone = self.infer(images[:-1], loop_view.without_loop(hints))
             return loop_view.with_loop(images, hints, alone)
         cv2.setRNGSeed(self._seed)
         belief = believed(hints)
         sigma = _sigma(belief)
         rig_known = bool(sigma[8:11].max() < RIG_KNOWN_RAD)
-        known = rig_known and bool(sigma[list(kit.LOG_FOCAL)].max() < FOCAL_KNOWN)
+        known = rig_known and bool(sigma[list(layout.LOG_FOCAL)].max() < FOCAL_KNOWN)
         with _determined():
             m = window.measure(images, hints, belief.mean, rig_known, self._matching)
             ties = rig_ties(m)
@@ -116,7 +117,7 @@ class BundleBackbone:
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
         """The same views again under the kit of `hints`, from landmarks; raises BackboneError."""
-        if loop_view.has_loop(hints):
+        if hints.loop:
             alone = loop_view.window_part(prediction)
             alone = self.resolve(alone, loop_view.without_loop(hints))
             return loop_view.placed_again(alone, prediction)
@@ -141,7 +142,7 @@ class BundleBackbone:
 
 def believed(hints: Hints) -> KitBelief:
     """The prior under the hints times what other windows taught."""
-    joint = product([kit.prior(hints.hfov_deg), hints.kit])
+    joint = product([layout.prior(hints.hfov_deg), hints.kit])
     assert joint is not None
     t = joint.mean[11:14]
     length = np.linalg.norm(t)
@@ -175,7 +176,7 @@ def _solve(
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
     for robust_scale, tolerance, read in passes:
         read_so = read(ties, start)
-        prior = kit.blurred(_sharpened(belief), stamps.common_sigma_s(read_so))
+        prior = layout.blurred(_sharpened(belief), stamps.common_sigma_s(read_so))
         solution = solve(start, m, read_so, prior, robust_scale=robust_scale, tolerance=tolerance)
         start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
@@ -194,7 +195,7 @@ def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool)
     failure: BackboneError | None = None
     for factor in FOCAL_GUESSES[:1] if known else FOCAL_GUESSES:
         theta = belief.mean.copy()
-        theta[list(kit.LOG_FOCAL)] += np.log(factor)
+        theta[list(layout.LOG_FOCAL)] += np.log(factor)
         try:
             cost, state = _best_start(few, ties, belief, theta, known)
         except BackboneError as error:
@@ -242,17 +243,17 @@ def _prediction(
     evidence = None
     if np.median(solution.residual * m.sigma_px) < MAX_EVIDENCE_PX:
         evidence = kit_evidence(solution, m, ties, ROBUST_SCALES[-1], TEMPERING)
-        evidence = kit.blurred(evidence, stamps.common_sigma_s(ties) / TEMPERING**0.5)
+        evidence = layout.blurred(evidence, stamps.common_sigma_s(ties) / TEMPERING**0.5)
     joint = product([belief, evidence])
     assert joint is not None
-    sigma = np.hypot(_sigma(joint)[list(kit.LOG_FOCAL)], FOCAL_FLOOR)
-    K = np.stack([kit.camera_matrix(state.theta, eye, *m.size[eye]) for eye in (0, 1)])
+    sigma = np.hypot(_sigma(joint)[list(layout.LOG_FOCAL)], FOCAL_FLOOR)
+    K = np.stack([layout.camera_matrix(state.theta, eye, *m.size[eye]) for eye in (0, 1)])
     return Prediction(
         K=K[m.eye],
         T_s_c=se3.inverse(state.T_c_s),
         focal_log_sigma=sigma[m.eye],
         landmarks=window.to_landmarks(state, m),
         kit=evidence,
-        assistant_late_s=float(state.theta[kit.LATE]),
+        assistant_late_s=float(state.theta[layout.LATE]),
         stamps_off_s=ties.late_s if ties.late_s.any() else None,
     )

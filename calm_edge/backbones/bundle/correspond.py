@@ -6,15 +6,11 @@ the finer features then place it within the cell and say how sure that is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
 from calm_edge.backbones.bundle.features import FeatureNet, Features
+from calm_edge.backbones.bundle.matching import Found
 from calm_edge.types import Float32, Int
-
-Bool = NDArray[np.bool_]
 
 STRIDE, FINE_STRIDE = 8, 4
 # Fine cells on each side of a guess that are looked at.
@@ -26,20 +22,6 @@ MIN_RELIABILITY = 0.05
 ROUNDS = 2
 # Input pixels: what features of this stride tell apart, whatever the network claims.
 MIN_SIGMA = 0.67
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """uv: (N, 2) px of the other picture, the best there is where not sure. sigma_px: (N,) an axis.
-
-    sure: (N,) there and back agree. measured: (N,) on the pictures themselves as well, and both
-    agree.
-    """
-
-    uv: Float32
-    sure: Bool
-    sigma_px: Float32
-    measured: Bool
 
 
 def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:

@@ -62,11 +62,10 @@ def sweep_window(
         )
         for i, g in enumerate(gray)
     ]
-    has_loop = loop_view.has_loop(hints)
-    nearest = nearest_depth(loop_view.window_part(prediction) if has_loop else prediction)
+    nearest = nearest_depth(loop_view.window_part(prediction) if hints.loop else prediction)
     zeta = np.linspace(0, 1 / nearest, PLANES)
     small = [_shrink(g, size) for g in gray]
-    n_window = len(images) - has_loop
+    n_window = len(images) - hints.loop
     t_ns, T_s_c = np.asarray(hints.t_ns), prediction.T_s_c
     sources = [
         sweep_sources(i, eyes[:n_window], t_ns[:n_window], T_s_c[:n_window])

@@ -15,9 +15,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calm_edge.backbones.manifest import Manifest, ManifestError, Precision
-from calm_edge.backbones.picture_input import Fit, fit_pictures, input_tensor
-from calm_edge.backbones.session import Session
+from calm_edge.backbones.onnx.manifest import Manifest, ManifestError, Precision
+from calm_edge.backbones.onnx.picture_input import Fit, fit_pictures, input_tensor
+from calm_edge.backbones.onnx.session import Session
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry.flow import Gray
 from calm_edge.types import Bytes, Float32
@@ -93,7 +93,7 @@ class FeatureNet:
 
         Raises BackboneError.
         """
-        from calm_edge.backbones.precision import opened
+        from calm_edge.backbones.onnx.precision import opened
 
         asked = BackboneConfig(name=f"bundle:{name}", precision=precision or "auto")
         model = opened(Config(backbone=asked))

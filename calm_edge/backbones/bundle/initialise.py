@@ -11,9 +11,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle import kit
 from calm_edge.backbones.bundle.problem import Measurements, State
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
 MIN_COMMON = 30
@@ -28,7 +28,7 @@ def normalised(m: Measurements, theta: Float) -> Float:
     out = np.empty_like(m.uv)
     for eye in (0, 1):
         rows = m.eye[m.view] == eye
-        K = kit.camera_matrix(theta, eye, *m.size[eye])
+        K = layout.camera_matrix(theta, eye, *m.size[eye])
         out[rows] = (m.uv[rows] - K[:2, 2]) / K[0, 0]
     return out
 
@@ -107,7 +107,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
     primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
-    f = [kit.camera_matrix(theta, e, *m.size[e])[0, 0] for e in (0, 1)]
+    f = [layout.camera_matrix(theta, e, *m.size[e])[0, 0] for e in (0, 1)]
 
     poses = _seed(m, rays, primary, f[0], seed_share)
     X = _triangulate_known(m, rays, poses, n_points)
@@ -118,10 +118,10 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
         poses[view] = pose
         X = _triangulate_known(m, rays, poses, n_points)
     T_s_p = se3.inverse(np.stack([poses[int(v)] for v in primary]))
-    instants = m.t[assistant] + theta[kit.LATE]
+    instants = m.t[assistant] + theta[layout.LATE]
     at = se3.interpolate_at(m.t[primary], T_s_p, instants)  # the primary's, where they looked
     if rig_known:
-        T_p_a = kit.rig(theta)
+        T_p_a = layout.rig(theta)
         spacing = _spacing(m, theta, X, assistant, at)
     else:
         T_p_a, theta = _rig(m, theta, X, assistant, at, _resected(m, rays, X, assistant, at, f[1]))
@@ -133,7 +133,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
         T_s_c[:, :3, 3] /= spacing
         out[views] = se3.inverse(T_s_c if views is primary else T_s_c @ T_p_a)
     theta = theta.copy()
-    theta[kit.RIG] = kit.rig_vector(T_p_a)
+    theta[layout.RIG] = layout.rig_vector(T_p_a)
     return State(out, triangulated(m, out, theta), theta)
 
 
@@ -209,7 +209,7 @@ def _rig(
     rotation = se3.log(se3.inverse(stack)[:, None] @ stack[None])[..., 3:]
     start = stack[int(np.argmin(np.median(np.linalg.norm(rotation, axis=2), axis=1)))]
     uv, p_p = _seen_across(m, X, assistant, at)
-    K = kit.camera_matrix(theta, 1, *m.size[1])
+    K = layout.camera_matrix(theta, 1, *m.size[1])
 
     def error_px(x: Float) -> Float:
         q = se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p))
@@ -219,7 +219,7 @@ def _rig(
 
     fit = least_squares(error_px, np.zeros(7), loss="cauchy", f_scale=2.0, max_nfev=30)
     theta = theta.copy()
-    theta[kit.LOG_FOCAL[1]] += fit.x[6]
+    theta[layout.LOG_FOCAL[1]] += fit.x[6]
     return start @ se3.inverse(se3.exp(fit.x[:6])), theta
 
 
@@ -230,7 +230,7 @@ def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float)
     take it, so the unit has to be right from the start.
     """
     uv, p_p = _seen_across(m, X, assistant, at)
-    K, T_p_a = kit.camera_matrix(theta, 1, *m.size[1]), kit.rig(theta)
+    K, T_p_a = layout.camera_matrix(theta, 1, *m.size[1]), layout.rig(theta)
     rotated = p_p @ T_p_a[:3, :3]
     step = T_p_a[:3, :3].T @ T_p_a[:3, 3]
 

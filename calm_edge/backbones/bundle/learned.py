@@ -20,11 +20,11 @@ from calm_edge.backbones.bundle.alike import (
     warped,
     zoom_of,
 )
-from calm_edge.backbones.bundle.correspond import Bool, Found, find
+from calm_edge.backbones.bundle.correspond import find
 from calm_edge.backbones.bundle.features import FeatureNet
+from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Bool, Found
 from calm_edge.backbones.bundle.place import LearnedPlace
 from calm_edge.backbones.bundle.tracks import (
-    FOLLOWED_PX,
     MATCHING,
     detect_corners,
     sift_homography,

@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.bundle.initialise import resection, triangulate
-from calm_edge.backbones.place import GradientLayout
-from calm_edge.frontend import pnp
-from calm_edge.geometry import pinhole, se3, sift
+from calm_edge.geometry import pinhole, pnp, se3, sift
+from calm_edge.loops.descriptor import GradientLayout
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
-from device.frame import Eye
 
 MAX_FEATURES = 800
 VIEWS_A_SIDE = 2  # primary views before and after the most alike one that it is matched to
@@ -58,15 +56,9 @@ class LoopPose:
     kept: NDArray[np.bool_]
 
 
-def has_loop(hints: Hints) -> bool:
-    """Whether the batch ends with a loop keyframe: a primary view behind the assistant's."""
-    eyes = np.asarray(hints.eyes)
-    return bool(len(eyes) and eyes[-1] == Eye.PRIMARY and np.any(eyes == Eye.ASSISTANT))
-
-
 def without_loop(hints: Hints) -> Hints:
     """The hints of the window alone."""
-    return replace(hints, eyes=hints.eyes[:-1], t_ns=hints.t_ns[:-1])
+    return replace(hints, eyes=hints.eyes[:-1], t_ns=hints.t_ns[:-1], loop=False)
 
 
 def with_loop(

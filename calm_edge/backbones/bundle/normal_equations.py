@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from calm_edge.backbones.bundle import kit
 from calm_edge.backbones.bundle.problem import (
     Measurements,
     RigTies,
@@ -20,6 +19,7 @@ from calm_edge.backbones.bundle.problem import (
     tie_jacobians,
     times,
 )
+from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
 # What keeps the block of a point nobody constrains, or a view all but touches, invertible.
@@ -108,7 +108,7 @@ def normal_equations(
 ) -> Normal:
     """Measurements and ties only: the kit prior and the gauge are added by the caller."""
     n_views, n_points = m.n_views, len(state.points)
-    D = 6 * n_views + kit.SIZE
+    D = 6 * n_views + layout.SIZE
     jac = reprojection(state, m, tangent_basis(state.points))
     whiten = np.sqrt(weight) / m.sigma_px * jac.in_front
     r = (jac.predicted - m.uv).T * whiten
@@ -150,7 +150,7 @@ def normal_equations(
         tie_rows = np.concatenate(
             [
                 (6 * views[..., None] + np.arange(6)).reshape(-1, 18),
-                np.broadcast_to(6 * n_views + np.arange(8, kit.SIZE), (len(ties.alpha), 7)),
+                np.broadcast_to(6 * n_views + np.arange(8, layout.SIZE), (len(ties.alpha), 7)),
             ],
             1,
         )

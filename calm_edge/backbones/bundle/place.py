@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.backbones.bundle.features import FeatureNet
-from calm_edge.backbones.place import layout_likeness
+from calm_edge.loops.descriptor import layout_likeness
 from calm_edge.types import Bytes, Float32
 
 ROWS, COLUMNS, CHANNELS = 4, 10, 64

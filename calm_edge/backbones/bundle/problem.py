@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.backbones.bundle import beat, kit
+from calm_edge.backbones.bundle import beat
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
 # z of a unit homogeneous point, below which it is not in front of a view: its pixel would be wild
@@ -220,7 +221,7 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     Exact. With P = exp(share xi) T_before the primary at that instant, the error E = T_p_a^-1 P
     T_assistant^-1 answers to a step d of P, and P to steps of both its neighbours.
     """
-    rig, late = kit.rig(state.theta), float(state.theta[kit.LATE])
+    rig, late = layout.rig(state.theta), float(state.theta[layout.LATE])
     T_before, T_after, T_assistant = (
         state.T_c_s[v] for v in (ties.before, ties.after, ties.assistant)
     )
@@ -240,7 +241,7 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     J[..., :6], J[..., 6:12] = by_primary @ by_before, by_primary @ by_after
     J[..., 12:18] = -inverse_right
     # the rig is a rotation vector and a centre, stepped by sums
-    turn = state.theta[kit.RIG][:3]
+    turn = state.theta[layout.RIG][:3]
     step = np.zeros((6, 6))
     step[:3, 3:], step[3:, :3] = rig[:3, :3].T, se3.so3_left_jacobian(-turn)
     J[..., 18:24] = -se3.right_jacobian_inverse(-error) @ step

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from calm_edge.backbones.bundle import kit
 from calm_edge.backbones.bundle.normal_equations import Normal, Structure, normal_equations
 from calm_edge.backbones.bundle.problem import (
     NEAREST,
@@ -20,6 +19,7 @@ from calm_edge.backbones.bundle.problem import (
     tie_residuals,
 )
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from calm_edge.types import Float, KitBelief
 
 BEHIND = 100.0  # sigmas charged for a point behind its view: an outlier, not a wall
@@ -55,7 +55,7 @@ def total_cost(
     T = state.T_c_s
     tie = tie_residuals(
         T[ties.before], T[ties.after], T[ties.assistant],
-        kit.rig(state.theta), float(state.theta[kit.LATE]), ties,
+        layout.rig(state.theta), float(state.theta[layout.LATE]), ties,
     )  # fmt: skip
     off = state.theta - prior.mean
     return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off)
@@ -63,28 +63,28 @@ def total_cost(
 
 def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, Float]:
     H, g = normal.H.copy(), normal.g.copy()
-    k = slice(len(g) - kit.SIZE, len(g))
+    k = slice(len(g) - layout.SIZE, len(g))
     H[k, k] += prior.information
     g[k] += prior.information @ (state.theta - prior.mean)
-    _add_spacing(H, state.theta, kit.SPACING_SIGMA)
+    _add_spacing(H, state.theta, layout.SPACING_SIGMA)
     return H, g
 
 
 def _add_spacing(H: Float, theta: Float, sigma: float) -> None:
     """The gauge, as a stiff spring on a direction `_step` rescales away: |t_p_a| stays 1."""
-    row = np.zeros(kit.SIZE)
-    row[kit.CENTRE] = theta[kit.CENTRE] / sigma
-    H[-kit.SIZE :, -kit.SIZE :] += np.outer(row, row)
+    row = np.zeros(layout.SIZE)
+    row[layout.CENTRE] = theta[layout.CENTRE] / sigma
+    H[-layout.SIZE :, -layout.SIZE :] += np.outer(row, row)
 
 
 def _step(state: State, n_views: int, delta: Float, delta_points: Float) -> State:
     """The stepped state, the whole scene rescaled so that the spacing is one again."""
     poses = se3.exp(delta[: 6 * n_views].reshape(n_views, 6)) @ state.T_c_s
     points = move_points(state.points, tangent_basis(state.points), delta_points)
-    theta = state.theta + delta[-kit.SIZE :]
-    spacing = np.linalg.norm(theta[kit.CENTRE])
+    theta = state.theta + delta[-layout.SIZE :]
+    spacing = np.linalg.norm(theta[layout.CENTRE])
     poses[:, :3, 3] /= spacing
-    theta[kit.CENTRE] /= spacing
+    theta[layout.CENTRE] /= spacing
     points[:, 3] *= spacing
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return State(poses, points, theta)
@@ -151,7 +151,7 @@ def kit_evidence(
     pose = slice(6, n)
     H, g = normal.H, normal.g
     # only so that the length has a sigma: each window's t_p_a is one long in its own direction
-    _add_spacing(H, state.theta, kit.EVIDENCE_SPACING_SIGMA)
+    _add_spacing(H, state.theta, layout.EVIDENCE_SPACING_SIGMA)
     solved = np.linalg.solve(H[pose, pose] + 1e-9 * np.eye(n - 6), np.c_[H[pose, n:], g[pose]])
     information = H[n:, n:] - H[n:, pose] @ solved[:, :-1]
     gradient = g[n:] - H[n:, pose] @ solved[:, -1]

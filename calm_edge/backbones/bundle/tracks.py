@@ -10,21 +10,18 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.backbones.bundle.correspond import Found
+from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
 from calm_edge.geometry.flow import Gray, LucasKanade, away_from, follow, neighbouring_flow
 from calm_edge.types import Float, Float32, Int
 
 CORNERS_PER_VIEW = 320
 GRID = (8, 4)  # columns, rows: corners are spread over the picture
 EPIPOLAR_PX = 1.0
-# What a followed corner is off by, an axis, drift along its track included.
-FOLLOWED_PX = 0.5
 MATCHING = LucasKanade(
     window_px=17,
     levels=4,
@@ -48,26 +45,6 @@ class Tracks:
 
 # track (n,), view (n,), uv (n, 2) px, sigma (n,) px of one view
 Rows = tuple[Int, Int, Float32, Float32]
-
-
-class Matching(Protocol):
-    """Finds points without a guess, in place of Lucas-Kanade from one; from several threads."""
-
-    def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
-        """Pictures that will be asked for: what they need may begin. H_a_p: None if not known."""
-        ...
-
-    def along(self, source: Gray, target: Gray, uv: Float32) -> Found:
-        """Points uv (N, 2) px of a picture in a later one of the same eye."""
-        ...
-
-    def homography(self, primary: Gray, assistant: Gray) -> Float | None:
-        """Rough H_a_p (3, 3) px, the rotation and the zoom between the eyes; None where unsure."""
-        ...
-
-    def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Found:
-        """Primary points uv (N, 2) px in the assistant's picture, which H_a_p makes alike."""
-        ...
 
 
 def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) -> Float32:

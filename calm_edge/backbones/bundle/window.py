@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle import kit
+from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
 from calm_edge.backbones.bundle.problem import Measurements, State, project
-from calm_edge.backbones.bundle.tracks import FOLLOWED_PX, Matching, Tracks, window_tracks
+from calm_edge.backbones.bundle.tracks import Tracks, window_tracks
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
 
 MIN_VIEWS_OF_A_POINT = 3
@@ -63,8 +64,8 @@ def measure(
 
 def _infinite_homography(theta: Float, size: Int) -> Float:
     """H_a_p (3, 3): where far points seen by the primary appear to the assistant."""
-    K_p, K_a = (kit.camera_matrix(theta, eye, *size[eye]) for eye in (0, 1))
-    return np.asarray(K_a @ kit.rig(theta)[:3, :3].T @ np.linalg.inv(K_p))
+    K_p, K_a = (layout.camera_matrix(theta, eye, *size[eye]) for eye in (0, 1))
+    return np.asarray(K_a @ layout.rig(theta)[:3, :3].T @ np.linalg.inv(K_p))
 
 
 def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:

@@ -10,15 +10,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.decode.decoder import decode
-from calm_edge.backbones.manifest import Manifest, ManifestError, Precision
+from calm_edge.backbones.feedforward.decode.decoder import decode
 from calm_edge.backbones.model_check import probe, sanity
 from calm_edge.backbones.model_check.golden import Case, deviation, fits_of, read_cases
 from calm_edge.backbones.model_check.probe import Limits, Measured
 from calm_edge.backbones.model_check.sanity import Reprojection
-from calm_edge.backbones.model_folder import verify
-from calm_edge.backbones.session import Session, Tensor
-from calm_edge.backbones.verdict import Verdict
+from calm_edge.backbones.onnx.manifest import Manifest, ManifestError, Precision
+from calm_edge.backbones.onnx.model_folder import verify
+from calm_edge.backbones.onnx.session import Session, Tensor
+from calm_edge.backbones.onnx.verdict import Verdict
 
 # A smaller number format has to earn the accuracy it costs.
 WORTH_IT = 0.9

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calm_edge.backbones.manifest import Manifest, ManifestError
-from calm_edge.backbones.picture_input import Fit, fit_pictures, input_tensor
-from calm_edge.backbones.session import Tensor
+from calm_edge.backbones.onnx.manifest import Manifest, ManifestError
+from calm_edge.backbones.onnx.picture_input import Fit, fit_pictures, input_tensor
+from calm_edge.backbones.onnx.session import Tensor
 from calm_edge.types import Bytes
 
 PICTURES = "pictures"

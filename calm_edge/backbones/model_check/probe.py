@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calm_edge.backbones.manifest import FrameRange, Manifest, ManifestError, Precision
+from calm_edge.backbones.onnx.manifest import FrameRange, Manifest, ManifestError, Precision
 
 # Of the memory that is free now, what a model may take: capture, tracker and optimiser need some.
 MEMORY_SHARE = 0.6

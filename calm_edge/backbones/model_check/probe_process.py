@@ -17,12 +17,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from calm_edge.backbones.manifest import Manifest, Precision
+from calm_edge.backbones.feedforward.network import Network
 from calm_edge.backbones.model_check.golden import read_cases
-from calm_edge.backbones.model_folder import read_manifest
-from calm_edge.backbones.network import Network
-from calm_edge.backbones.picture_input import fit_pictures
-from calm_edge.backbones.session import Session
+from calm_edge.backbones.onnx.manifest import Manifest, Precision
+from calm_edge.backbones.onnx.model_folder import read_manifest
+from calm_edge.backbones.onnx.picture_input import fit_pictures
+from calm_edge.backbones.onnx.session import Session
 from calm_edge.types import CalmEdgeError
 
 # A run that takes no time is timed several times.

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.backbones.decode import geometry
-from calm_edge.backbones.decode.decoder import Decoded
-from calm_edge.backbones.manifest import ManifestError, Outputs
-from calm_edge.backbones.session import Tensor
+from calm_edge.backbones.feedforward.decode import geometry
+from calm_edge.backbones.feedforward.decode.decoder import Decoded
+from calm_edge.backbones.onnx.manifest import ManifestError, Outputs
+from calm_edge.backbones.onnx.session import Tensor
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import Float, Float32, Int
 

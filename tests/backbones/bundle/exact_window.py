@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calm_edge.backbones.bundle import kit, problem
+from calm_edge.backbones.bundle import problem
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from calm_edge.types import Float
 
 SIZE = np.array([[640, 240], [480, 200]])
@@ -17,7 +18,7 @@ PERIOD_S = 0.3
 
 def theta_of(hfov_deg=(76.0, 66.0), rotation_deg=(1.0, -3.7, 1.2), radial=(0.0, 0.0)) -> Float:
     """(15,) a kit with two focals and 4 degrees between its eyes."""
-    theta = kit.prior(hfov_deg).mean
+    theta = layout.prior(hfov_deg).mean
     theta[[3, 7]] = radial
     theta[8:11] = np.radians(rotation_deg)
     theta[11:14] = np.array([0.99, 0.03, 0.1]) / np.linalg.norm([0.99, 0.03, 0.1])
@@ -68,7 +69,7 @@ def window(
     rng = np.random.default_rng(seed)
     n = len(T_s_p)
     t = PERIOD_S * np.arange(n)
-    T_s_a = se3.interpolate_at(t, T_s_p, t + delay_s) @ kit.rig(theta)
+    T_s_a = se3.interpolate_at(t, T_s_p, t + delay_s) @ layout.rig(theta)
     T_c_s = se3.inverse(np.concatenate([T_s_p, T_s_a]))
     # a point is born in front of some view, nearer ones more often
     ahead = np.exp(rng.uniform(np.log(5), np.log(300), n_points))
@@ -82,7 +83,7 @@ def window(
     view, point = (index.ravel() for index in np.indices((2 * n, n_points)))
     every = problem.Measurements(
         view, point, np.zeros((len(view), 2)), np.full(len(view), 0.5),
-        np.repeat([0, 1], n), np.concatenate([t, t + delay_s - theta[kit.LATE]]), SIZE,
+        np.repeat([0, 1], n), np.concatenate([t, t + delay_s - theta[layout.LATE]]), SIZE,
     )  # fmt: skip
     truth = problem.State(T_c_s, X, theta)
     uv, q = problem.project(truth, every)
@@ -105,6 +106,6 @@ def perturbed(truth: problem.State, *, seed: int = 1, pose: float = 0.02, focal:
     twist[:, 3:] /= 4
     points = truth.points + pose * truth.points[:, 3:] * rng.standard_normal(truth.points.shape)
     theta = truth.theta + np.r_[focal, 0, 0, 0, -focal, 0, 0, 0, pose * rng.standard_normal(6), 0]
-    theta[kit.CENTRE] /= np.linalg.norm(theta[kit.CENTRE])
+    theta[layout.CENTRE] /= np.linalg.norm(theta[layout.CENTRE])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return problem.State(se3.exp(twist) @ truth.T_c_s, points, theta)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calm_edge.backbones.bundle import alike
-from calm_edge.backbones.bundle.correspond import Found
+from calm_edge.backbones.bundle.matching import Found
 from calm_edge.backbones.bundle.tracks import on_epipolar_lines
 
 SIZE = (192, 640)

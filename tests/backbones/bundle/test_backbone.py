@@ -8,13 +8,14 @@ import pytest
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import backbone as bundle
-from calm_edge.backbones.bundle import kit, tracks, window
-from calm_edge.backbones.kit_belief import product
+from calm_edge.backbones.bundle import tracks, window
 from calm_edge.config import BackboneConfig
 from calm_edge.evaluation.trajectory import path_length
-from calm_edge.frontend.sequence import ORIGIN_NS
 from calm_edge.geometry import se3
 from calm_edge.geometry.similarity import align
+from calm_edge.kit import layout
+from calm_edge.kit.belief import product
+from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Hints, KitBelief, Prediction
 from tests.synthetic.drive import Settings, T_primary_assistant, exposed, make_rig
 from tests.synthetic.render import render_views
@@ -148,8 +149,8 @@ def test_a_straight_drive_knows_its_shape_but_says_it_does_not_know_the_focal(
 
 def sharp(log_focal, sigma):
     """A belief on the two focals alone."""
-    mean, information = np.zeros(kit.SIZE), np.zeros((kit.SIZE, kit.SIZE))
-    focals = list(kit.LOG_FOCAL)
+    mean, information = np.zeros(layout.SIZE), np.zeros((layout.SIZE, layout.SIZE))
+    focals = list(layout.LOG_FOCAL)
     mean[focals], information[focals, focals] = log_focal, sigma**-2
     return KitBelief(mean, information)
 
@@ -212,7 +213,7 @@ def test_what_turns_taught_carries_a_straight_drive(
     off = se3.so3_log(rig_of(told, straight)[:, :3, :3].swapaxes(1, 2) @ T_P_A[:3, :3])
     assert np.degrees(np.linalg.norm(off, axis=1)).max() < 0.5
     # it hands on what it saw itself, not what it was told
-    own = np.linalg.inv(product([kit.prior((None, None)), told.kit]).information)
+    own = np.linalg.inv(product([layout.prior((None, None)), told.kit]).information)
     assert np.sqrt(own[0, 0]) > 0.1
 
 
@@ -263,8 +264,8 @@ def test_belief_is_the_prior_times_what_others_taught(solved):
     told = bundle.believed(
         Hints(eyes=np.array([0, 1]), t_ns=np.zeros(2, int), hfov_deg=(78.0, None), kit=solved.kit)
     )
-    prior = kit.prior((78.0, None))
+    prior = layout.prior((78.0, None))
     assert np.allclose(told.information, prior.information + solved.kit.information)
     assert np.linalg.norm(told.mean[11:14]) == pytest.approx(1, abs=1e-12)
     alone = bundle.believed(Hints(eyes=np.array([0, 1]), t_ns=np.zeros(2, int)))
-    assert np.array_equal(alone.mean, kit.prior((None, None)).mean)
+    assert np.array_equal(alone.mean, layout.prior((None, None)).mean)

@@ -5,7 +5,7 @@ import pytest
 
 from calm_edge.backbones.bundle import correspond
 from calm_edge.backbones.bundle.features import Features
-from calm_edge.backbones.picture_input import Fit
+from calm_edge.backbones.onnx.picture_input import Fit
 
 CELLS = (12, 20)
 INPUT = (160, 96)

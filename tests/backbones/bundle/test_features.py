@@ -8,8 +8,8 @@ import pytest
 
 from calm_edge.backbones.bundle import features
 from calm_edge.backbones.bundle.features import FeatureNet
-from calm_edge.backbones.manifest import ManifestError
-from calm_edge.backbones.model_folder import find_model, read_manifest
+from calm_edge.backbones.onnx.manifest import ManifestError
+from calm_edge.backbones.onnx.model_folder import find_model, read_manifest
 from tests.backbones.bundle.demo_pictures import picture
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle import initialise, kit
+from calm_edge.backbones.bundle import initialise
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from tests.backbones.bundle.exact_window import theta_of, turn, window
 
 N = 8
@@ -22,9 +23,9 @@ def rotation_deg(T, T_true):
 
 def guess_of(truth, factor):
     """The truth's optics with both focals off by a factor, and nothing of the rig."""
-    theta = kit.prior((None, None)).mean
+    theta = layout.prior((None, None)).mean
     theta[:8] = truth.theta[:8]
-    theta[list(kit.LOG_FOCAL)] += np.log(factor)
+    theta[list(layout.LOG_FOCAL)] += np.log(factor)
     return theta
 
 
@@ -70,7 +71,7 @@ def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
     # the turn of 33 degrees looks longer to a shorter focal
     assert rotation_deg(state.T_c_s, truth.T_c_s).max() < 10
     assert np.abs(np.diff(rotation_deg(state.T_c_s, truth.T_c_s)[:N])).max() < 3
-    assert rotation_deg(kit.rig(state.theta), kit.rig(truth.theta)) < 2
+    assert rotation_deg(layout.rig(state.theta), layout.rig(truth.theta)) < 2
     assert np.linalg.norm(state.theta[11:14]) == pytest.approx(1)
     # lengths are in spacings, so the distance driven tells whether the spacing was found
     driven, true = (np.linalg.norm(se3.inverse(T[[0, N - 1]])[1, :3, 3] - se3.inverse(T[0])[:3, 3])
@@ -83,7 +84,7 @@ def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
 @pytest.mark.parametrize("factor", [0.75, 1.3])
 def test_the_assistants_focal_is_found_from_the_primarys_points(exact, factor):
     theta = guess_of(exact.truth, 1.0)
-    theta[kit.LOG_FOCAL[1]] += np.log(factor)
+    theta[layout.LOG_FOCAL[1]] += np.log(factor)
     state = initialise.initial_state(exact.m, theta, rig_known=False, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta, atol=5e-3)
 

@@ -6,7 +6,7 @@ import pytest
 
 from calm_edge.backbones.bundle import learned, tracks
 from calm_edge.backbones.bundle.backbone import BundleBackbone
-from calm_edge.backbones.bundle.correspond import Found
+from calm_edge.backbones.bundle.matching import Found
 from calm_edge.config import BackboneConfig
 from tests.backbones.bundle.demo_pictures import picture
 

@@ -6,13 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from calm_edge.backbones.bundle import kit, loop_view
+from calm_edge.backbones.bundle import loop_view
 from calm_edge.backbones.bundle.backbone import BundleBackbone
 from calm_edge.backbones.bundle.depth import loop_sources
-from calm_edge.backbones.bundle.loop_view import LoopTracks, has_loop, locate, window_part
+from calm_edge.backbones.bundle.loop_view import LoopTracks, locate, window_part
 from calm_edge.config import BackboneConfig
-from calm_edge.frontend.sequence import ORIGIN_NS
 from calm_edge.geometry import pinhole, se3
+from calm_edge.kit import layout
+from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Hints, KitBelief
 from tests.synthetic.drive import Settings, exposed, make_rig
 from tests.synthetic.render import render_views
@@ -57,6 +58,7 @@ def batch() -> Batch:
         t_ns=ORIGIN_NS + 400_000_000_000 + np.round(t * 1e9).astype(np.int64),
         hfov_deg=SETTINGS.hfov_deg,
         sizes=np.array([size, size]),
+        loop=True,
     )
     return Batch(images[:-1], hints, images[-1], T_w_p)
 
@@ -93,10 +95,9 @@ def T_loop_error(prediction, batch):
     return np.linalg.norm(off[:3, 3]), np.degrees(np.linalg.norm(se3.so3_log(off[:3, :3])))
 
 
-def test_a_batch_says_by_its_order_whether_it_has_a_loop_keyframe(batch):
-    assert has_loop(batch.hints) and not has_loop(loop_view.without_loop(batch.hints))
-    only_primary = replace(batch.hints, eyes=np.zeros(5, np.int64), t_ns=np.arange(5))
-    assert not has_loop(only_primary)
+def test_the_hints_of_the_window_alone_have_no_loop(batch):
+    hints = loop_view.without_loop(batch.hints)
+    assert not hints.loop and len(hints.eyes) == len(hints.t_ns) == 2 * N
 
 
 def test_the_loop_view_is_placed_to_centimetres(solved, batch):
@@ -144,9 +145,9 @@ def test_the_same_batch_gives_the_same_bits(solved, alone, batch):
 
 def wider(hints, log_focal):
     """The hints with both focals known to be that much longer (log) than they are."""
-    size = len(kit.prior((None, None)).mean)
+    size = len(layout.prior((None, None)).mean)
     mean, information = np.zeros(size), np.zeros((size, size))
-    for index, hfov in zip(kit.LOG_FOCAL, SETTINGS.hfov_deg, strict=True):
+    for index, hfov in zip(layout.LOG_FOCAL, SETTINGS.hfov_deg, strict=True):
         mean[index] = -np.log(2 * np.tan(np.radians(hfov) / 2)) + log_focal
         information[index, index] = 0.002**-2
     return replace(hints, hfov_deg=(None, None), kit=KitBelief(mean, information))

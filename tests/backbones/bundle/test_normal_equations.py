@@ -2,8 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calm_edge.backbones.bundle import kit, problem
 from calm_edge.backbones.bundle import normal_equations as equations
+from calm_edge.backbones.bundle import problem
+from calm_edge.kit import layout
 from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
 
 
@@ -21,7 +22,7 @@ def test_eliminating_points_is_the_schur_complement_of_the_whole():
 
     jac = problem.reprojection(state, m, problem.tangent_basis(state.points))
     n, points = m.n_views, len(state.points)
-    D = 6 * n + kit.SIZE
+    D = 6 * n + layout.SIZE
     J = np.zeros((len(m.uv), 2, D + 3 * points))
     for o, (view, point) in enumerate(zip(m.view, m.point, strict=True)):
         J[o, :, 6 * view : 6 * view + 6] = jac.camera[:6, :, o].T

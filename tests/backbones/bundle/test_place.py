@@ -10,10 +10,10 @@ from calm_edge.backbones.bundle import place as learned_place
 from calm_edge.backbones.bundle.backbone import BundleBackbone
 from calm_edge.backbones.bundle.features import FeatureNet
 from calm_edge.backbones.bundle.place import LearnedPlace
-from calm_edge.backbones.model_folder import find_model, read_manifest
-from calm_edge.backbones.place import GradientLayout, descriptor_of
+from calm_edge.backbones.onnx.model_folder import find_model, read_manifest
 from calm_edge.config import BackboneConfig, Config, ConfigError, merge
-from calm_edge.localizer import Localizer
+from calm_edge.estimator.localizer import Localizer
+from calm_edge.loops.descriptor import GradientLayout, descriptor_of
 from tests.backbones.bundle.demo_pictures import picture
 
 PLACES = tuple(range(0, 72, 6))

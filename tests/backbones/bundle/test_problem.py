@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calm_edge.backbones.bundle import kit, problem
+from calm_edge.backbones.bundle import problem
 from calm_edge.backbones.bundle.problem import State
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
 
 H = 1e-6
@@ -70,7 +71,7 @@ def test_pixels_are_the_pinholes_where_nothing_is_bent():
     made = window(turn(3), theta_of(), n_points=30)
     uv, q = problem.project(made.truth, made.m)
     right = made.m.eye[made.m.view] == 1
-    K = kit.camera_matrix(made.truth.theta, 1, 480, 200)
+    K = layout.camera_matrix(made.truth.theta, 1, 480, 200)
     expected = (q[right] / q[right, 2:]) @ K.T
     assert np.allclose(uv[right], expected[:, :2])
     assert np.allclose(made.m.uv, uv)
@@ -81,7 +82,7 @@ def test_a_radial_term_pushes_pixels_out_by_the_square_of_their_radius():
     flat, bent = (window(turn(3), theta_of(radial=(k, 0)), n_points=30).truth for k in (0, 0.1))
     bent = replace(bent, points=flat.points, T_c_s=flat.T_c_s)
     left = m.eye[m.view] == 0
-    K = kit.camera_matrix(flat.theta, 0, 640, 240)
+    K = layout.camera_matrix(flat.theta, 0, 640, 240)
     before = (problem.project(flat, m)[0] - K[:2, 2]) / K[0, 0]
     after = (problem.project(bent, m)[0] - K[:2, 2]) / K[0, 0]
     r2 = (before**2).sum(1, keepdims=True)
@@ -132,7 +133,7 @@ def test_a_point_behind_its_view_is_told():
 def residuals(state: State, ties):
     T = state.T_c_s
     views = T[ties.before], T[ties.after], T[ties.assistant]
-    return problem.tie_residuals(*views, kit.rig(state.theta), state.theta[kit.LATE], ties)
+    return problem.tie_residuals(*views, layout.rig(state.theta), state.theta[layout.LATE], ties)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.017, 0.12, -0.05])

@@ -4,16 +4,17 @@ from itertools import accumulate
 import numpy as np
 import pytest
 
-from calm_edge.backbones.bundle import kit, problem, solver
-from calm_edge.backbones.kit_belief import product
+from calm_edge.backbones.bundle import problem, solver
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
+from calm_edge.kit.belief import product
 from calm_edge.types import KitBelief
 from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
 
 N = 8
-PRIOR = kit.prior((None, None))
+PRIOR = layout.prior((None, None))
 VAGUE = KitBelief(PRIOR.mean, 1e-3 * PRIOR.information)
-FOCALS = list(kit.LOG_FOCAL)
+FOCALS = list(layout.LOG_FOCAL)
 
 
 def evidence(made, tempering=1.0):
@@ -59,7 +60,7 @@ def test_a_prior_decides_where_the_pixels_are_silent():
     made = window(turn(N, yaw_rad=0.0), theta_of())
     mean = made.truth.theta.copy()
     mean[FOCALS] += 0.05
-    sure = KitBelief(mean, kit.prior((76.0, 66.0)).information)
+    sure = KitBelief(mean, layout.prior((76.0, 66.0)).information)
     solution = solver.solve(made.truth, made.m, made.ties, sure)
     assert solution.state.theta[FOCALS] == pytest.approx(mean[FOCALS], abs=0.01)
 
@@ -83,8 +84,8 @@ def test_a_point_started_in_a_view_is_no_end_of_the_window():
 def test_a_step_that_lengthens_the_rig_rescales_the_scene_instead():
     made = window(turn(3), theta_of(), n_points=25)
     n = made.m.n_views
-    delta = np.zeros(6 * n + kit.SIZE)
-    delta[6 * n :][kit.CENTRE] = 0.25 * made.truth.theta[kit.CENTRE]
+    delta = np.zeros(6 * n + layout.SIZE)
+    delta[6 * n :][layout.CENTRE] = 0.25 * made.truth.theta[layout.CENTRE]
     still = np.zeros((len(made.truth.points), 3))
     state = solver._step(made.truth, n, delta, still)
     assert np.allclose(state.theta, made.truth.theta)
@@ -107,12 +108,12 @@ def test_a_straight_drive_says_nothing_of_the_focal_and_a_turn_does(curved):
     assert sigma(curved)[FOCALS].max() < 0.01
     # both focals can still change together
     assert sigma(straight)[FOCALS].min() > 0.1
-    u = np.zeros(kit.SIZE)
+    u = np.zeros(layout.SIZE)
     u[FOCALS] = np.sqrt(0.5)
-    others = np.delete(np.arange(kit.SIZE), FOCALS)
+    others = np.delete(np.arange(layout.SIZE), FOCALS)
 
     def along_focal(belief):
-        A = belief.information + 1e-6 * np.eye(kit.SIZE)
+        A = belief.information + 1e-6 * np.eye(layout.SIZE)
         cross = A[others] @ u
         return u @ A @ u - cross @ np.linalg.solve(A[np.ix_(others, others)], cross)
 
@@ -134,7 +135,7 @@ def test_evidence_does_not_hold_what_the_prior_said():
     made = window(turn(N), theta_of(), noise_px=0.3)
     mean = made.truth.theta.copy()
     mean[FOCALS] += 0.01
-    sure = KitBelief(mean, kit.prior((76.0, 66.0)).information)
+    sure = KitBelief(mean, layout.prior((76.0, 66.0)).information)
     pulled = solver.solve(made.truth, made.m, made.ties, sure)
     free = solver.solve(made.truth, made.m, made.ties, PRIOR)
     beliefs = [solver.kit_evidence(s, made.m, made.ties, 2.0, 1.0) for s in (pulled, free)]
@@ -176,7 +177,7 @@ def changing_speed(n):
 
 def test_lateness_shows_where_the_speed_changes_and_not_at_constant_velocity():
     theta = theta_of()
-    theta[kit.LATE] = 0.02
+    theta[layout.LATE] = 0.02
     sigmas = []
     for T_s_p in (
         changing_speed(N),
@@ -186,6 +187,6 @@ def test_lateness_shows_where_the_speed_changes_and_not_at_constant_velocity():
         start = replace(made.truth, theta=theta_of())
         solution = solver.solve(start, made.m, made.ties, PRIOR)
         belief = product([PRIOR, solver.kit_evidence(solution, made.m, made.ties, 2.0, 1.0)])
-        sigmas.append(np.sqrt(np.linalg.inv(belief.information)[kit.LATE, kit.LATE]))
-        assert abs(belief.mean[kit.LATE] - 0.02) < 4 * sigmas[-1]
-    assert sigmas[0] < 0.3 * kit.LATE_SIGMA_S and sigmas[1] > 0.8 * kit.LATE_SIGMA_S
+        sigmas.append(np.sqrt(np.linalg.inv(belief.information)[layout.LATE, layout.LATE]))
+        assert abs(belief.mean[layout.LATE] - 0.02) < 4 * sigmas[-1]
+    assert sigmas[0] < 0.3 * layout.LATE_SIGMA_S and sigmas[1] > 0.8 * layout.LATE_SIGMA_S

@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calm_edge.backbones.bundle import kit, problem, solver, stamps
+from calm_edge.backbones.bundle import problem, solver, stamps
+from calm_edge.kit import layout
 from calm_edge.types import KitBelief
 from tests.backbones.bundle.exact_window import DELAY_S, perturbed, theta_of, turn, window
 
@@ -130,6 +131,6 @@ def test_derivatives_of_corrected_ties_predict_a_step():
     ties = stamps.corrected(made.ties, state)
     residual, J = problem.tie_jacobians(state, ties)
     later = state.theta.copy()
-    later[kit.LATE] += 1e-6
+    later[layout.LATE] += 1e-6
     change = problem.tie_jacobians(replace(state, theta=later), ties)[0] - residual
     assert np.allclose(J[..., -1] * 1e-6, change, atol=1e-3 * np.abs(change).max())

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from onnx import parser, save_model
 
-from calm_edge.backbones import verdict
-from calm_edge.backbones.base import BackboneError, open_backbone
-from calm_edge.backbones.manifest import FrameRange
+from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.model_check import probe
 from calm_edge.backbones.model_check.check import Report, _choose, check
 from calm_edge.backbones.model_check.probe import Limits, Measured, ladder, steps
-from calm_edge.backbones.model_folder import read_manifest
+from calm_edge.backbones.onnx import verdict
+from calm_edge.backbones.onnx.manifest import FrameRange
+from calm_edge.backbones.onnx.model_folder import read_manifest
+from calm_edge.backbones.registry import open_backbone
 from calm_edge.cli import main
 from calm_edge.config import Config, merge
 from tests.backbones.painted_model import sha256, write_model
@@ -239,7 +240,7 @@ def test_a_bundle_is_checked_graph_by_graph(tmp_path, capsys):
 
 
 def test_models_are_listed_with_what_is_known(tmp_path, capsys, monkeypatch):
-    from calm_edge.backbones import model_folder
+    from calm_edge.backbones.onnx import model_folder
 
     monkeypatch.setattr(model_folder, "MODELS", tmp_path / "models")
     assert main(["model", "list"]) == 0

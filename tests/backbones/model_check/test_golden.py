@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calm_edge.backbones.manifest import FrameRange, ManifestError
 from calm_edge.backbones.model_check.golden import deviation, fits_of, read_cases
-from calm_edge.backbones.model_folder import read_manifest
+from calm_edge.backbones.onnx.manifest import FrameRange, ManifestError
+from calm_edge.backbones.onnx.model_folder import read_manifest
 from tests.backbones.painted_model import write_model
 
 

@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calm_edge.backbones.decode.decoder import Decoded
-from calm_edge.backbones.manifest import (
+from calm_edge.backbones.feedforward.decode.decoder import Decoded
+from calm_edge.backbones.model_check.sanity import (
+    check_numbers,
+    check_poses,
+    check_reprojection,
+    reprojection,
+)
+from calm_edge.backbones.onnx.manifest import (
     ConfidenceOutput,
     GeometryOutput,
     IntrinsicsOutput,
     ManifestError,
     Outputs,
     PoseOutput,
-)
-from calm_edge.backbones.model_check.sanity import (
-    check_numbers,
-    check_poses,
-    check_reprojection,
-    reprojection,
 )
 from calm_edge.geometry import se3
 from tests.backbones.raw_scene import make_scene

@@ -1,0 +1,176 @@
+"""A list of sub-maps into one world by any pairwise alignment: a row of the paper's tables."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bench.baselines import pose_graph, sim3, sl4, spacing
+from bench.baselines.overlap import BaselineError, Correspondences
+from calm_edge.types import CalmEdgeError, Float, Int, Submap
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """How two sub-maps are tied and what their cameras become.
+
+    place: (previous, new, correspondences) -> T_previous_new (4, 4). poses: (T_w_s, sub-map) ->
+    T_w_c (N, 4, 4). Both raise BaselineError. group: of the pose graph that loops need.
+    """
+
+    name: str
+    place: Callable[[Submap, Submap, Correspondences], Float]
+    poses: Callable[[Float, Submap], Float]
+    group: Literal["sim3", "sl4"]
+
+
+ALIGNMENTS = {
+    "sim3": Alignment("Sim(3)", sim3.place, sim3.poses, "sim3"),
+    "sl4": Alignment("SL(4)", sl4.place, sl4.poses, "sl4"),
+    "spacing": Alignment("spacing", spacing.place, sim3.poses, "sim3"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LoopOverlap:
+    """Two sub-maps, by their place in the list, that saw a picture in common; previous < new."""
+
+    previous: int
+    new: int
+    matches: Correspondences
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineResult:
+    """Where an alignment put the primary keyframes; a row of a table even when it failed.
+
+    keyframe_ids (N,), t_ns (N,): each keyframe once, in the first sub-map that holds it. T_w_c:
+    (N, 4, 4), None when `failed` says why not. transforms: (S, 4, 4) homogeneous, raw sub-map
+    points -> world; those placed before a failure. The world is the first sub-map's frame, its
+    unit the world unit of the first sub-map's own scale. loops: how many were closed.
+    """
+
+    name: str
+    keyframe_ids: Int
+    t_ns: Int
+    T_w_c: Float | None
+    failed: str
+    transforms: Float
+    loops: int = 0
+
+    def transform_points(self, k: int, points_s: Float) -> Float:
+        """Raw points (..., 3) of the k-th sub-map -> world; IndexError where it was not placed."""
+        T = self.transforms[k]
+        moved = points_s @ T[:3, :3].T + T[:3, 3]
+        with np.errstate(all="ignore"):
+            return np.asarray(moved / (points_s @ T[3, :3] + T[3, 3])[..., None])
+
+
+def chain(
+    alignment: Alignment,
+    submaps: Sequence[Submap],
+    overlaps: Iterable[Correspondences],
+    loops: Iterable[LoopOverlap] = (),
+) -> BaselineResult:
+    """Places every sub-map by its predecessor, then closes loops if there are any.
+
+    overlaps: between sub-maps k - 1 and k for k = 1, 2 ...; may be lazy, one is held at a time.
+    Never raises what the data cause, a lazy overlap's CalmEdgeError included: the result then says
+    how it failed. A loop that cannot be aligned is left out and logged.
+    """
+    rows = [(k, view) for k, views in enumerate(_first_views(submaps)) for view in views]
+    keyframe_ids = np.array([submaps[k].primary_ids[view] for k, view in rows], np.int64)
+    t_ns = np.array([submaps[k].t_ns[view] for k, view in rows], np.int64)
+    transforms: list[Float] = []
+    T_w_c, failed, closed = None, "", 0
+    try:
+        # what an alignment makes of broken input is found by looking at its result
+        with np.errstate(all="ignore"):
+            ties = _ties(alignment, submaps, overlaps, transforms)
+            closures = _closures(alignment, submaps, loops)
+            if closures:
+                T = pose_graph.optimise(alignment.group, np.stack(transforms), ties, closures)
+                transforms, closed = list(T), len(closures)
+            T_w_c = _poses(alignment, submaps, transforms, rows)
+    except CalmEdgeError as error:
+        failed = str(error)
+    placed = np.array(transforms).reshape(-1, 4, 4)
+    return BaselineResult(alignment.name, keyframe_ids, t_ns, T_w_c, failed, placed, closed)
+
+
+def _first_views(submaps: Sequence[Submap]) -> list[list[int]]:
+    """The primary views of each sub-map whose keyframe no earlier one has."""
+    seen: set[int] = set()
+    views = []
+    for submap in submaps:
+        views.append([view for view, i in enumerate(submap.primary_ids) if i not in seen])
+        seen.update(submap.primary_ids)
+    return views
+
+
+def _ties(
+    alignment: Alignment,
+    submaps: Sequence[Submap],
+    overlaps: Iterable[Correspondences],
+    transforms: list[Float],
+) -> list[pose_graph.Tie]:
+    """Fills `transforms` as far as it gets."""
+    if not submaps:
+        raise BaselineError("there is no sub-map")
+    transforms.append(np.diag([submaps[0].scale] * 3 + [1.0]))
+    ties: list[pose_graph.Tie] = []
+    following = iter(overlaps)
+    for k in range(1, len(submaps)):
+        matches = next(following, None)
+        if matches is None:
+            raise BaselineError(f"sub-map {submaps[k].id}: no overlap was given")
+        T = _placed(alignment, submaps[k - 1], submaps[k], matches)
+        T_w_s = transforms[-1] @ T
+        if not (np.isfinite(T_w_s).all() and np.linalg.det(T_w_s) > 0):
+            raise BaselineError(f"sub-map {submaps[k].id}: the chain is not finite any more")
+        transforms.append(T_w_s)
+        ties.append(pose_graph.Tie(k - 1, k, T))
+    return ties
+
+
+def _closures(
+    alignment: Alignment, submaps: Sequence[Submap], loops: Iterable[LoopOverlap]
+) -> list[pose_graph.Tie]:
+    closures = []
+    for loop in loops:
+        try:
+            T = _placed(alignment, submaps[loop.previous], submaps[loop.new], loop.matches)
+        except BaselineError as error:
+            log.warning("%s: a loop is left out: %s", alignment.name, error)
+            continue
+        closures.append(pose_graph.Tie(loop.previous, loop.new, T))
+    return closures
+
+
+def _placed(alignment: Alignment, previous: Submap, new: Submap, matches: Correspondences) -> Float:
+    try:
+        return alignment.place(previous, new, matches)
+    except (BaselineError, np.linalg.LinAlgError) as error:
+        raise BaselineError(f"sub-map {new.id} by {previous.id}: {error}") from None
+
+
+def _poses(
+    alignment: Alignment,
+    submaps: Sequence[Submap],
+    transforms: Sequence[Float],
+    rows: Sequence[tuple[int, int]],
+) -> Float:
+    """T_w_c (N, 4, 4) of the rows (sub-map, view)."""
+    T_w_c = []
+    for submap, T_w_s in zip(submaps, transforms, strict=True):
+        try:
+            T_w_c.append(alignment.poses(T_w_s, submap))
+        except BaselineError as error:
+            raise BaselineError(f"sub-map {submap.id}: {error}") from None
+    return np.stack([T_w_c[k][view] for k, view in rows])

@@ -1,0 +1,84 @@
+"""Loops of a chain of sub-maps: a pose graph over the sub-maps on Sim(3) or SL(4), by GTSAM."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from bench.baselines.overlap import BaselineError
+from bench.baselines.sl4 import special
+from calm_edge.geometry.similarity import Similarity
+from calm_edge.types import Float
+
+# VGGT-SLAM's sigma of every component; VGGT-Long weighs every edge and component alike too.
+SIGMA = 0.05
+_HELD = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Tie:
+    """A measured T_previous_new (4, 4) between two sub-maps, by their place in the list."""
+
+    previous: int
+    new: int
+    T_previous_new: Float
+
+
+def optimise(
+    group: Literal["sim3", "sl4"], T_w_s: Float, ties: Sequence[Tie], loops: Sequence[Tie]
+) -> Float:
+    """T_w_s (S, 4, 4) at the optimum, the first where it was; raises BaselineError.
+
+    No robust kernels, as published: with one, the true loop of a long drive is an outlier.
+    Lengths are divided by the median step between sub-maps, as if the model normalised its
+    scenes: all components of an error then weigh alike in any unit.
+    """
+    import gtsam
+
+    steps = [np.linalg.norm(tie.T_previous_new[:3, 3] / tie.T_previous_new[3, 3]) for tie in ties]
+    length = float(np.median(steps)) or 1.0
+    shrink = np.diag([1 / length] * 3 + [1.0])
+    grow = np.diag([length] * 3 + [1.0])
+    element = _similarity if group == "sim3" else _homography
+    between = gtsam.BetweenFactorSimilarity3 if group == "sim3" else gtsam.BetweenFactorSL4
+    prior = gtsam.PriorFactorSimilarity3 if group == "sim3" else gtsam.PriorFactorSL4
+    noise = gtsam.noiseModel.Isotropic.Sigma(7 if group == "sim3" else 15, SIGMA)
+    held = gtsam.noiseModel.Isotropic.Sigma(noise.dim(), _HELD)
+    try:
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        first = np.linalg.inv(T_w_s[0])
+        for k, T in enumerate(T_w_s):
+            values.insert(k, element(shrink @ first @ T @ grow))
+        graph.add(prior(0, element(np.eye(4)), held))
+        for tie in (*ties, *loops):
+            measured = element(shrink @ tie.T_previous_new @ grow)
+            graph.add(between(tie.previous, tie.new, measured, noise))
+        best = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+        at = best.atSimilarity3 if group == "sim3" else best.atSL4
+        T = np.stack([at(k).matrix() for k in range(len(T_w_s))])
+    except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+        raise BaselineError(f"the pose graph failed: {' '.join(str(error).split())}") from None
+    # gtsam's similarity matrix is [[R, t], [0, 1 / scale]]
+    T = T_w_s[0] @ grow @ (T / T[:, 3:, 3:] if group == "sim3" else T) @ shrink
+    if not np.isfinite(T).all():
+        raise BaselineError("the pose graph's result is not finite")
+    return np.asarray(T)
+
+
+def _similarity(T: Float) -> Any:
+    import gtsam
+
+    if not (np.isfinite(T).all() and np.linalg.det(T[:3, :3]) > 0):
+        raise BaselineError("the pose graph got what is no similarity")
+    s = Similarity.from_matrix(T)
+    # gtsam's acts as scale (R p + t)
+    return gtsam.Similarity3(gtsam.Rot3(s.R), s.t / s.scale, s.scale)
+
+
+def _homography(T: Float) -> Any:
+    import gtsam
+
+    return gtsam.SL4(special(T))

@@ -1,0 +1,154 @@
+"""SL(4): each sub-map by the homography of the overlap, as VGGT-SLAM does.
+
+Maggio et al., "VGGT-SLAM: Dense RGB SLAM Optimized on the SL(4) Manifold", 2025: 4x4 homographies
+from five-point samples, of determinant one; poses by decomposing the moved projection matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.baselines.overlap import BaselineError, Correspondences
+from calm_edge.types import Float, Submap
+
+SAMPLES = 300
+# Published: 0.01 where the mean distance of a scene's points is one.
+INLIER_DISTANCE = 0.01
+SEED = 0
+# Points a sample is scored on, and points the homography is fitted to.
+_SCORED, _FITTED = 500, 1000
+_REFITS = 2
+# Where two homographies fit equally well to this share, the points leave it open.
+_OPEN = 1e-7
+
+
+def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
+    """T_previous_new (4, 4), det 1, between raw homogeneous points; raises BaselineError.
+
+    Deterministic: the samples are seeded.
+    """
+    matches = matches.finite()
+    n = len(matches.weight)
+    if n < 5:
+        raise BaselineError(f"{n} common points; SL(4) needs 5")
+    N_target, N_source = _normalisation(matches.previous), _normalisation(matches.new)
+    target = homogeneous(matches.previous) @ N_target.T
+    source = homogeneous(matches.new) @ N_source.T
+    limit = INLIER_DISTANCE * matches.unit() * N_target[0, 0]
+    rng = np.random.default_rng(SEED)
+    with np.errstate(all="ignore"):
+        H = _best_sample(source, target, limit, rng)
+        for _ in range(_REFITS):
+            (inlier,) = np.nonzero(_distance(H[None], source, target)[0] <= limit)
+            if len(inlier) < 5:
+                raise BaselineError(f"{len(inlier)} points agree on a homography; SL(4) needs 5")
+            some = rng.permutation(inlier)[:_FITTED]
+            H = _direct_linear(source[some], target[some])
+        H = special(np.linalg.inv(N_target) @ H @ N_source)
+    w = homogeneous(matches.new) @ H[3]
+    return -H if np.median(w) < 0 else H
+
+
+def poses(T_w_s: Float, submap: Submap) -> Float:
+    """T_w_c (N, 4, 4) of K [R | t] T_w_s^-1 of every view; raises BaselineError.
+
+    The calibration that the homography leaves in the projection matrices is split off and dropped.
+    """
+    with np.errstate(all="ignore"):
+        try:
+            T_c_w = np.linalg.inv(T_w_s @ submap.T_s_c_raw)
+            P = submap.K_raw @ T_c_w[:, :3]
+            M = P[:, :, :3]
+            centre = -np.linalg.solve(M, P[:, :, 3:])[..., 0]
+            R_c_w = _rotation(M * np.sign(np.linalg.det(M))[:, None, None])
+        except np.linalg.LinAlgError:
+            raise BaselineError("a camera cannot be decomposed") from None
+    T = np.tile(np.eye(4), (len(P), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = np.swapaxes(R_c_w, 1, 2), centre
+    if not np.isfinite(T).all():
+        raise BaselineError("a camera is not finite")
+    return T
+
+
+def special(H: Float) -> Float:
+    """H (4, 4) scaled to det 1; raises BaselineError where it mirrors space or is not finite."""
+    determinant = np.linalg.det(H) if np.isfinite(H).all() else np.nan
+    if not determinant > 0:
+        raise BaselineError(f"the homography's determinant is {determinant:.3g}, not above 0")
+    H = H / determinant**0.25
+    if not np.isfinite(H).all():
+        raise BaselineError("the homography is not finite")
+    return np.asarray(H)
+
+
+def homogeneous(p: Float) -> Float:
+    """(N, 3) -> (N, 4)."""
+    return np.column_stack([p, np.ones(len(p))])
+
+
+def _normalisation(p: Float) -> Float:
+    """(4, 4) moving points (N, 3) about the origin, at a mean distance of sqrt(3)."""
+    centre = p.mean(0)
+    distance = float(np.linalg.norm(p - centre, axis=1).mean())
+    if distance == 0:
+        raise BaselineError("the common points coincide")
+    N = np.diag([np.sqrt(3) / distance] * 3 + [1.0])
+    N[:3, 3] = -N[0, 0] * centre
+    return N
+
+
+def _best_sample(source: Float, target: Float, limit: float, rng: np.random.Generator) -> Float:
+    """The homography of five points that most points (N, 4) agree with."""
+    rows = rng.integers(0, len(source), (SAMPLES, 5))
+    B, B_target = _basis(source[rows]), _basis(target[rows])
+    volume, volume_target = np.linalg.det(B), np.linalg.det(B_target)
+    usable = np.isfinite(B).all((1, 2)) & np.isfinite(B_target).all((1, 2))
+    # four points in a plane, one point twice or a mirrored sample: no candidate
+    usable &= (np.abs(volume) > 1e-9) & (np.abs(volume_target) > 1e-9)
+    usable &= volume * volume_target > 0
+    if not usable.any():
+        raise BaselineError("the common points are planar or mirrored; SL(4) needs depth")
+    H = B_target[usable] @ np.linalg.inv(B[usable])
+    scored = rng.permutation(len(source))[:_SCORED]
+    agree = (_distance(H, source[scored], target[scored]) <= limit).sum(1)
+    return np.asarray(H[np.argmax(agree)])
+
+
+def _basis(points: Float) -> Float:
+    """(B, 4, 4) taking the unit vectors and their sum to five points (B, 5, 4); NaN if flat."""
+    corners = np.swapaxes(points[:, :4], 1, 2)
+    flat = np.abs(np.linalg.det(corners)) < 1e-9
+    corners = np.where(flat[:, None, None], np.eye(4), corners)
+    weight = np.linalg.solve(corners, points[:, 4, :, None])
+    basis = corners * np.swapaxes(weight, 1, 2)
+    return np.where(flat[:, None, None], np.nan, basis)
+
+
+def _distance(H: Float, source: Float, target: Float) -> Float:
+    """(B, N) distances of H (B, 4, 4) source (N, 4) from target (N, 4); NaN at infinity."""
+    moved = source @ np.swapaxes(H, 1, 2)
+    return np.asarray(
+        np.linalg.norm(moved[..., :3] / moved[..., 3:] - target[None, :, :3], axis=-1)
+    )
+
+
+def _direct_linear(source: Float, target: Float) -> Float:
+    """The homography that minimises target_w (H source)_i - target_i (H source)_w."""
+    n = len(source)
+    A = np.zeros((n, 3, 4, 4))
+    for i in range(3):
+        A[:, i, i] = source
+        A[:, i, 3] = -target[:, i, None] * source
+    # five points are one row short of the 16 columns: the last row of Vt is then their null space
+    _, singular, Vt = np.linalg.svd(A.reshape(3 * n, 16), full_matrices=n == 5)
+    if singular[14] <= _OPEN * singular[0]:
+        raise BaselineError("the common points leave the homography open; SL(4) needs depth")
+    return np.asarray(Vt[-1].reshape(4, 4))
+
+
+def _rotation(M: Float) -> NDArray[np.float64]:
+    """R (N, 3, 3) of M = K R, K upper triangular with a positive diagonal, det M > 0."""
+    Q, R = np.linalg.qr(np.swapaxes(M[:, ::-1], 1, 2))
+    Q = Q * np.where(np.diagonal(R, axis1=1, axis2=2) < 0, -1.0, 1.0)[:, None]
+    return np.asarray(np.swapaxes(Q, 1, 2)[:, ::-1])

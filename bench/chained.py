@@ -1,0 +1,64 @@
+"""The paper's baselines on the very sub-maps of a recording: what alignment alone makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from bench.baselines.chain import ALIGNMENTS, chain
+from bench.baselines.overlap import Correspondences, common_views, correspondences
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation.estimate import Estimate
+from calm_edge.recording.reader import Recording
+from calm_edge.types import Int, LocalizerUpdate
+from device.frame import Eye
+
+
+def matched_submaps(updates: Sequence[LocalizerUpdate]) -> list[LocalizerUpdate]:
+    """The last update of every sub-map that came with matches or depth, by id.
+
+    A window that was solved again at the end is logged without them, so it is chained as it was
+    placed live: what a baseline makes of it has no hindsight of the kit.
+    """
+    last = {
+        update.submap.id: update
+        for update in updates
+        if update.prediction.landmarks is not None or update.prediction.depth is not None
+    }
+    return [last[key] for key in sorted(last)]
+
+
+def overlaps(updates: Sequence[LocalizerUpdate], size: Int) -> Iterator[Correspondences]:
+    """Between each sub-map and the next, over the pictures both hold. size: (2,) px."""
+    for previous, new in pairwise(updates):
+        views = common_views(previous.submap, new.submap)
+        yield correspondences(previous.prediction, views[0], new.prediction, views[1], size)
+
+
+def chained(recording: Path, alignment: str) -> Estimate:
+    """A recording's sub-maps chained by `alignment` (a key of ALIGNMENTS), loops left out.
+
+    Its world unit is metres where the spacing was given, by the first sub-map alone. Raises
+    EvaluationError when the chain broke, RecordingError.
+    """
+    source = Recording(recording)
+    updates = matched_submaps(list(source.updates()))
+    frame = next(source.frames(Eye.PRIMARY), None)
+    if frame is None or not updates:
+        raise EvaluationError(f"{recording}: holds no sub-maps with matches to chain")
+    height, width = frame.bgr().shape[:2]
+    submaps = [update.submap for update in updates]
+    result = chain(ALIGNMENTS[alignment], submaps, overlaps(updates, np.array([width, height])))
+    if result.T_w_c is None:
+        raise EvaluationError(f"{result.name} chaining: {result.failed}")
+    order = np.argsort(result.t_ns, kind="stable")
+    return Estimate(
+        f"{result.name} chaining of {recording}",
+        result.t_ns[order],
+        result.T_w_c[order],
+        submaps=len(submaps),
+        first_frame=(frame.sequence, frame.t_ns),
+    )

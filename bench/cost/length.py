@@ -1,0 +1,219 @@
+"""What a sub-map costs as a drive grows long: time and memory."""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from bench.cost import circuit
+from bench.kilometres.dials import sized
+from bench.scripted import ScriptedBackbone
+from bench.tables import Check, Table
+from calm_edge.config import Config, merge
+from calm_edge.estimator import localizer as localizer_module
+from calm_edge.estimator.localizer import Localizer
+from calm_edge.report import curves
+from calm_edge.types import CalmEdgeError, Float, Hints, KitBelief, Prediction, Submap
+
+# From here on every cap is reached: 1,000 places are thinned, 200 sub-maps tell the clock.
+SETTLED = 300
+ENDS = 200
+# Growth of the live cost over the whole drive, of its mean, that passes for none.
+FLAT_SHARE = 0.1
+MOST_MB = 600
+# What `bundle` knows of a kit: two eyes of four numbers, a rig of six, a clock.
+_KIT = 15
+# Landmarks a sub-map, seen by nearly every view of the room: some 7,000 observations.
+_LANDMARKS = 350
+
+
+class TeachingBackbone:
+    """A scripted backbone, uncoupled to be cheap, that teaches of the kit as `bundle` does.
+
+    It gives about as many landmarks too: what they cost is part of the search.
+    """
+
+    name = "scripted"
+
+    def __init__(self, backbone: ScriptedBackbone) -> None:
+        self._backbone = backbone
+
+    def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
+        """As the backbone's, with evidence and fewer landmarks."""
+        prediction = self._backbone.infer(images, hints)
+        marks = prediction.landmarks
+        assert marks is not None
+        every = len(marks.points_s) // _LANDMARKS + 1
+        (kept,) = np.nonzero(marks.index % every == 0)
+        thinned = replace(
+            marks,
+            points_s=marks.points_s[::every],
+            index=marks.index[kept] // every,
+            view=marks.view[kept],
+            uv=marks.uv[kept],
+        )
+        return replace(prediction, landmarks=thinned, kit=KitBelief(np.zeros(_KIT), np.eye(_KIT)))
+
+    def densify(
+        self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+    ) -> Prediction:
+        """As the backbone's."""
+        return self._backbone.densify(images, hints, prediction)
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One drive, sub-map by sub-map (S,), and what is left of it.
+
+    stage_ms: processor time by stage, the model's own (`infer`) apart; what no stage holds is
+    `rest`. rss: bytes of this process after each. replaced: those where all were placed anew.
+    """
+
+    stage_ms: dict[str, Float]
+    infer_ms: Float
+    rss: Float
+    replaced: NDArray[np.bool_]
+    submaps: tuple[Submap, ...]
+    config: Config
+
+    @property
+    def live_ms(self) -> Float:
+        """(S,) everything but the model."""
+        return np.asarray(np.sum(list(self.stage_ms.values()), axis=0))
+
+
+def rss() -> int:
+    """Bytes of this process that are in memory."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize()
+
+
+def drive(n_submaps: int, config: Config | None = None, seed: int = 0) -> Course:
+    """Runs the Localizer over the circuit; needs ten sub-maps for a fit, raises CalmEdgeError."""
+    if n_submaps < 10:
+        raise CalmEdgeError(f"--submaps {n_submaps}: 10 or more, or nothing can be fitted")
+    spacing_m = float(np.linalg.norm(circuit.T_P_A[:3, 3]))
+    config = merge(config or Config(), {"scale": {"spacing_m": spacing_m}})
+    scene = circuit.scene(circuit.n_keyframes(n_submaps, config.frontend))
+    backbone = TeachingBackbone(ScriptedBackbone(scene, replace(sized(seed), coupled=False)))
+    localizer = Localizer(config, backbone)
+    stages: dict[str, Float] = {}
+    memory, replaced = np.zeros(n_submaps), np.zeros(n_submaps, bool)
+    rest, epoch = np.zeros(n_submaps), 0
+    # on a machine shared with others only the processor's time is the drive's own
+    with mock.patch.object(localizer_module, "perf_counter", time.process_time):
+        for k, window in enumerate(circuit.windows(n_submaps, config.frontend)):
+            start = time.process_time()
+            update = localizer.process(window)
+            total_ms = 1e3 * (time.process_time() - start)
+            if update is None:
+                raise CalmEdgeError(f"sub-map {k} was skipped: {localizer.skipped[-1].reason}")
+            for stage, ms in update.stage_ms.items():
+                stages.setdefault(stage, np.zeros(n_submaps))[k] = ms
+            rest[k] = total_ms - sum(update.stage_ms.values())
+            replaced[k], epoch = update.trajectory.epoch != epoch, update.trajectory.epoch
+            memory[k] = rss()
+    infer = stages.pop("infer")
+    return Course({**stages, "rest": rest}, infer, memory, replaced, localizer.submaps, config)
+
+
+def growth(values: Float, settled: int) -> float:
+    """What a straight line through values (S,) from `settled` on gains over all of S."""
+    x = np.arange(settled, len(values))
+    return float(np.polyfit(x, values[settled:], 1)[0] * len(values))
+
+
+def table(course: Course, command: str) -> Table:
+    """A row a stage of the live path, and of memory: at the start, once settled, at the end."""
+    n = len(course.infer_ms)
+    settled, ends = min(SETTLED, n // 2), min(ENDS, n // 5)
+    new = course.config.frontend.n_max - course.config.frontend.n_overlap
+    placed_anew = course.replaced
+    once = np.where(placed_anew, np.nan, course.live_ms)
+    once = np.where(np.isnan(once), np.nanmedian(once), once)
+    series = [
+        ("live cost, ms", course.live_ms),
+        *((f"  {stage}, ms", ms) for stage, ms in course.stage_ms.items()),
+        ("live cost where nothing was placed anew, ms", once),
+        ("memory, MB", course.rss / 1e6),
+    ]
+    rows = []
+    for name, values in series:
+        first, after, last = values[:ends], values[settled : settled + ends], values[-ends:]
+        means = (float(part.mean()) for part in (first, after, last))
+        rows.append((name, *means, float(values.max()), growth(values, settled)))
+    gained = growth(course.live_ms, settled) / float(course.live_ms[settled:].mean())
+    state = growth(course.rss, settled) / (n * new)
+    end_mb = float(course.rss[-1]) / 1e6
+    checks = (
+        Check(
+            f"growth of the live cost over {n} sub-maps, of its mean",
+            f"none (<= {FLAT_SHARE:.0%})",
+            round(gained, 3),
+            gained <= FLAT_SHARE,
+        ),
+        Check(
+            "memory of the estimator at the end, MB",
+            f"<= {MOST_MB}",
+            round(end_mb),
+            end_mb <= MOST_MB,
+        ),
+    )
+    notes = (
+        f"{n} sub-maps of {course.config.frontend.n_max} + {course.config.frontend.n_max} "
+        f"keyframes; processor time of one core without the model and without the joint optimum; "
+        f"load average {os.getloadavg()[0]:.1f}",
+        f"the line is fitted from sub-map {settled}, where every cap is reached; the model played "
+        f"costs {course.infer_ms.mean():.0f} ms a sub-map and is not counted",
+        f"state: {state:,.0f} bytes a keyframe of the primary",
+        f"{int(placed_anew.sum())} times every sub-map was placed anew, as the focals or the clock "
+        f"became better known; the last time at sub-map "
+        f"{int(np.flatnonzero(placed_anew).max(initial=0))}",
+        "no loop is closed here, so nothing asks for the joint optimum; "
+        f"{(course.live_ms + course.infer_ms).sum() / 1e3:.0f} s of the processor in all",
+    )
+    columns = ("", f"first {ends}", f"from {settled}", f"last {ends}", "most", f"line over {n}")
+    title = "Over a long drive of the scripted model"
+    return Table("bench_length", title, command, columns, tuple(rows), checks, notes)
+
+
+def plot(course: Course) -> str:
+    """SVG: cost a sub-map, its running mean, that of the longest stages, and memory."""
+    figure, axes = curves._figure(10, 4.2)
+    live = course.live_ms
+    x = np.arange(len(live))
+    axes.plot(
+        x, live, ".", color=curves.MUTED, alpha=0.3, markersize=2, label="a sub-map, no model"
+    )
+    axes.plot(x, _running(live), color=curves.ESTIMATE, linewidth=1.8, label="mean of 51")
+    longest = sorted(course.stage_ms, key=lambda stage: -course.stage_ms[stage].mean())[:3]
+    for stage, style in zip(longest, ("--", "-.", ":"), strict=False):
+        line = _running(course.stage_ms[stage])
+        axes.plot(x, line, style, color=curves.MUTED, linewidth=1.2, label=stage)
+    axes.set_ylim(0, 1.6 * float(np.percentile(live, 99)))
+    axes.set_xlabel("sub-map", color=curves.MUTED)
+    axes.set_ylabel("processor ms", color=curves.MUTED)
+    right = axes.twinx()
+    right.plot(x, course.rss / 1e6, color=curves.TRUTH, linewidth=1.6, label="memory (right)")
+    right.set_ylim(0, MOST_MB)
+    right.spines[:].set_visible(False)
+    right.tick_params(colors=curves.TRUTH, labelsize=9)
+    right.set_ylabel("MB", color=curves.TRUTH)
+    figure.legend(
+        loc="outside upper center", ncols=3, frameon=False, fontsize=9, labelcolor=curves.INK
+    )
+    return curves._svg(figure)
+
+
+def _running(values: Float, reach: int = 25) -> Float:
+    """(S,) mean of the values up to `reach` before and after each."""
+    return np.asarray(uniform_filter1d(values, 2 * reach + 1, mode="nearest"))

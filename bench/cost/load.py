@@ -1,0 +1,277 @@
+"""`python -m bench.cost.load`: what capture keeps while all else is busy.
+
+Two replays of 1280x720 JPEG at 30 Hz through the real daemon, with more windows than can be solved;
+again while a long graph is optimised beside it; again with the estimator killed meanwhile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+
+from bench.cost.load_pictures import EPOCH_NS, RATE_HZ, SIZE, enlarged, frames
+from bench.tables import OUT, Check, Table, publish
+from calm_edge.config import Config, merge
+from calm_edge.daemon.capture import Capture
+from calm_edge.daemon.result import RecordResult
+from calm_edge.daemon.source import replayed
+from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.schema import IMAGE_TOPICS
+from calm_edge.recording.writer import RecordingWriter
+from calm_edge.types import CalmEdgeError
+from device import realtime
+from device.frame import Eye
+from device.service import NullNotifier
+
+KEYFRAMES = 4500
+TICK_MS, AGE_MS, CORE_SHARE = 5.0, 150.0, 0.25
+# of the capture threads, as the package's configuration sets it
+PRIORITY = 10
+# of the run, when the estimator is killed
+KILLS = (1 / 3, 2 / 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """lost: frames that are not in the files. core_share: processor time of the capture process,
+    recording included, over the time frames came; tracker_share: of the
+    tracker's. load: the machine's average after it. priority: real-time, of the capture threads.
+    """
+
+    name: str
+    asked: int
+    lost: int
+    core_share: float
+    tracker_share: float
+    load: float
+    result: RecordResult
+    priority: int = 0
+
+
+class Watch(NullNotifier):
+    """Times the capture process from its first frame to its last; kills the estimator when due."""
+
+    def __init__(self, kill_at_s: list[float]) -> None:
+        self._kill_at_s = kill_at_s
+        self._began = (0.0, 0.0)
+        self.desk: Switchboard | None = None
+        self.core_share = self.tracker_share = 0.0
+
+    def ready(self) -> None:
+        self._began = time.monotonic(), time.process_time()
+
+    def watchdog(self) -> None:
+        due = self._kill_at_s and time.monotonic() - self._began[0] > self._kill_at_s[0]
+        if due and self.desk is not None:
+            self._kill_at_s.pop(0)
+            os.kill(self.desk.estimator.child.pid, signal.SIGKILL)
+
+    def stopping(self) -> None:
+        wall_s, cpu_s = time.monotonic() - self._began[0], time.process_time() - self._began[1]
+        self.core_share = cpu_s / wall_s
+        if self.desk is not None:
+            self.tracker_share = cpu_seconds(self.desk.tracker.child.pid) / wall_s
+            # the windows that wait are not what is measured
+            self.desk.impatient = True
+
+
+def granted(priority: int) -> int:
+    """The priority where this user may ask for it, else 0."""
+    refused: list[str | None] = []
+    # of a thread alone, which ends with it
+    thread = threading.Thread(target=lambda: refused.append(realtime.request(priority)))
+    thread.start()
+    thread.join()
+    return 0 if refused[0] else priority
+
+
+def cpu_seconds(pid: int) -> float:
+    """Of the processor, user and system, since the process began."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@contextmanager
+def optimising(keyframes: int) -> Iterator[None]:
+    """A long graph is optimised meanwhile; raises CalmEdgeError where it cannot begin."""
+    program = "bench.cost.load_graph"
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    with subprocess.Popen(
+        [sys.executable, "-m", program, str(keyframes)],
+        stdout=subprocess.PIPE,
+        env=environment,
+    ) as child:
+        try:
+            assert child.stdout is not None
+            if child.stdout.readline() != b"ready\n":
+                raise CalmEdgeError(f"{program}: did not begin; see above")
+            yield
+            if child.poll() is not None:
+                raise CalmEdgeError(f"{program}: ended early ({child.returncode})")
+        finally:
+            child.kill()
+
+
+def run(
+    name: str,
+    pictures: tuple[list[Path], ...],
+    seconds: float,
+    priority: int,
+    kills: tuple[float, ...] = (),
+) -> Run:
+    """The daemon over that many seconds of frames."""
+    config = merge(
+        Config(),
+        {
+            "scale": {"spacing_m": 0.5},
+            # far more windows than can be solved, on any machine
+            "frontend": {"max_keyframe_gap_s": 0.1},
+            "capture": {
+                "rate_hz": float(RATE_HZ),
+                "width_px": SIZE[0],
+                "height_px": SIZE[1],
+                "realtime_priority": priority,
+            },
+        },
+    )
+    count = round(seconds * RATE_HZ)
+    source = replayed(
+        lambda eye: frames(pictures[eye], eye, count), EPOCH_NS, True, config, "enlarged drive"
+    )
+    watch = Watch([share * seconds for share in kills])
+    with tempfile.TemporaryDirectory(prefix="calm-edge-load-") as place:
+        folder = Path(place) / "recording"
+        desk = Switchboard(
+            config,
+            source,
+            lambda: RecordingWriter(folder, config, now_ns=source.clock.now_ns),
+            None,
+            lockstep=False,
+            say=lambda text: print(f"load, {name}: {text}", file=sys.stderr, flush=True),
+        )
+        watch.desk = desk
+        result = Capture(desk, watch).run()
+        recording = Recording(folder)
+        kept = sum(recording.count(topic) for topic in IMAGE_TOPICS.values())
+    load = os.getloadavg()[0]
+    shares = watch.core_share, watch.tracker_share
+    return Run(name, 2 * count, 2 * count - kept, *shares, load, result, priority)
+
+
+def table(runs: list[Run], command: str) -> Table:
+    """A row a run, and what was promised of each."""
+    rows, checks = [], []
+    for each in runs:
+        tick, result = each.result.tick, each.result
+        age = result.pose_age_ms() or {"p50": float("inf"), "p99": float("inf")}
+        primary = result.frames[Eye.PRIMARY]
+        rows.append(
+            (
+                each.name,
+                f"{each.lost} of {each.asked}",
+                f"{tick.p50_ms:.2f} / {tick.p99_ms:.2f} / {tick.max_ms:.1f}",
+                f"{age['p50']:.0f} / {age['p99']:.0f}",
+                f"{result.poses / max(primary, 1):.0%}",
+                result.untracked + result.late_poses,
+                f"{each.core_share:.2f} + {each.tracker_share:.2f}",
+                f"{result.submaps} of {result.windows}",
+                result.estimator_restarts,
+                round(each.load, 1),
+            )
+        )
+        checks += [
+            Check(f"{each.name}: frames lost", "0", each.lost, each.lost == 0),
+            Check(
+                f"{each.name}: tick lateness p99, ms",
+                f"<= {TICK_MS:g}",
+                round(tick.p99_ms, 2),
+                tick.p99_ms <= TICK_MS,
+            ),
+            Check(
+                f"{each.name}: pose age p99, ms",
+                f"<= {AGE_MS:g}",
+                round(age["p99"]) if age["p99"] < float("inf") else "no pose",
+                age["p99"] <= AGE_MS,
+            ),
+            Check(
+                f"{each.name}: capture and recording, of a core",
+                f"<= {CORE_SHARE:g}",
+                round(each.core_share, 3),
+                each.core_share <= CORE_SHARE,
+            ),
+        ]
+    seconds = runs[0].asked / 2 / RATE_HZ
+    notes = (
+        f"each run {seconds:.0f} s; the demo drive enlarged to {SIZE[0]}x{SIZE[1]} and brought to "
+        f"{RATE_HZ} Hz by optical flow, there and back; a keyframe each 0.1 s, so that the "
+        "estimator never rests",
+        f"{os.cpu_count()} cores, shared with whatever else ran: see the load average; the capture "
+        + (
+            f"threads at real-time priority {runs[0].priority}, as the package sets it"
+            if runs[0].priority
+            else "process at ordinary priority, without real-time scheduling"
+        ),
+        "the processor time is that of the whole capture process: replay, capture, recording",
+        "poses: of the primary's frames; not tracked: recorded, but the tracker was behind, or the "
+        "pose would have been late",
+    )
+    columns = (
+        "meanwhile",
+        "frames lost",
+        "tick ms p50/p99/max",
+        "pose age ms p50/p99",
+        "poses",
+        "not tracked",
+        "core: capture + tracker",
+        "sub-maps",
+        "restarts",
+        "load",
+    )
+    return Table(
+        "bench_load", "Capture under load", command, columns, tuple(rows), tuple(checks), notes
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs all three, prints and keeps the table."""
+    parser = argparse.ArgumentParser(prog="bench.cost.load", description=__doc__)
+    parser.add_argument("--minutes", type=float, default=1.0, help="of each run")
+    parser.add_argument("--ordinary", action="store_true", help="no real-time scheduling")
+    parser.add_argument("--drive", type=Path, default=Path("demo") / "drive")
+    parser.add_argument("--pictures", type=Path, default=Path("build") / "bench_pictures")
+    parser.add_argument("--out", type=Path, default=OUT)
+    asked = parser.parse_args(argv)
+    cv2.setNumThreads(1)
+    seconds = 60 * asked.minutes
+    try:
+        pictures = tuple(enlarged(asked.drive, eye, asked.pictures) for eye in Eye)
+        priority = 0 if asked.ordinary else granted(PRIORITY)
+        runs = [run("inference", pictures, seconds, priority)]
+        with optimising(KEYFRAMES):
+            graph = f"and a graph of {KEYFRAMES} keyframes"
+            runs.append(run(graph, pictures, seconds, priority))
+            runs.append(run("and the estimator killed twice", pictures, seconds, priority, KILLS))
+        command = f"python -m {parser.prog} --minutes {asked.minutes:g}"
+        command += " --ordinary" if asked.ordinary else ""
+        publish(table(runs, command), asked.out)
+    except CalmEdgeError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,179 @@
+"""Time of anchors and mapping: `python -m bench.cost.mapping RECORDING`.
+
+Depth is computed first and not counted. Times are those of the processor on one core, so what
+else runs on the machine hardly matters.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.tables import OUT, Check, Table, publish
+from calm_edge.config import MappingConfig, merge, parse_assignment
+from calm_edge.mapping import mapper as mapper_module
+from calm_edge.mapping import skeleton as skeleton_module
+from calm_edge.mapping.deform import Deformation
+from calm_edge.mapping.fuse import Fusion
+from calm_edge.mapping.mapper import Mapper
+from calm_edge.mapping.spool import Spool
+from calm_edge.mapping.voxel_filter import VoxelFilter
+from calm_edge.offline.densify import densified
+from calm_edge.offline.submaps import gather
+from calm_edge.recording.reader import Recording
+from calm_edge.types import CalmEdgeError, Float32, Submap
+
+TARGET_S, PAPER_S = 0.30, 0.95
+# stage, and what runs it; stages do not overlap
+STAGES: tuple[tuple[str, Any, str], ...] = (
+    ("spool depth and colour", Spool, "write"),
+    ("load depth", skeleton_module.Skeleton, "views"),
+    ("copy forward", skeleton_module, "copy_forward"),
+    ("extract", skeleton_module, "extract"),
+    ("spread back", skeleton_module, "spread_back"),
+    ("fuse", Fusion, "add"),
+    ("suppress", Fusion, "active"),
+    ("points of the cloud", mapper_module, "submap_points"),
+    ("fit the thin plate", mapper_module, "fit_deformation"),
+    ("apply it", Deformation, "apply"),
+    ("one point a voxel", VoxelFilter, "admit"),
+)
+Piece = tuple[Submap, Float32, Float32, list[NDArray[np.uint8]]]
+
+
+@dataclass(slots=True)
+class Cost:
+    """seconds: of the processor, all sub-maps together, by stage. points: of their clouds before
+    the map is thinned. controls: of their plates."""
+
+    submaps: int = 0
+    seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    points: int = 0
+    controls: int = 0
+
+
+@contextmanager
+def timed_stages(cost: Cost) -> Iterator[None]:
+    """Adds the time of every stage to `cost`; of nested ones the inner one's counts as its own."""
+    running: list[float] = []
+
+    def timed(stage: str, work: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*arguments: Any, **named: Any) -> Any:
+            start = time.process_time()
+            running.append(0.0)
+            try:
+                return work(*arguments, **named)
+            finally:
+                took = time.process_time() - start
+                cost.seconds[stage] += took - running.pop()
+                if running:
+                    running[-1] += took
+
+        return run
+
+    patches = [
+        mock.patch.object(owner, name, timed(stage, getattr(owner, name)))
+        for stage, owner, name in STAGES
+    ]
+    for patch in patches:
+        patch.start()
+    try:
+        yield
+    finally:
+        for patch in patches:
+            patch.stop()
+
+
+def measure(pieces: Sequence[Piece], config: MappingConfig, spacing: float, folder: Path) -> Cost:
+    """Maps the pieces in `folder` and takes the time; spacing: world units a map unit."""
+    cost = Cost(len(pieces))
+    start = time.process_time()
+    with timed_stages(cost):
+        mapper = Mapper(config, spacing, folder)
+        for piece in pieces:
+            mapper.add(*piece)
+        for _ in mapper.finish():
+            pass
+    total = time.process_time() - start
+    cost.seconds["everything else"] = total - sum(cost.seconds.values())
+    cost.points = sum(len(mapper.points(submap.id)[0]) for submap, *_ in pieces)
+    cost.controls = sum(len(d.plate.controls) for d in mapper.deformations().values())
+    return cost
+
+
+def table(cost: Cost, command: str) -> Table:
+    """A row a stage, milliseconds a sub-map."""
+    n = max(1, cost.submaps)
+    rows = [(stage, 1000 * seconds / n) for stage, seconds in cost.seconds.items()]
+    total = sum(cost.seconds.values()) / n
+    rows.append(("all", 1000 * total))
+    check = Check(
+        "anchors + mapping, seconds a sub-map",
+        f"<= {TARGET_S} (paper {PAPER_S})",
+        round(total, 3),
+        total <= TARGET_S,
+    )
+    notes = (
+        f"{cost.submaps} sub-maps, {cost.points / n:,.0f} points and {cost.controls / n:.0f} "
+        "control points each; processor time of one core, depth not counted",
+    )
+    title = "Anchors and mapping, milliseconds a sub-map"
+    return Table("bench_mapping", title, command, ("stage", "ms"), tuple(rows), (check,), notes)
+
+
+def read_pieces(path: Path, assignments: Sequence[str]) -> tuple[list[Piece], MappingConfig, float]:
+    """The sub-maps of a recording with their depth, the mapping config and the spacing."""
+    recording = Recording(path)
+    config = recording.config
+    for text in assignments:
+        config = merge(config, parse_assignment(text))
+    drive = gather(recording, config, lambda text: print(text, file=sys.stderr))
+    pieces: list[Piece] = []
+    depths = densified(path, config, drive.windows, drive.updates)
+    for record, update, dense in zip(drive.windows, drive.updates, depths, strict=True):
+        if isinstance(dense, str):
+            print(dense, file=sys.stderr)
+            continue
+        images = [keyframe.frame.bgr() for keyframe in recording.window(record).keyframes()]
+        pieces.append((update.submap, *dense, images))
+        print(f"depth: sub-map {update.submap.id}", file=sys.stderr, flush=True)
+    if not pieces:
+        raise CalmEdgeError(f"{path}: no window has depth; nothing to measure")
+    return pieces, config.mapping, config.scale.spacing_m or 1.0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure a recording, print and keep the table; 1 when it takes longer than promised."""
+    parser = argparse.ArgumentParser(prog="bench.cost.mapping", description=__doc__)
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args(argv)
+    cv2.setNumThreads(1)
+    try:
+        pieces, config, spacing = read_pieces(options.recording, options.set)
+        with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+            cost = measure(pieces, config, spacing, Path(folder))
+    except CalmEdgeError as error:
+        print(error, file=sys.stderr)
+        return 1
+    made = table(cost, f"python -m {parser.prog} RECORDING")
+    publish(made, options.out)
+    return 0 if all(check.passed for check in made.checks) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

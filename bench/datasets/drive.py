@@ -1,0 +1,161 @@
+"""A drive of a dataset: where its pictures are, when they were taken, and what is true."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.geometry import se3
+from calm_edge.recording.sequence_folder import image_size
+from calm_edge.trajectories import write_kitti
+from calm_edge.types import Float, Int
+
+
+class DatasetError(EvaluationError):
+    """A dataset's folder is not laid out as it was published."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Two streams and the truth of the primary one.
+
+    pictures: an eye. t_ns: an eye, (N,) from the first picture's 0 on. K: (2, 3, 3) px. T_w_c:
+    (N, 4, 4) of the primary's pictures, metres. spacing_m: as calibrated. cloud: (M, 3) in the
+    world of T_w_c. notes: what was assumed or filled in.
+    """
+
+    pictures: tuple[tuple[Path, ...], tuple[Path, ...]]
+    t_ns: tuple[Int, Int]
+    K: Float
+    T_w_c: Float
+    spacing_m: float
+    cloud: Float | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """How to read one. sequences: (root) -> names that have truth. load: (root, name, frames) ->
+    drive, of the first `frames` pairs only when given; both raise DatasetError.
+
+    frames: how many the paper takes. settings: of `record`, as the paper ran it. cloud: whether
+    there is a true one to compare a map with.
+    """
+
+    title: str
+    sequences: Callable[[Path], list[str]]
+    load: Callable[[Path, str, int | None], Drive]
+    frames: int | None = None
+    settings: tuple[str, ...] = ()
+    cloud: bool = False
+
+
+def folder(path: Path, what: str) -> Path:
+    """`path` if it is a folder; raises DatasetError naming it and what it should hold."""
+    if not path.is_dir():
+        raise DatasetError(f"{path}: no such folder; it should hold {what}")
+    return path
+
+
+def lines(path: Path, what: str) -> list[str]:
+    """Lines that are not blank; raises DatasetError naming the file and what it should hold."""
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError):
+        raise DatasetError(f"{path}: cannot be read; it should hold {what}") from None
+    return [line for line in text.splitlines() if line.strip()]
+
+
+def numbers(path: Path, line: str, columns: Iterable[int]) -> Float:
+    """The line's numbers (C,), C one of `columns`; raises DatasetError."""
+    try:
+        values = np.array([float(word) for word in line.split()])
+    except ValueError:
+        raise DatasetError(f"{path}: not a row of numbers: {line[:60]!r}") from None
+    allowed = tuple(columns)
+    if len(values) not in allowed or not np.isfinite(values).all():
+        wanted = " or ".join(map(str, allowed))
+        raise DatasetError(f"{path}: a row of {len(values)} numbers; {wanted} are expected")
+    return values
+
+
+def keyed(path: Path, what: str) -> dict[str, str]:
+    """`key: values` lines as {key: values}; raises DatasetError."""
+    pairs = (line.partition(":") for line in lines(path, what))
+    return {key.strip(): value.strip() for key, _, value in pairs}
+
+
+def projection(path: Path, rows: dict[str, str], key: str) -> tuple[Float, Float]:
+    """A rectified camera's K (3, 3) px and its centre (3,) m in the reference camera.
+
+    Of P = K [I | t], the centre is -t. Raises DatasetError.
+    """
+    if key not in rows:
+        raise DatasetError(f"{path}: has no {key}")
+    P = numbers(path, rows[key], (12,)).reshape(3, 4)
+    return P[:, :3], np.asarray(-np.linalg.solve(P[:, :3], P[:, 3]))
+
+
+def pngs(path: Path, what: str) -> tuple[Path, ...]:
+    """A folder's pictures by name; raises DatasetError when there are none."""
+    found = tuple(sorted(p for p in folder(path, what).iterdir() if p.suffix.lower() == ".png"))
+    if not found:
+        raise DatasetError(f"{path}: empty; it should hold {what}")
+    return found
+
+
+def first(drive: Drive, frames: int | None) -> Drive:
+    """The first `frames` of both streams."""
+    if frames is None:
+        return drive
+    return replace(
+        drive,
+        pictures=(drive.pictures[0][:frames], drive.pictures[1][:frames]),
+        t_ns=(drive.t_ns[0][:frames], drive.t_ns[1][:frames]),
+        T_w_c=drive.T_w_c[:frames],
+    )
+
+
+def odd_even(drive: Drive) -> Drive:
+    """The paper's asynchronous test: odd frames (1, 3 ...) to the primary, even to the assistant.
+
+    Times and truth stay with their pictures.
+    """
+    return replace(
+        drive,
+        pictures=(drive.pictures[0][1::2], drive.pictures[1][::2]),
+        t_ns=(drive.t_ns[0][1::2], drive.t_ns[1][::2]),
+        T_w_c=drive.T_w_c[1::2],
+    )
+
+
+def write(drive: Drive, out: Path) -> Path:
+    """The drive as a sequence folder `out`, replaced if it is there; its world is the first
+    primary picture's camera. Pictures are links. Raises DatasetError when an eye has none."""
+    if not (drive.pictures[0] and drive.pictures[1]):
+        raise DatasetError(f"{out.name}: an eye has no pictures left to replay")
+    shutil.rmtree(out, ignore_errors=True)
+    start = min(int(t[0]) for t in drive.t_ns)
+    calibration = []
+    for eye in range(2):
+        (out / f"cam{eye}").mkdir(parents=True)
+        for k, picture in enumerate(drive.pictures[eye]):
+            link = out / f"cam{eye}" / f"{k:06d}{picture.suffix.lower()}"
+            link.symlink_to(picture.resolve())
+        stamps = drive.t_ns[eye] - start
+        rows = (f"{t // 10**9}.{t % 10**9:09d}\n" for t in stamps.tolist())
+        (out / f"times{eye}.txt").write_text("".join(rows))
+        K, size = drive.K[eye], image_size(drive.pictures[eye][0])
+        values = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *size)
+        calibration.append(" ".join(f"{value:.9g}" for value in values))
+    (out / "calib.txt").write_text("\n".join(calibration) + "\n")
+    T_c_w = se3.inverse(drive.T_w_c[0])
+    write_kitti(out / "poses0.txt", T_c_w @ drive.T_w_c)
+    if drive.cloud is not None:
+        np.save(out / "cloud.npy", se3.transform(T_c_w, drive.cloud).astype(np.float32))
+    return out

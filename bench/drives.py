@@ -1,0 +1,194 @@
+"""The drives that are measured: found, derived from one another, or rendered once."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+SIMULATOR = ROOT.parent / "shared" / "tools" / "drive_sim.py"
+SIMULATED = ROOT / "build" / "sim"
+
+# Given a folder to work in: the sequence folder, or why there is none.
+Prepare = Callable[[Path], Path | str]
+
+
+def there(folder: Path) -> Prepare:
+    """A folder as it lies on the disk."""
+    return lambda _out: folder if (folder / "cam1").is_dir() else f"{folder} is not here"
+
+
+def pictures(folder: Path, eye: int) -> list[Path]:
+    """One eye's pictures, in the order a sequence folder plays them."""
+    return sorted(
+        p for p in (folder / f"cam{eye}").iterdir() if p.suffix.lower() in (".png", ".jpg", ".jpeg")
+    )
+
+
+def shifted_by_one(source: Path, out: Path) -> Path:
+    """`out`/sequence: links to `source`, the assistant without its first frame, the primary
+    without its last.
+
+    Frame k of cam1 is the source's k + 1, and so is its time: stamps stay true, and only who
+    pairs frames by counting them is wrong.
+    """
+    folder = out / "sequence"
+    shutil.rmtree(folder, ignore_errors=True)
+    for eye, cut in ((0, slice(None, -1)), (1, slice(1, None))):
+        (folder / f"cam{eye}").mkdir(parents=True)
+        images = sorted(p for p in (source / f"cam{eye}").iterdir() if p.is_file())
+        for k, image in enumerate(images[cut]):
+            (folder / f"cam{eye}" / f"{k:06d}{image.suffix}").symlink_to(image.resolve())
+        lines = (source / f"times{eye}.txt").read_text().split()[cut]
+        (folder / f"times{eye}.txt").write_text("\n".join(lines) + "\n")
+    poses = (source / "poses0.txt").read_text().splitlines()[:-1]
+    (folder / "poses0.txt").write_text("\n".join(poses) + "\n")
+    for name in ("calib.txt", "cloud.npy"):
+        if (source / name).is_file():
+            (folder / name).symlink_to((source / name).resolve())
+    return folder
+
+
+def late_assistant(source: Path) -> Prepare:
+    """`source` shifted by one frame."""
+
+    def prepare(out: Path) -> Path | str:
+        if not (source / "cam1").is_dir():
+            return f"{source} is not here"
+        return shifted_by_one(source, out)
+
+    return prepare
+
+
+def simulated(name: str, *options: str) -> Prepare:
+    """A drive rendered once into build/sim/."""
+
+    def prepare(_out: Path) -> Path | str:
+        folder = SIMULATED / name
+        if (folder / "cloud.npy").is_file():
+            return folder
+        if not SIMULATOR.is_file():
+            return f"{SIMULATOR} is not here"
+        # a half-rendered drive must never be taken for a whole one
+        part = SIMULATED / f"{name}.part"
+        command = [sys.executable, str(SIMULATOR), "--out", str(part), *options]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode or not (part / "cloud.npy").is_file():
+            said = done.stderr.strip().splitlines() or ["it said nothing"]
+            return f"{SIMULATOR.name} failed: {said[-1]}"
+        shutil.rmtree(folder, ignore_errors=True)
+        part.rename(folder)
+        return folder
+
+    return prepare
+
+
+@dataclass(frozen=True, slots=True)
+class Kilometre:
+    """A rendered drive of 1 km or more, twice: as a loose kit drives it, and in step.
+
+    spacing_m: metres between the cameras. scene: the simulator's options of the track and the
+    rig. timing: what is wrong with the clocks; the drive in step has none of it, for whoever
+    cannot do without.
+    """
+
+    name: str
+    spacing_m: float
+    scene: tuple[str, ...]
+    timing: tuple[str, ...] = ()
+
+    @property
+    def loose(self) -> Prepare:
+        """With its timing faults."""
+        return simulated(self.name, *self._rig, *self.timing)
+
+    @property
+    def in_step(self) -> Prepare:
+        """Both cameras exposed at one instant, every frame on its tick."""
+        if not self.timing:
+            return self.loose
+        return simulated(f"{self.name}_in_step", *self._rig)
+
+    @property
+    def _rig(self) -> tuple[str, ...]:
+        return (*self.scene, "--baseline", f"{self.spacing_m:g}")
+
+
+def _kilometre(name: str, track: str, spacing_m: float, scene: str, timing: str = "") -> Kilometre:
+    return Kilometre(name, spacing_m, ("--track", track, *scene.split()), tuple(timing.split()))
+
+
+# Every rig differs: fields of view, spacing, angle between the axes, clocks, exposure.
+DEVELOPMENT = (
+    _kilometre(
+        "km_aalborg",
+        "aalborg",
+        1.2,
+        "--frames 1060 --hfov 62 75 --rot-deg 1 -3 0.5 --seed 11",
+        "--async 0.05",
+    ),
+    _kilometre(
+        "km_e-track-2",
+        "e-track-2",
+        0.8,
+        "--frames 860 --hfov 70 85 --rot-deg 1.5 -4 2 --blur 2 --seed 12",
+        "--async 0.035",
+    ),
+    _kilometre(
+        "km_street-1",
+        "street-1",
+        0.2,
+        "--frames 880 --hfov 100 80 --rot-deg 3 7 -2 --seed 13",
+        "--async 0.02 --jitter-ms 3",
+    ),
+    _kilometre(
+        "km_alpine-1",
+        "alpine-1",
+        0.5,
+        "--frames 910 --hfov 80 80 --rot-deg 0.5 -1.5 0.8 --bumps 2 --seed 14",
+    ),
+    # a lap is 2,058 m: 1.3 of them
+    _kilometre(
+        "km_g-track-1_loop",
+        "g-track-1",
+        0.35,
+        "--frames 1890 --vmax 15 --laps 1.3 --hfov 90 70 --rot-deg -1 2 1.5 --seed 15",
+        "--async 0.03",
+    ),
+)
+# Tracks that nothing is tuned on: looked at once, at the end.
+HELD_OUT = (
+    _kilometre(
+        "km_forza",
+        "forza",
+        0.6,
+        "--frames 900 --hfov 75 75 --rot-deg 0.5 2 -1 --seed 21",
+        "--async 0.04",
+    ),
+    _kilometre(
+        "km_ole-road-1",
+        "ole-road-1",
+        0.9,
+        "--frames 950 --hfov 95 65 --rot-deg -2 -5 3 --seed 22",
+        "--async 0.025 --jitter-ms 2",
+    ),
+    _kilometre(
+        "km_wheel-1",
+        "wheel-1",
+        0.3,
+        "--frames 950 --hfov 85 100 --rot-deg 1 4 -1 --blur 2 --seed 23",
+        "--async 0.05",
+    ),
+    _kilometre(
+        "km_e-track-6",
+        "e-track-6",
+        0.45,
+        "--frames 950 --hfov 66 80 --rot-deg 2 -6 2 --seed 24",
+        "--async 0.015 --jitter-ms 4",
+    ),
+)

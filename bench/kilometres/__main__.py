@@ -1,0 +1,99 @@
+"""`python -m bench.kilometres`: variants and baselines over scripted kilometres."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from bench.kilometres.dials import sized
+from bench.kilometres.drives import SEQUENCES, Drive, kitti, rendered
+from bench.kilometres.loops import ScriptedLoops
+from bench.kilometres.predictions import cached
+from bench.kilometres.rivals import HeldViews, rival
+from bench.kilometres.runs import Outcome, Variant, run
+from bench.kilometres.streams import Streams
+from calm_edge.config import Config, load
+from calm_edge.evaluation.table import print_rows
+from calm_edge.types import CalmEdgeError
+
+_HELD = HeldViews()
+VARIANTS = {
+    "ours": Variant("ours"),
+    "uncorrected": Variant("uncorrected", {"correction": {"apply": "never"}}),
+    "sim3": rival("sim3", _HELD),
+    "sl4": rival("sl4", _HELD),
+}
+_COLUMNS = ("variant", "seq", "seed", "m", "sub-maps", "Sim(3) m", "SE(3) m", "%", "ms a sub-map")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Prints a row a variant, sequence and seed; 0, or 1 with one line where that cannot be."""
+    parser = argparse.ArgumentParser(prog="python -m bench.kilometres")
+    parser.add_argument(
+        "--sequences", default=",".join(SEQUENCES), help="00,05,... or folders of rendered drives"
+    )
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--variants", default="ours", help=", ".join(VARIANTS))
+    parser.add_argument("--alternate", action="store_true", help="odd and even frames an eye")
+    parser.add_argument("--loops", action="store_true", help="with a scripted loop finder")
+    parser.add_argument("--frames", type=int, default=0, help="only the first so many; 0 all")
+    parser.add_argument("--set", dest="assignments", action="append", default=[])
+    asked = parser.parse_args(arguments)
+    rows: list[tuple[str, str, int, Outcome]] = []
+    try:
+        config = load(None, asked.assignments)
+        variants = [_variant(name) for name in asked.variants.split(",")]
+        for name in asked.sequences.split(","):
+            for seed in range(asked.seeds):
+                streams = Streams(alternate=asked.alternate)
+                drive = _drive(name, config, seed, streams, asked.frames)
+                for variant in variants:
+                    outcome = _outcome(drive, seed, variant, config, asked.loops)
+                    rows.append((variant.name, name, seed, outcome))
+                    print(variant.name, name, seed, *_figures(outcome), file=sys.stderr)
+    except CalmEdgeError as error:
+        print(error, file=sys.stderr)
+        return 1
+    table = [[variant, name, seed, *_figures(outcome)] for variant, name, seed, outcome in rows]
+    for variant in variants:
+        figures = [_figures(outcome) for of, _, _, outcome in rows if of == variant.name]
+        table.append([variant.name, "mean", None, *np.mean(figures, axis=0).tolist()])
+    print_rows(_COLUMNS, table)
+    return 0
+
+
+def _drive(name: str, config: Config, seed: int, streams: Streams, frames: int) -> Drive:
+    if Path(name).is_dir():
+        return rendered(Path(name), config, seed, streams)
+    return kitti(name, config, seed, streams, frames)
+
+
+def _variant(name: str) -> Variant:
+    if name not in VARIANTS:
+        raise CalmEdgeError(f"--variants {name}: unknown; known: {', '.join(VARIANTS)}")
+    return VARIANTS[name]
+
+
+def _outcome(
+    drive: Drive, seed: int, variant: Variant, config: Config, with_loops: bool
+) -> Outcome:
+    loops = ScriptedLoops(drive, config.loops.min_gap, seed=seed) if with_loops else None
+    return run(drive, cached(drive, sized(seed)), variant, config, loops)
+
+
+def _figures(outcome: Outcome) -> list[float]:
+    return [
+        outcome.path_m,
+        outcome.n_submaps,
+        outcome.ate_sim3_m,
+        outcome.ate_se3_m,
+        outcome.percent,
+        outcome.ms,
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,238 @@
+"""What every run of the kilometre tables gave, one small file a run, so that a stop loses one run.
+
+A file is named by the code, the dials and the settings that made it: what other code gave is not
+read, unless it is asked for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.kilometres.dials import sized
+from bench.kilometres.drives import Drive
+from bench.kilometres.loops import ScriptedLoops
+from bench.kilometres.predictions import CACHE, CachedBackbone
+from bench.kilometres.runs import Variant, run
+from bench.kilometres.streams import Streams
+from calm_edge.config import Config
+from calm_edge.estimator import scale
+from calm_edge.estimator.localizer import Localizer
+from calm_edge.evaluation.trajectory import scale_consistency
+from calm_edge.types import CalmEdgeError
+
+OUTCOMES = CACHE / "outcomes"
+_PACKAGE = Path(scale.__file__).parent
+# What of the package bears on an outcome; the tables themselves do not.
+_PARTS = (
+    "*.py",
+    "baselines/*.py",
+    "backbones/*.py",
+    "backbones/scripted/*.py",
+    "correction/*.py",
+    "frontend/association.py",
+    "geometry/*.py",
+    "posegraph/*.py",
+)
+_OF_KILOMETRES = ("dials", "drives", "loops", "rivals", "runs", "streams")
+
+
+def _code() -> bytes:
+    files = [f for part in _PARTS for f in sorted(_PACKAGE.glob(part))]
+    files += [Path(__file__).with_name(f"{name}.py") for name in _OF_KILOMETRES]
+    return b"".join(f.read_bytes() for f in files)
+
+
+# As it was loaded: what is edited while a run goes on must not pass for what the run did.
+_CODE = hashlib.sha256(_code()).hexdigest()
+
+
+class OutcomeError(CalmEdgeError):
+    """A kept outcome cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What a drive is run under. false_share: of false loops given to ours, none to baselines."""
+
+    name: str
+    streams: Streams = field(default_factory=Streams)
+    loops: bool = False
+    detection: float = 0.7
+    false_share: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Focals:
+    """Focals of a run, a value an eye, px of that eye's picture.
+
+    raw: mean absolute error of the backbone's, a sub-map. mean: their plain mean over the drive.
+    held: what the search ended with, with one sigma of its log (None: not observed) and damping.
+    """
+
+    true: tuple[float, ...]
+    raw: tuple[float, ...]
+    mean: tuple[float, ...]
+    held: tuple[float, ...]
+    log_sigma: tuple[float | None, ...]
+    damping: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One run: errors in m against the truth, None where it failed or the drive is too short.
+
+    missing: keyframes without a pose, of n_keyframes. scale_error, scale_std: Scale Consistency
+    Analysis of the paper. failed: why there is no trajectory, else empty.
+    """
+
+    drive: str
+    seed: int
+    setting: str
+    variant: str
+    path_m: float
+    n_keyframes: int
+    n_submaps: int
+    missing: int
+    ms: float | None
+    ate_sim3_m: float | None
+    ate_se3_m: float | None
+    scale_error: float | None
+    scale_std: float | None
+    focals: Focals | None
+    failed: str
+
+    @property
+    def percent(self) -> float | None:
+        """The error after the best similarity, of the path."""
+        return None if self.ate_sim3_m is None else 100 * self.ate_sim3_m / self.path_m
+
+
+class Store:
+    """Owns the folder of outcomes; stale: what earlier code gave counts where there is no newer.
+
+    earlier: how many such were handed out.
+    """
+
+    def __init__(self, folder: Path = OUTCOMES, stale: bool = False) -> None:
+        self._folder, self._stale = folder, stale
+        self.earlier = 0
+
+    def get(self, name: str, seed: int, setting: Setting, variant: Variant) -> Measured | None:
+        """What is kept of a run, None if nothing is; raises OutcomeError."""
+        file = self._file(name, seed, setting, variant)
+        if self._stale and not file.is_file():
+            like = f"{file.stem.rsplit('_', 1)[0]}_*.json"
+            older = sorted(self._folder.glob(like), key=lambda f: f.stat().st_mtime)
+            file = older[-1] if older else file
+            self.earlier += bool(older)
+        return _read(file) if file.is_file() else None
+
+    def put(self, measured: Measured, name: str, setting: Setting, variant: Variant) -> None:
+        """Keeps a run, whole or not at all."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        file = self._file(name, measured.seed, setting, variant)
+        part = file.with_suffix(f".{os.getpid()}.part")
+        part.write_text(json.dumps(asdict(measured), indent=1, allow_nan=False) + "\n")
+        part.replace(file)
+
+    def _file(self, name: str, seed: int, setting: Setting, variant: Variant) -> Path:
+        made_by = f"{_CODE}{sized(seed)}{setting}{sorted(variant.changes.items())}"
+        digest = hashlib.sha256(made_by.encode()).hexdigest()[:12]
+        return self._folder / f"{name}_{seed}_{setting.name}_{variant.name}_{digest}.json"
+
+
+def measure(
+    drive: Drive,
+    name: str,
+    seed: int,
+    backbone: CachedBackbone,
+    setting: Setting,
+    variant: Variant,
+    loops: ScriptedLoops | None,
+    config: Config,
+) -> Measured:
+    """Runs one variant; whatever it raises is its failure, for the other runs go on."""
+    focals: list[Focals] = []
+
+    def inspect(localizer: Localizer) -> None:
+        if (found := focals_of(drive, localizer)) is not None:
+            focals.append(found)
+
+    try:
+        outcome = run(drive, backbone, variant, config, loops, inspect)
+    except Exception as error:  # a crash is a row of the table, not the end of the others
+        return _failed(drive, name, seed, setting, variant, f"{type(error).__name__}: {error}")
+    if not math.isfinite(outcome.ate_sim3_m):
+        return _failed(drive, name, seed, setting, variant, "no trajectory")
+    p, truth = outcome.T_w_p[:, :3, 3], drive.T_w_p[outcome.keyframe_ids, :3, 3]
+    consistency = scale_consistency(p, truth)
+    return Measured(
+        drive=name,
+        seed=seed,
+        setting=setting.name,
+        variant=variant.name,
+        path_m=outcome.path_m,
+        n_keyframes=len(drive.keyframes),
+        n_submaps=outcome.n_submaps,
+        missing=outcome.missing,
+        ms=outcome.ms,
+        ate_sim3_m=outcome.ate_sim3_m,
+        ate_se3_m=outcome.ate_se3_m,
+        scale_error=consistency[0] if consistency else None,
+        scale_std=consistency[1] if consistency else None,
+        focals=focals[0] if focals else None,
+        failed="",
+    )
+
+
+def focals_of(drive: Drive, localizer: Localizer) -> Focals | None:
+    """Raw and final focals of a finished run against the drive's; None where none was searched."""
+    held = localizer.intrinsics
+    if held is None:
+        return None
+    of_submaps = [s for s in localizer.submaps if s.assistant_ids]
+    raw = np.array([np.median(s.K_raw[: s.n_primary, 0, 0]) for s in of_submaps])
+    ends = [s.n_primary + len(s.assistant_ids) for s in of_submaps]
+    pairs = zip(of_submaps, ends, strict=True)
+    other = np.array([np.median(s.K_raw[s.n_primary : end, 0, 0]) for s, end in pairs])
+    both, true = np.stack([raw, other], 1), drive.scene.K[:, 0, 0]
+    sigma = [float(s) if np.isfinite(s) else None for s in held.focal_log_sigma]
+    return Focals(
+        true=tuple(true.tolist()),
+        raw=tuple(np.abs(both - true).mean(0).tolist()),
+        mean=tuple(both.mean(0).tolist()),
+        held=tuple(held.K[:, 0, 0].tolist()),
+        log_sigma=tuple(sigma),
+        damping=tuple(held.damping.tolist()),
+    )
+
+
+def _failed(
+    drive: Drive, name: str, seed: int, setting: Setting, variant: Variant, why: str
+) -> Measured:
+    n = len(drive.keyframes)
+    return Measured(
+        drive=name, seed=seed, setting=setting.name, variant=variant.name, path_m=drive.path_m,
+        n_keyframes=n, n_submaps=len(drive.windows), missing=n, ms=None, ate_sim3_m=None,
+        ate_se3_m=None, scale_error=None, scale_std=None, focals=None, failed=why[:200],
+    )  # fmt: skip
+
+
+def _read(file: Path) -> Measured:
+    try:
+        kept: Mapping[str, Any] = json.loads(file.read_text())
+        made = {of.name: kept[of.name] for of in fields(Measured)}
+        if (focals := made["focals"]) is not None:
+            made["focals"] = Focals(**{key: tuple(value) for key, value in focals.items()})
+        return Measured(**made)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise OutcomeError(f"{file}: not an outcome ({error}); remove it") from None

@@ -1,0 +1,109 @@
+"""Predictions of a drive kept on the disk: every variant is judged on the very same ones."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench import scripted
+from bench.drives import ROOT
+from bench.kilometres.drives import Drive
+from bench.scripted import ScriptedBackbone, ScriptedErrors
+from calm_edge.types import Float32, Hints, Int, Landmarks, Prediction
+
+CACHE = ROOT / "build" / "kilometres"
+
+
+# As it was loaded: what is edited while a run goes on must not pass for what the run did.
+_CODE = b"".join(f.read_bytes() for f in sorted(Path(scripted.__path__[0]).glob("*.py")))
+
+
+class CachedBackbone:
+    """A scripted backbone that predicts each window once in its life, not once a run."""
+
+    name = "scripted"
+
+    def __init__(self, backbone: ScriptedBackbone, folder: Path) -> None:
+        self._backbone, self._folder = backbone, folder
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
+        """As the backbone's."""
+        file = self._folder / f"{_key(hints)}.npz"
+        if file.is_file():
+            return _read(file)
+        prediction = self._backbone.infer(images, hints)
+        _write(file, prediction)
+        return prediction
+
+    def densify(
+        self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+    ) -> Prediction:
+        """As the backbone's; depth is not kept."""
+        return self._backbone.densify(images, hints, prediction)
+
+    def depth(self, hints: Hints, views: Int) -> tuple[Float32, Float32]:
+        """Depth and confidence (V, h, w) of some views of a batch; not kept."""
+        return self._backbone.depth(hints, views)
+
+
+def cached(drive: Drive, dials: ScriptedErrors, folder: Path = CACHE) -> CachedBackbone:
+    """The drive seen through the dials; what another code, drive or dial said is not read."""
+    digest = hashlib.sha256(repr(dials).encode())
+    digest.update(_CODE)
+    scene = drive.scene
+    for array in (scene.t_ns, scene.T_w_p, scene.T_p_a, scene.K, scene.size):
+        digest.update(array.tobytes())
+    for eye in scene.exposures or ():
+        digest.update(eye.stamp_ns.tobytes() + eye.t_ns.tobytes())
+    name = f"{drive.name}_{dials.seed}_{digest.hexdigest()[:12]}"
+    return CachedBackbone(ScriptedBackbone(scene, dials), folder / name)
+
+
+def _key(hints: Hints) -> str:
+    return hashlib.sha256(hints.eyes.tobytes() + hints.t_ns.tobytes()).hexdigest()[:24]
+
+
+def _write(file: Path, prediction: Prediction) -> None:
+    """Whole or not at all: several runs may share the folder."""
+    arrays: dict[str, Any] = {"K": prediction.K, "T_s_c": prediction.T_s_c}
+    arrays["loop_found"] = np.array(prediction.loop_found)
+    if prediction.focal_log_sigma is not None:
+        arrays["focal_log_sigma"] = prediction.focal_log_sigma
+    if (marks := prediction.landmarks) is not None:
+        arrays |= {
+            "points_s": marks.points_s,
+            "index": marks.index.astype(np.int32),
+            "view": marks.view.astype(np.int16),
+            "uv": marks.uv,
+        }
+    part = file.with_suffix(f".{os.getpid()}.part")
+    with part.open("wb") as out:
+        np.savez(out, **arrays)
+    part.replace(file)
+
+
+def _read(file: Path) -> Prediction:
+    with np.load(file) as data:
+        arrays = dict(data)
+    landmarks = None
+    if "uv" in arrays:
+        landmarks = Landmarks(
+            arrays["points_s"],
+            arrays["index"].astype(np.int64),
+            arrays["view"].astype(np.int64),
+            arrays["uv"],
+        )
+    return Prediction(
+        K=arrays["K"],
+        T_s_c=arrays["T_s_c"],
+        focal_log_sigma=arrays.get("focal_log_sigma"),
+        landmarks=landmarks,
+        loop_found=bool(arrays["loop_found"]),
+    )

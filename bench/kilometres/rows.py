@@ -1,0 +1,209 @@
+"""From measured runs to the columns, rows and checks of the kilometre tables: ATE and its kin.
+
+A cell is the mean over the seeds that were run; a run that failed is counted, not averaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.kilometres.outcomes import Measured, Setting
+from bench.kilometres.plan import (
+    LOOPS,
+    OPEN,
+    OURS,
+    REVISITING,
+    RIVALS,
+    SIM3,
+    SL4,
+)
+from bench.kilometres.runs import Variant
+from bench.paired import MIN_PAIRS, Errors, PairedRatio, compare
+from bench.tables import Check, Table
+
+HEADLINE = "ate_sim3_m"
+# Targets: the paper has 0.884 % on KITTI-360 without loops.
+AVERAGE_PERCENT, OPEN_RATIO, LOOP_RATIO = 0.6, 1 / 4, 1 / 2
+COMPARED = ("drive", "m", "seeds")
+SCRIPTED = (
+    "scripted sub-maps over KITTI odometry's poses, errors sized by the paper's tables 2, 5 and 6;"
+    " the estimator never sees the dials, and the seeds are none of those used while developing"
+)
+ALIGNED = "errors after the best similarity, as the paper's tools have them; SE(3): metres count"
+
+
+class Results:
+    """The measured runs of one call, by setting, variant and drive."""
+
+    def __init__(self, measured: Iterable[Measured], names: Sequence[str]) -> None:
+        self.names = list(names)
+        self._of: dict[tuple[str, str, str], list[Measured]] = {}
+        for one in measured:
+            self._of.setdefault((one.setting, one.variant, one.drive), []).append(one)
+
+    def runs(self, setting: Setting, variant: Variant, name: str | None = None) -> list[Measured]:
+        """All runs, or those of one drive."""
+        names = self.names if name is None else [name]
+        return [m for n in names for m in self._of.get((setting.name, variant.name, n), [])]
+
+    def errors(self, setting: Setting, variant: Variant, field: str = HEADLINE) -> Errors:
+        """(drive, seed) -> error, None where the run failed."""
+        return {(m.drive, m.seed): getattr(m, field) for m in self.runs(setting, variant)}
+
+    def against(
+        self,
+        one: tuple[Setting, Variant],
+        other: tuple[Setting, Variant],
+        field: str = HEADLINE,
+    ) -> PairedRatio | None:
+        """One over the other over the runs both did; None without any."""
+        a, b = self.errors(*one, field), self.errors(*other, field)
+        return compare(a, b) if a.keys() & b.keys() else None
+
+    def lacking(self, setting: Setting, variants: Sequence[Variant], names: Sequence[str]) -> str:
+        """A note of the drives of which a variant has not been run, empty if there are none."""
+        missing = [n for n in names if not all(self.runs(setting, v, n) for v in variants)]
+        return f"not run ({setting.name}): {', '.join(missing)}" if missing else ""
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    """Mean of those there are."""
+    there = [value for value in values if value is not None]
+    return float(np.mean(there)) if there else None
+
+
+def over_drives(results: Results, of: Callable[[str], float | None]) -> float | None:
+    """Mean over the drives, each alike."""
+    return mean(of(name) for name in results.names)
+
+
+def said(ratio: PairedRatio | None) -> str:
+    """`0.21 (0.15 to 0.29), 11 drives, 25 pairs`, and what failed."""
+    if ratio is None:
+        return "not run"
+    parts = [f"{ratio.drives} drives", f"{ratio.pairs} pairs"]
+    if ratio.ratio is not None:
+        parts.insert(0, f"{ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f})")
+    if ratio.failed or ratio.reference_failed:
+        parts.append(f"failed {ratio.failed} / {ratio.reference_failed}")
+    return ", ".join(parts)
+
+
+def within(what: str, ratio: PairedRatio | None, target: float) -> Check:
+    """The promise of a ratio; without MIN_PAIRS it is not kept."""
+    kept = ratio is not None and ratio.pairs >= MIN_PAIRS and ratio.within(target)
+    return Check(what, f"<= {target:g}", said(ratio), kept)
+
+
+def notes(*texts: str) -> tuple[str, ...]:
+    """Those that say something."""
+    return tuple(text for text in texts if text)
+
+
+def open_drives(results: Results, command: str) -> Table:
+    """Table 1 and 2's shape: loops off."""
+    average = over_drives(results, lambda n: mean(m.percent for m in results.runs(OPEN, OURS, n)))
+    checks = (
+        within("ours over Sim(3)", results.against((OPEN, OURS), (OPEN, SIM3)), OPEN_RATIO),
+        Check(
+            "ours, average % of path",
+            f"<= {AVERAGE_PERCENT}",
+            average,
+            average is not None and average <= AVERAGE_PERCENT,
+        ),
+    )
+    own = (
+        f"ours over SL(4): {said(results.against((OPEN, OURS), (OPEN, SL4)))}",
+        f"average % without 01, the highway: {_without_highway(results)}",
+    )
+    return _accuracy(
+        results, OPEN, "20_ate", "Kilometres, loops off: ATE", command, checks, results.names, own
+    )
+
+
+def looped_drives(results: Results, command: str) -> Table:
+    """The drives that come back, loops on."""
+    names = [name for name in results.names if name in REVISITING]
+    checks = (
+        within("ours over Sim(3)", results.against((LOOPS, OURS), (LOOPS, SIM3)), LOOP_RATIO),
+    )
+    own = (
+        f"a place that is there again is found with chance {LOOPS.detection}; ours is also given a"
+        f" false place in {100 * LOOPS.false_share:g} % of the other windows, alike to the model"
+        " too; the baselines are given the true ones alone",
+        f"ours, loops on over off: {said(results.against((LOOPS, OURS), (OPEN, OURS)))}",
+        f"ours over SL(4): {said(results.against((LOOPS, OURS), (LOOPS, SL4)))}",
+    )
+    title = "Kilometres that come back, loops on: ATE"
+    return _accuracy(results, LOOPS, "21_ate_loops", title, command, checks, names, own)
+
+
+def _accuracy(
+    results: Results,
+    setting: Setting,
+    name: str,
+    title: str,
+    command: str,
+    checks: tuple[Check, ...],
+    names: Sequence[str],
+    own: Sequence[str],
+) -> Table:
+    rows: list[list[Any]] = []
+    for drive in names:
+        ours = results.runs(setting, OURS, drive)
+        if not ours:
+            continue
+        counts = [len(results.runs(setting, v, drive)) for v in (OURS, *RIVALS)]
+        seeds = counts[0] if len(set(counts)) == 1 else " / ".join(map(str, counts))
+        row = [drive, ours[0].path_m, seeds, *_cells(ours), mean(m.ate_se3_m for m in ours)]
+        row.append(f"{sum(m.missing for m in ours)} of {sum(m.n_keyframes for m in ours)}")
+        for rival in RIVALS:
+            theirs = results.runs(setting, rival, drive)
+            row += [*_cells(theirs), mean(m.ate_se3_m for m in theirs), _fails(theirs)]
+        rows.append(row)
+    # the mean of a column, where every drive of it has a figure
+    figures = [k for k in range(3, len(rows[0])) if k not in (6, 10, 14)] if rows else []
+    if rows:
+        last: list[Any] = ["mean", None, None] + [None] * (len(rows[0]) - 3)
+        for k in figures:
+            column = [row[k] for row in rows]
+            last[k] = mean(column) if None not in column else None
+        rows.append(last)
+    columns = [*COMPARED, "ours m", "ours %", "ours SE(3) m", "no pose"]
+    for title_of in ("Sim(3)", "SL(4)"):
+        columns += [f"{title_of} m", f"{title_of} %", f"{title_of}, SE(3) m", f"{title_of} FAIL"]
+    return Table(
+        name,
+        title,
+        command,
+        tuple(columns),
+        tuple(tuple(row) for row in rows),
+        checks,
+        notes(
+            SCRIPTED,
+            ALIGNED,
+            "no pose: keyframes without one in ours; FAIL: runs that gave no trajectory; seeds:"
+            " where they differ, of ours / Sim(3) / SL(4)",
+            *own,
+            results.lacking(setting, (OURS, *RIVALS), names),
+        ),
+    )
+
+
+def _cells(runs: Sequence[Measured]) -> list[float | None]:
+    return [mean(m.ate_sim3_m for m in runs), mean(m.percent for m in runs)]
+
+
+def _fails(runs: Sequence[Measured]) -> str:
+    return f"{sum(bool(m.failed) for m in runs)} of {len(runs)}"
+
+
+def _without_highway(results: Results) -> str:
+    percents = (
+        mean(m.percent for m in results.runs(OPEN, OURS, n)) for n in results.names if n != "01"
+    )
+    average = mean(percents)
+    return "not run" if average is None else f"{average:.3f}"

@@ -1,0 +1,52 @@
+"""Two cameras on one path: when each frame was exposed, and what its stamp says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.scripted import Exposures
+from calm_edge.types import Int
+from device.frame import Eye
+
+
+@dataclass(frozen=True, slots=True)
+class Streams:
+    """How the frames of a path reach the two eyes, and how their stamps lie.
+
+    alternate: odd frames to one eye and even ones to the other, the paper's asynchronous mode.
+    halved: every other frame to both eyes, what `alternate` is in step.
+    offset_s: the assistant is exposed so much later. late_s: stamps come so much after the
+    exposure, one an eye. jitter_s: sigma of both stamps. drift_ppm: of the assistant's clock.
+    drop_share: of the frames of either eye.
+    """
+
+    alternate: bool = False
+    halved: bool = False
+    offset_s: float = 0.0
+    late_s: tuple[float, float] = (0.0, 0.0)
+    jitter_s: float = 0.0
+    drift_ppm: float = 0.0
+    drop_share: float = 0.0
+
+    def exposures(self, t_ns: Int, seed: int) -> tuple[Exposures, Exposures]:
+        """Both eyes' frames of a path sampled at t_ns (N,)."""
+        rng = np.random.default_rng(seed)
+        first = t_ns[::2] if self.alternate or self.halved else t_ns
+        second = t_ns[1::2] if self.alternate else first
+        return self._eye(Eye.PRIMARY, first, rng), self._eye(Eye.ASSISTANT, second, rng)
+
+    def _eye(self, eye: Eye, t_ns: Int, rng: np.random.Generator) -> Exposures:
+        kept = t_ns[rng.uniform(size=len(t_ns)) >= self.drop_share]
+        off_ns = np.full(len(kept), self.late_s[eye] * 1e9)
+        off_ns += self.jitter_s * 1e9 * rng.standard_normal(len(kept))
+        if eye == Eye.ASSISTANT:
+            off_ns += self.drift_ppm * 1e-6 * (kept - t_ns[0])
+            kept = kept + round(self.offset_s * 1e9)
+            kept = kept[kept <= t_ns[-1]]
+            off_ns = off_ns[: len(kept)]
+        stamps = kept + np.round(off_ns).astype(np.int64)
+        # a driver delivers frames in order
+        stamps = np.maximum.accumulate(stamps - np.arange(len(kept))) + np.arange(len(kept))
+        return Exposures(stamp_ns=stamps, t_ns=kept)

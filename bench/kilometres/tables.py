@@ -1,0 +1,132 @@
+"""`python -m bench.kilometres.tables`: the paper's tables over scripted kilometres.
+
+Runs what is not kept yet and publishes each table from what there is; a row that was not run is
+named and never made up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from time import monotonic
+
+from bench.kilometres import part_rows, plan, rows
+from bench.kilometres.dials import sized
+from bench.kilometres.drives import SEQUENCES, Drive, DriveError, kitti
+from bench.kilometres.loops import ScriptedLoops
+from bench.kilometres.outcomes import OUTCOMES, Measured, Store, measure
+from bench.kilometres.plan import Batch
+from bench.kilometres.predictions import CACHE, cached
+from bench.kilometres.rows import Results
+from bench.tables import OUT, Table, publish
+from calm_edge.config import Config
+from calm_edge.types import CalmEdgeError
+
+COMMAND = "python -m bench.kilometres.tables"
+TABLES: dict[str, Callable[[Results, str], Table]] = {
+    "ate": rows.open_drives,
+    "loops": rows.looped_drives,
+    "sync": part_rows.synchronisation,
+    "scale": part_rows.scales,
+    "focal": part_rows.focal_table,
+    "ablation": part_rows.ablation,
+}
+# Seed 0 is what the dials and the correction were developed on.
+FIRST_SEED = 1
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """0, or 1 with one line where a drive or an outcome cannot be read."""
+    asked = _asked(arguments)
+    store = Store(asked.outcomes, asked.stale)
+    only = asked.only.split(",") if asked.only else list(TABLES)
+    names = asked.sequences.split(",")
+    seeds = range(FIRST_SEED, FIRST_SEED + asked.seeds)
+    until = monotonic() + 60 * asked.minutes
+    repeated = asked.repeated.split(",") if asked.repeated else []
+    measured: list[Measured] = []
+    try:
+        for name in only:
+            if name not in TABLES:
+                raise CalmEdgeError(f"--only {name}: unknown; known: {', '.join(TABLES)}")
+        unknown = [name for name in names if name not in SEQUENCES]
+        if unknown:
+            raise DriveError(f"--sequences {unknown[0]}: unknown; known: {', '.join(SEQUENCES)}")
+        for batch in plan.batches(only, names, seeds, repeated):
+            measured += _measured(batch, store, asked, until)
+    except CalmEdgeError as error:
+        print(error, file=sys.stderr)
+        return 1
+    command = " ".join([COMMAND, *(arguments if arguments is not None else sys.argv[1:])])
+    results = Results(measured, names)
+    said = f"{store.earlier} of {len(measured)} runs read here were made by earlier code"
+    for name in only:
+        table = TABLES[name](results, command)
+        if store.earlier:
+            table = replace(table, notes=(*table.notes, said))
+        publish(table, asked.out)
+    return 0
+
+
+def _asked(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog=COMMAND)
+    parser.add_argument("--sequences", default=",".join(SEQUENCES), help="00,05,...")
+    parser.add_argument("--seeds", type=int, default=1, help=f"so many, from {FIRST_SEED} on")
+    parser.add_argument("--repeated", default="", help="drives run at later seeds; default all")
+    parser.add_argument("--only", default="", help=f"some of {','.join(TABLES)}")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no run after")
+    parser.add_argument("--fresh", action="store_true", help="run also what is kept")
+    parser.add_argument("--stale", action="store_true", help="earlier code's outcomes count too")
+    parser.add_argument("--frames", type=int, default=0, help="only the first so many; 0 all")
+    parser.add_argument("--outcomes", type=Path, default=OUTCOMES)
+    parser.add_argument("--out", type=Path, default=OUT)
+    return parser.parse_args(arguments)
+
+
+def _measured(
+    batch: Batch, store: Store, asked: argparse.Namespace, until: float
+) -> list[Measured]:
+    """What is kept of a batch, and what could still be run of the rest."""
+    name, seed, setting = batch.name, batch.seed, batch.setting
+    # the first frames of a drive are another drive
+    key = f"{name}-{asked.frames}" if asked.frames else name
+    found, to_run = [], []
+    for variant in batch.variants:
+        kept = None if asked.fresh else store.get(key, seed, setting, variant)
+        if kept is None:
+            to_run.append(variant)
+        else:
+            found.append(kept)
+    if not to_run or monotonic() > until:
+        return found
+    config = Config()
+    drive = kitti(name, config, seed, setting.streams, asked.frames)
+    backbone = cached(drive, sized(seed), CACHE)
+    truths = _finder(batch, drive, config, 0.0)
+    for variant in to_run:
+        if monotonic() > until:
+            break
+        # baselines have nothing to tell a false loop by; they share one finder, hence its views
+        ours = variant.aligner is None
+        loops = _finder(batch, drive, config, setting.false_share) if ours else truths
+        one = measure(drive, name, seed, backbone, setting, variant, loops, config)
+        store.put(one, key, setting, variant)
+        found.append(one)
+        print(name, seed, setting.name, variant.name, one.ate_sim3_m, one.percent, one.failed,
+              file=sys.stderr, flush=True)  # fmt: skip
+    return found
+
+
+def _finder(batch: Batch, drive: Drive, config: Config, false_share: float) -> ScriptedLoops | None:
+    setting = batch.setting
+    if not setting.loops:
+        return None
+    gap = config.loops.min_gap
+    return ScriptedLoops(drive, gap, setting.detection, false_share, seed=batch.seed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,115 @@
+"""A row of the table: a cloud, made one way, against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bench.baselines.chain import BaselineResult
+from bench.mapping.build import Built, raw_points
+from calm_edge.config import MappingConfig
+from calm_edge.evaluation import cloud, trajectory
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation.results import MIN_POSES
+from calm_edge.evaluation.truth import Truth
+from calm_edge.geometry import se3
+from calm_edge.geometry.similarity import align
+from calm_edge.mapping.seams import SeamSummary, summary
+from calm_edge.types import Float, Float32, Int, Submap
+
+# a part of VI each; `rigid` keeps the anchors but lets them only turn and shift a sub-map
+VARIANTS: tuple[tuple[str, dict[str, float | bool]], ...] = (
+    ("full", {}),
+    ("without suppression", {"suppress": False}),
+    ("without distance weight", {"distance_weight": False}),
+    ("rigid motion by the anchors", {"stiffness": float("inf")}),
+    ("without alignment", {"deform": False}),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """A row. error: None when nothing of the map lies near the path. failed: why there is none."""
+
+    name: str
+    error: cloud.CloudError | None
+    seams: SeamSummary | None = None
+    failed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Cameras:
+    """What moves a map to the truth: t_ns (N,) on the truth's clock and centres_w (N, 3) of its
+    primary cameras; in any unit if `scale`, else in metres."""
+
+    t_ns: Int
+    centres_w: Float
+    scale: bool
+
+
+def judged(
+    points_w: Iterable[Float32 | Float], cameras: Cameras, truth: Truth
+) -> cloud.CloudError | None:
+    """A cloud, in pieces (P, 3), against the truth, moved there by its own cameras.
+
+    Raises EvaluationError where fewer than three cameras have a true pose.
+    """
+    if truth.cloud is None:
+        raise EvaluationError("the truth has no cloud.npy to compare the map with")
+    i, j = trajectory.associate(cameras.t_ns, truth.t_ns)
+    if len(i) < MIN_POSES:
+        raise EvaluationError(f"{len(i)} cameras have a true pose, {MIN_POSES} are needed")
+    path = truth.T_w_c[:, :3, 3]
+    motion = align(cameras.centres_w[i], path[j], with_scale=cameras.scale)
+    points = motion.points(np.concatenate([np.empty((0, 3)), *points_w]))
+    return cloud.compare(points, np.asarray(truth.cloud, np.float64), path)
+
+
+def on_true_poses(submaps: Sequence[Submap], t_ns: Int, truth: Truth) -> list[Submap]:
+    """The sub-maps as placed by the true pose of their central keyframe: no drift is left.
+
+    t_ns: (S,) stamp of that keyframe on the truth's clock. Raises EvaluationError without a pose.
+    """
+    i, j = trajectory.associate(t_ns, truth.t_ns)
+    if len(i) < len(submaps):
+        raise EvaluationError(f"{len(submaps) - len(i)} sub-maps have no true pose")
+    central = np.array([s.T_s_c[s.n_primary // 2] for s in submaps])
+    T_w_s = truth.T_w_c[j] @ se3.inverse(central)
+    return [replace(s, T_w_s=T) for s, T in zip(submaps, T_w_s, strict=True)]
+
+
+def ours(
+    built: Built,
+    config: MappingConfig,
+    placed: Sequence[Submap],
+    cameras: Cameras,
+    truth: Truth,
+    folder: Path,
+) -> Iterator[Quality]:
+    """A row a variant. placed: where the sub-maps are. folder: scratch."""
+    for name, switches in VARIANTS:
+        mapper = built.mapper.variant(replace(config, **switches), folder / name)  # type: ignore[arg-type]
+        tiles = [tile.points_w for tile in mapper.finish(placed)]
+        yield Quality(name, judged(tiles, cameras, truth), summary(mapper.seams()))
+
+
+def baseline(
+    built: Built,
+    result: BaselineResult,
+    config: MappingConfig,
+    spacing: float,
+    t_ns: Int,
+    truth: Truth,
+) -> Quality:
+    """The row of a chain of linear alignments; t_ns: (N,) of its keyframes, the truth's clock."""
+    if result.T_w_c is None:
+        return Quality(result.name, None, failed=result.failed)
+    pieces = [
+        result.transform_points(k, np.asarray(raw_points(built, k, config, spacing), np.float64))
+        for k in range(len(built.submaps))
+    ]
+    cameras = Cameras(t_ns, result.T_w_c[:, :3, 3], True)
+    return Quality(result.name, judged(pieces, cameras, truth))

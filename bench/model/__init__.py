@@ -1,0 +1,1 @@
+"""What the learned model has to beat, measured: `python -m bench.model`."""

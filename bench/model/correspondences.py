@@ -1,0 +1,206 @@
+"""Shares of correct correspondences of several matchers, on the same pairs and query points."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.model import described
+from bench.model.degrade import DEGRADATIONS
+from bench.model.protocols import Matcher, Matches
+from bench.model.scenes import Pair, Scene, pairs
+from bench.model.truth import transfer
+from bench.paired import PairedRatio, compare
+from calm_edge.types import Bytes, CalmEdgeError, Float
+
+# Of either kind: SIFT's own keypoints and Shi-Tomasi corners, so that nobody plays at home.
+QUERIES = 200
+KINDS = ("SIFT", "corner")
+ALL = "all"
+THRESHOLDS_PX = (1.0, 3.0)
+# The pairs on which pictures are made worse, too.
+DEGRADED_CASES = ("3 on", "eyes")
+# A pair with fewer queries that can be found says nothing.
+MIN_QUERIES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """What a matcher did on one pair, of queries of one kind, or ALL, whose truth can be seen.
+
+    queries: their number. within: how many were found within each of THRESHOLDS_PX of the truth.
+    found: how many it stood for. error_px: median of those found within the last threshold.
+    claimed: root mean square of error over sigma an axis, of those; NaN where it claims none.
+    """
+
+    matcher: str
+    scene: str
+    case: str
+    degraded: str
+    place: int
+    kind: str
+    queries: int
+    within: tuple[int, ...]
+    found: int
+    error_px: float
+    claimed: float
+
+    def share(self, threshold: int = 0) -> float:
+        """Share of correct ones, half a query away from 0 and 1 so that ratios exist."""
+        return (self.within[threshold] + 0.5) / (self.queries + 1)
+
+
+def query_points(pair: Pair) -> tuple[Float, NDArray[np.int64]]:
+    """(N, 2) px of picture a, at most QUERIES of each kind, and their kind (N,) in KINDS."""
+    chosen = []
+    for points in candidates(pair.a.image, pair.a.seed):
+        _, seen = transfer(pair.a.truth, pair.b.truth, points)
+        chosen.append(points[seen][:QUERIES])
+    kind = np.repeat(np.arange(len(chosen)), [len(points) for points in chosen])
+    return np.concatenate(chosen), kind
+
+
+def candidates(image: Bytes, seed: int) -> list[Float]:
+    """Of each of KINDS, (N, 2) px of a picture (H, W, 3) in an order drawn by the seed."""
+    gray, rng = described.gray_of(image), np.random.default_rng(seed)
+    own = np.array([p.pt for p in described.keypoints(gray, 4 * QUERIES)]).reshape(-1, 2)
+    kinds = np.unique(own, axis=0), described.corners(gray, 2 * QUERIES)
+    return [np.asarray(p, np.float64)[rng.permutation(len(p))] for p in kinds]
+
+
+def judge(matches: Matches, true_uv: Float) -> tuple[tuple[int, ...], int, float, float]:
+    """within, found, error_px and claimed of Score, against the truth (N, 2) px."""
+    off = np.where(matches.found, np.linalg.norm(matches.uv_b - true_uv, axis=1), np.inf)
+    right = off <= THRESHOLDS_PX[-1]
+    error = float(np.median(off[right])) if right.any() else float("nan")
+    sigma = matches.sigma_px[right]
+    known = np.isfinite(sigma) & (sigma > 0)
+    ratio = off[right][known] / sigma[known]
+    claimed = float(np.sqrt((ratio**2).mean() / 2)) if known.any() else float("nan")
+    within = tuple(int((off <= limit).sum()) for limit in THRESHOLDS_PX)
+    return within, int(matches.found.sum()), error, claimed
+
+
+def measure_pair(pair: Pair, matchers: Mapping[str, Matcher]) -> list[Score]:
+    """Every matcher on a pair as it is and, in DEGRADED_CASES, made worse; queries stay."""
+    uv, kind = query_points(pair)
+    if len(uv) < MIN_QUERIES:
+        return []
+    true_uv, _ = transfer(pair.a.truth, pair.b.truth, uv)
+    made = {"": (pair.a.image, pair.b.image)}
+    if pair.case in DEGRADED_CASES:
+        for name, worse in DEGRADATIONS.items():
+            sides = (pair.a, pair.b)
+            first, second = (worse(side.image, side.seed) for side in sides)
+            made[name] = (first, second)
+    scores = []
+    for degraded, (a, b) in made.items():
+        for name, matcher in matchers.items():
+            found = matcher.match(a, b, uv)
+            parts = {ALL: kind >= 0} | {label: kind == k for k, label in enumerate(KINDS)}
+            for label, own in parts.items():
+                part = Matches(found.uv_b[own], found.found[own], found.sigma_px[own])
+                figures = judge(part, true_uv[own])
+                key = (name, pair.scene, pair.case, degraded, pair.place, label)
+                scores.append(Score(*key, int(own.sum()), *figures))
+    return scores
+
+
+def measure(
+    scenes: Iterable[Scene], matchers: Mapping[str, Matcher], out: Path
+) -> tuple[list[Score], list[str]]:
+    """All scores, and why drives were skipped."""
+    scores: list[Score] = []
+    skipped = []
+    for scene in scenes:
+        print(f"{scene.name} ...", file=sys.stderr, flush=True)
+        folder = scene.prepare(out)
+        if isinstance(folder, str):
+            skipped.append(f"{scene.name} skipped: {folder}")
+            continue
+        try:
+            for pair in pairs(scene, folder):
+                scores += measure_pair(pair, matchers)
+        except CalmEdgeError as error:
+            skipped.append(f"{scene.name} stopped: {error}")
+    return scores, skipped
+
+
+def rows(scores: Sequence[Score]) -> list[tuple[Any, ...]]:
+    """A case, a degradation and a matcher: shares of all pairs' queries, in percent."""
+    out: list[tuple[Any, ...]] = []
+    keys = dict.fromkeys((s.case, s.degraded, s.matcher) for s in scores)
+    order = list(dict.fromkeys((case, degraded) for case, degraded, _ in keys))
+    for case, degraded, name in sorted(keys, key=lambda k: order.index(k[:2])):
+        own = [s for s in scores if (s.case, s.degraded, s.matcher) == (case, degraded, name)]
+        of = {kind: [s for s in own if s.kind == kind] for kind in (ALL, *KINDS)}
+        both = of[ALL]
+        found, correct = sum(s.found for s in both), sum(s.within[-1] for s in both)
+        out.append((
+            case, degraded or "clean", name,
+            *(_percent(of[ALL], k) for k in range(len(THRESHOLDS_PX))),
+            *(_percent(of[kind], 0) for kind in KINDS),
+            round(100 * correct / found, 1) if found else None,
+            _middle([s.error_px for s in both]), _middle([s.claimed for s in both]),
+            sum(s.queries for s in both),
+        ))  # fmt: skip
+    return out
+
+
+COLUMNS = (
+    "case", "pictures", "matcher", "1 px %", "3 px %", "1 px % at SIFT's", "1 px % at corners",
+    "of found 3 px %", "error px", "error / sigma", "queries",
+)  # fmt: skip
+
+
+def against(
+    scores: Sequence[Score], ours: str, other: str, case: str, threshold: int
+) -> PairedRatio | None:
+    """`other`'s share over ours on the clean pairs of a case: below 1, ours finds more."""
+    mine, theirs = (_shares(scores, name, case, "", threshold) for name in (ours, other))
+    return compare(theirs, mine) if mine.keys() & theirs.keys() else None
+
+
+def retained_against(
+    scores: Sequence[Score], ours: str, other: str, degraded: str
+) -> PairedRatio | None:
+    """The part of its share within 1 px that `other` keeps when pictures get worse, over ours."""
+    kept = []
+    for name in (other, ours):
+        both: dict[tuple[str, int], float | None] = {}
+        for number, case in enumerate(DEGRADED_CASES):
+            clean = _shares(scores, name, case, "", 0)
+            for (scene, place), share in _shares(scores, name, case, degraded, 0).items():
+                before = clean[scene, place]
+                if share is not None and before is not None:
+                    both[scene, place * len(DEGRADED_CASES) + number] = share / before
+        kept.append(both)
+    theirs, mine = kept
+    return compare(theirs, mine) if theirs.keys() & mine.keys() else None
+
+
+def _shares(
+    scores: Sequence[Score], name: str, case: str, degraded: str, threshold: int
+) -> dict[tuple[str, int], float | None]:
+    key = (name, case, degraded, ALL)
+    return {
+        (s.scene, s.place): s.share(threshold)
+        for s in scores
+        if (s.matcher, s.case, s.degraded, s.kind) == key
+    }
+
+
+def _percent(scores: Sequence[Score], threshold: int) -> float | None:
+    total = sum(s.queries for s in scores)
+    return round(100 * sum(s.within[threshold] for s in scores) / total, 1) if total else None
+
+
+def _middle(values: Iterable[float]) -> float | None:
+    finite = [v for v in values if np.isfinite(v)]
+    return float(np.median(finite)) if finite else None

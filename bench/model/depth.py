@@ -1,0 +1,192 @@
+"""Depth from the same pictures, K and poses: `python -m bench.model.depth`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from bench.model import scenes
+from bench.model.depth_makers import MAKERS
+from bench.model.depth_scores import (
+    DepthScore,
+    most_confident,
+    relative_error,
+    score,
+)
+from bench.model.ours import contestant
+from bench.model.protocols import DepthMaker
+from bench.paired import COLUMNS as PAIRED
+from bench.paired import compare
+from bench.tables import OUT, Check, Table, publish
+from calm_edge.types import CalmEdgeError, Float
+
+OURS, RIVAL, SWEEP = "ours", "SGBM", "plane sweep"
+PLACES, KEYFRAMES = 3, 5
+NEAREST_M, FARTHEST_M = 1.0, 60.0
+# Target: our relative error over that of semi-global matching.
+ASKED = 0.7
+COLUMNS = (
+    "maker", "coverage %", "abs-rel", "within 5 %", "both: abs-rel", "both: within 5 %",
+    "equal share: abs-rel", "equal share: within 5 %", "AUSE", "pictures",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """One maker on one picture. own: where it gives depth. common: where all makers do. equal:
+    its most confident pixels, as many as the sparsest maker gives."""
+
+    maker: str
+    drive: str
+    place: int
+    coverage: float
+    own: DepthScore
+    common: DepthScore
+    equal: DepthScore
+
+
+def measure_place(
+    drive: scenes.Pictures, name: str, place: int, frame: int, makers: Mapping[str, DepthMaker]
+) -> list[Scored]:
+    """Every maker on the middle one of KEYFRAMES keyframes of both eyes from `frame` on."""
+    frames = drive.keyframes(frame)[:KEYFRAMES]
+    sides = [drive.side(eye, k) for eye in (0, 1) for k in frames]
+    reference = len(frames) // 2
+    K, T_w_c = (np.stack([getattr(s.truth, key) for s in sides]) for key in ("K", "T_w_c"))
+    eyes = np.repeat([0, 1], len(frames))
+    true_z = sides[reference].truth.z
+    asked = (true_z > NEAREST_M) & (true_z < FARTHEST_M)
+    made = {}
+    for label, maker in makers.items():
+        z, confidence = maker.depth([s.image for s in sides], K, T_w_c, eyes, reference)
+        size = true_z.shape[1], true_z.shape[0]
+        full = [cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (z, confidence)]
+        made[label] = (_asked(full[0], asked), _asked(full[1], asked))
+    return compared(name, place, _asked(true_z, asked), made)
+
+
+def _asked(picture: Any, asked: Any) -> Float:
+    return np.asarray(np.asarray(picture, np.float32)[asked], np.float64)
+
+
+def compared(
+    name: str, place: int, true_z: Float, made: Mapping[str, tuple[Float, Float]]
+) -> list[Scored]:
+    """Of depth and confidence (M,) each against the truth (M,); none where one gives nothing."""
+    known = {label: z > 0 for label, (z, _) in made.items()}
+    both = np.logical_and.reduce(list(known.values()))
+    least = min(int(k.sum()) for k in known.values())
+    if not both.any():
+        return []
+    out = []
+    for label, (z, confidence) in made.items():
+        error = relative_error(z, true_z)
+        parts = known[label], both, most_confident(known[label], confidence, least)
+        own, common, equal = (score(error[p], confidence[p]) for p in parts)
+        out.append(Scored(label, name, place, float(known[label].mean()), own, common, equal))
+    return out
+
+
+def table(scored: Sequence[Scored], notes: Sequence[str], held_out: bool) -> Table:
+    """Means over pictures, then every maker against RIVAL, paired."""
+    rows: list[tuple[Any, ...]] = []
+    for label in dict.fromkeys(s.maker for s in scored):
+        own = [s for s in scored if s.maker == label]
+        parts = [[getattr(s, key) for s in own] for key in ("own", "common", "equal")]
+        figures = [v for part in parts for v in (_mean(part, "abs_rel"), _mean(part, "close"))]
+        coverage = 100 * float(np.mean([s.coverage for s in own]))
+        rows.append((label, coverage, *figures, _mean(parts[2], "ause"), len(own)))
+    said, checks = list(notes), []
+    for label in dict.fromkeys(s.maker for s in scored if s.maker != RIVAL):
+        for what, part, key in (
+            ("abs-rel where both know", "common", "abs_rel"),
+            ("abs-rel at equal share", "equal", "abs_rel"),
+            ("AUSE at equal share", "equal", "ause"),
+        ):
+            ours, rival = (_errors(scored, name, part, key) for name in (label, RIVAL))
+            if not ours.keys() & rival.keys():
+                continue
+            ratio = compare(ours, rival)
+            line = dict(zip(PAIRED, ratio.row(f"{label} over {RIVAL}, {what}"), strict=True))
+            figures_said = f"{ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f})"
+            said.append(f"{line['compared']}: {figures_said}, {ratio.pairs} pictures")
+            if label == OURS:
+                most = ASKED if key == "abs_rel" else 1.0
+                kept = ratio.verdict == "better" and ratio.within(most)
+                checks.append(Check(what, f"<= {most:g} of {RIVAL}", figures_said, kept))
+    suffix = " --held-out" if held_out else ""
+    return Table(
+        f"51_model_depth{'_held_out' if held_out else ''}",
+        f"Depth under true K and poses{' on held-out drives' if held_out else ''}",
+        f"python -m bench.model.depth{suffix}",
+        COLUMNS, tuple(rows), tuple(checks),
+        (
+            f"pixels {NEAREST_M:g} to {FARTHEST_M:g} m away; equal share: the most confident "
+            "pixels of each, as many as the sparsest gives",
+            *said,
+        ),
+    )  # fmt: skip
+
+
+def _mean(scores: Sequence[DepthScore], key: str) -> float:
+    return float(np.mean([getattr(s, key) for s in scores]))
+
+
+def _errors(
+    scored: Sequence[Scored], maker: str, part: str, key: str
+) -> dict[tuple[str, int], float | None]:
+    return {
+        (s.drive, s.place): max(float(getattr(getattr(s, part), key)), 1e-6)
+        for s in scored
+        if s.maker == maker
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, print and keep the table; 1 when a promise is broken."""
+    parser = argparse.ArgumentParser(prog="bench.model.depth", description=__doc__)
+    parser.add_argument("--ours", metavar="MODULE:FACTORY", help="the learned depth")
+    parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
+    parser.add_argument("--only", action="append", metavar="DRIVE")
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args(argv)
+    scored: list[Scored] = []
+    notes = []
+    try:
+        makers: dict[str, DepthMaker] = {name: make() for name, make in MAKERS.items()}
+        ours, missing = contestant(options.ours, "depth")
+        if missing:
+            notes.append(missing)
+        else:
+            makers = {OURS: ours, **makers}
+        if options.ours is None:
+            # ours is the sweep: it is not measured twice
+            del makers[SWEEP]
+        for scene in scenes.UNSEEN if options.held_out else scenes.DEVELOPMENT:
+            if options.only and scene.name not in options.only:
+                continue
+            print(f"{scene.name} ...", file=sys.stderr, flush=True)
+            folder = scene.prepare(options.out)
+            if isinstance(folder, str):
+                notes.append(f"{scene.name} skipped: {folder}")
+                continue
+            drive = scenes.Pictures(folder)
+            for place, frame in enumerate(scenes.places(drive.sequence.n_frames, PLACES)):
+                scored += measure_place(drive, scene.name, place, frame, makers)
+    except CalmEdgeError as error:
+        print(error, file=sys.stderr)
+        return 1
+    made = table(scored, notes, options.held_out)
+    publish(made, options.out)
+    return 0 if all(check.passed for check in made.checks) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+"""Whole drives, recorded by bundle without and with the network: what came of each run."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bench import pixel_cases, steps, targets
+from bench.drives import Prepare
+from bench.model.ours import MODEL
+from bench.perturb import Perturbation, perturbed
+from bench.pixel_targets import error_m
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.recording.reader import Recording
+from calm_edge.types import CalmEdgeError, LocalizerUpdate
+
+RESULTS = "model_pipeline.json"
+# Depth is made apart, when there is time.
+DEPTH_STAGE = "densify"
+# A seed is a drive of its own: the solver's has no say in the outcome, frames that are lost have.
+LOST = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """settings: of the configuration. pace: of `record`."""
+
+    name: str
+    settings: tuple[str, ...]
+    pace: str = "lockstep"
+
+    def options(self, seed: int) -> tuple[str, ...]:
+        """Of `record`."""
+        said = (*self.settings, f"backbone.seed={seed}")
+        return ("--pace", self.pace, *(part for s in said for part in ("--set", s)))
+
+
+PLAIN = Variant("bundle", ("backbone.name=bundle",))
+_WITH = f"backbone.name=bundle:{MODEL}"
+NETWORK = Variant(f"bundle:{MODEL}", (_WITH, "backbone.precision=fp32"))
+INT8 = Variant(f"bundle:{MODEL} int8", (_WITH, "backbone.precision=int8"))
+# As a user runs it: the precision that `model check` found best here.
+TIMED = (
+    Variant("bundle, real time", PLAIN.settings, "realtime"),
+    Variant(f"bundle:{MODEL}, real time", (_WITH,), "realtime"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """error: the key of `eval --json` it is judged by. options: of `record`."""
+
+    name: str
+    prepare: Prepare
+    options: tuple[str, ...]
+    error: str = "ate_se3_m"
+
+
+_REAL = ("karlsruhe", "karlsruhe_late", "kitti06")
+
+
+def _drives() -> dict[str, Drive]:
+    """Of the targets, then the pixel drives; a name that both have is the former's."""
+    found = {}
+    for case in (*pixel_cases.UNSEEN, *pixel_cases.CASES):
+        error = "ate_sim3_m" if case.name in _REAL else "ate_se3_m"
+        options = ("--spacing-m", f"{case.spacing_m:g}")
+        found[case.name] = Drive(case.name, case.loose, options, error)
+    for row in targets.ROWS:
+        if not row.twice:
+            # the real clips' metre is not exact, or not given
+            error = "ate_sim3_m" if row.name in _REAL else "ate_se3_m"
+            found[row.name] = Drive(row.name, row.prepare, row.options, error)
+    return found
+
+
+DRIVES = _drives()
+SHORT = ("karlsruhe", "kitti06", "aalborg", "demo")
+HELD_OUT = tuple(case.name for case in pixel_cases.UNSEEN)
+ALL = tuple(name for name in DRIVES if name not in HELD_OUT)
+
+# {drive: {variant: {seed: figures}}}
+Results = dict[str, dict[str, dict[str, dict[str, Any]]]]
+
+
+def full_windows_s(updates: Iterable[LocalizerUpdate], most: int) -> list[dict[str, float]]:
+    """Seconds by stage of the windows of `most` + `most` keyframes, when they were first solved.
+
+    Without the first of them, which shares no keyframe with an earlier one.
+    """
+    found: dict[int, dict[str, float]] = {}
+    for update in updates:
+        submap = update.submap
+        if submap.n_primary == len(submap.assistant_ids) == most:
+            found.setdefault(submap.id, {k: ms / 1e3 for k, ms in update.stage_ms.items()})
+    return list(found.values())[1:]
+
+
+def run(drive: Drive, variant: Variant, seed: int, out: Path) -> dict[str, Any]:
+    """Figures of one run: `error_m`, None where the drive was lost, and `windows_s`.
+
+    Seed 0 is the drive as it is; another one has lost frames of its own, LOST of each eye's.
+    `skipped` or `failed` says why there are none.
+    """
+    work = out / "model_pipeline" / drive.name / variant.name.replace(":", "_")
+    work.mkdir(parents=True, exist_ok=True)
+    sequence = drive.prepare(work)
+    if isinstance(sequence, str):
+        return {"skipped": sequence}
+    if seed:
+        sequence = perturbed(sequence, work / "thinned", Perturbation(drop=(LOST, LOST), seed=seed))
+    recording = work / "recording"
+    try:
+        cost = steps.record(sequence, recording, (*drive.options, *variant.options(seed)))
+        said = steps.figures(recording, sequence)
+        kept = Recording(recording)
+        windows = full_windows_s(kept.updates(), kept.config.frontend.n_max)
+    except CalmEdgeError as error:
+        return {"failed": str(error)}
+    off = error_m(said, drive.error)
+    return {
+        "error_m": off if math.isfinite(off) else None,
+        "windows_s": windows,
+        "cpu_s": cost.cpu_s,
+        "wall_s": cost.wall_s,
+    }
+
+
+def read_results(file: Path) -> Results:
+    """What earlier runs left; empty when there were none. Raises EvaluationError."""
+    if not file.is_file():
+        return {}
+    try:
+        found: Results = json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise EvaluationError(f"{file}: not readable ({error}); remove it") from None
+    return found
+
+
+def run_all(drives: Sequence[Drive], variants: Sequence[Variant], seeds: int, out: Path) -> Results:
+    """Every drive and seed by every variant, side by side in time; kept as soon as it is known."""
+    out.mkdir(parents=True, exist_ok=True)
+    results = read_results(out / RESULTS)
+    for drive in drives:
+        for seed in range(seeds):
+            for variant in variants:
+                print(f"{drive.name}, {variant.name}, seed {seed} ...", file=sys.stderr, flush=True)
+                figures = run(drive, variant, seed, out)
+                results.setdefault(drive.name, {}).setdefault(variant.name, {})[str(seed)] = figures
+                (out / RESULTS).write_text(json.dumps(results, indent=1, allow_nan=False) + "\n")
+    return results
+
+
+def errors(results: Mapping[str, Any], variant: Variant) -> dict[tuple[str, int], float | None]:
+    """(drive, seed) -> error, None where the run failed; without what was skipped."""
+    return {
+        (drive, int(seed)): figures.get("error_m")
+        for drive, variants in results.items()
+        for seed, figures in variants.get(variant.name, {}).items()
+        if "skipped" not in figures
+    }

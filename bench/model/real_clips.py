@@ -1,0 +1,239 @@
+"""Matches on real pictures, held to true epipolar lines: `... .bench.model.real_clips`.
+
+Real clips know no depth, so only the distance across a line can be judged: a match that is wrong
+along its line is not noticed, and a point that the other picture does not show cannot be told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from bench.drives import DATA, pictures
+from bench.model.correspondences import MIN_QUERIES, QUERIES, candidates
+from bench.model.match_table import OURS, ratio_check
+from bench.model.matchers import BASELINES
+from bench.model.ours import contestant
+from bench.model.protocols import Matcher, Matches
+from bench.model.scenes import GAPS, keyframes, places
+from bench.paired import compare
+from bench.tables import OUT, Check, Table, publish
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation.truth import read_truth
+from calm_edge.geometry import epipolar, se3
+from calm_edge.recording.sequence_folder import SequenceFolder
+from calm_edge.types import Bytes, CalmEdgeError, Float
+
+PLACES = 5
+THRESHOLDS_PX = (1.0, 3.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """A rectified stereo clip. posed: its poses are the camera's, exact enough for a pixel."""
+
+    name: str
+    spacing_m: float
+    posed: bool
+
+
+# Karlsruhe's poses are an INS's, its mounting pitch of six degrees left in: no truth of rotations.
+CLIPS = (
+    Clip("kitti06_straight", 0.5372, posed=True),
+    Clip("karlsruhe_town", 0.5712, posed=False),
+    Clip("kitti_raw_0001", 0.537, posed=False),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RealPair:
+    """Pictures a and b (H, W, 3) BGR and their true F (3, 3), `x_b^T F x_a = 0`."""
+
+    case: str
+    clip: str
+    place: int
+    a: Bytes
+    b: Bytes
+    F: Float
+
+
+@dataclass(frozen=True, slots=True)
+class LineScore:
+    """One matcher on one pair. within: found and so near to the line. error_px: their median."""
+
+    matcher: str
+    clip: str
+    case: str
+    place: int
+    queries: int
+    found: int
+    within: tuple[int, ...]
+    error_px: float
+
+    def share(self, threshold: int = 0) -> float:
+        """Share of the queries within the threshold, kept off 0 and 1 so that ratios exist."""
+        return (self.within[threshold] + 0.5) / (self.queries + 1)
+
+
+def line_distances(F: Float, uv_a: Float, uv_b: Float) -> Float:
+    """Distances (N,) px of matches (N, 2) to their lines, the larger one of both pictures."""
+    x_a, x_b = epipolar.homogeneous(uv_a), epipolar.homogeneous(uv_b)
+    lines_b, lines_a = x_a @ F.T, x_b @ F
+    value = np.abs((x_b * lines_b).sum(1))
+    least = np.minimum(*(np.linalg.norm(lines[:, :2], axis=1) for lines in (lines_a, lines_b)))
+    return np.asarray(value / np.maximum(least, 1e-300))
+
+
+def pairs(clip: Clip, folder: Path) -> Iterator[RealPair]:
+    """Across the eyes, and between keyframes where poses are known; raises CalmEdgeError."""
+    truth, sequence = read_truth(folder), SequenceFolder(folder)
+    if truth.K is None:
+        raise EvaluationError(f"{folder}: no calib.txt")
+    T_p_a = np.eye(4)
+    T_p_a[0, 3] = clip.spacing_m
+    F_eyes = epipolar.from_motion(truth.K[0], truth.K[1], se3.inverse(T_p_a))
+    files = [pictures(folder, eye) for eye in (0, 1)]
+    for place, frame in enumerate(places(min(map(len, files)), PLACES)):
+        a, b = (_read(files[eye][frame]) for eye in (0, 1))
+        yield RealPair("eyes", clip.name, place, a, b, F_eyes)
+        chosen = keyframes(sequence, files[0], frame) if clip.posed else []
+        for gap in (g for g in GAPS if g < len(chosen)):
+            T_b_a = se3.inverse(truth.T_w_c[chosen[gap]]) @ truth.T_w_c[frame]
+            F = epipolar.from_motion(truth.K[0], truth.K[0], T_b_a)
+            yield RealPair(f"{gap} on", clip.name, place, a, _read(files[0][chosen[gap]]), F)
+
+
+def measure_pair(pair: RealPair, matchers: Mapping[str, Matcher]) -> list[LineScore]:
+    """Every matcher at the same query points, half SIFT keypoints and half corners."""
+    uv = np.concatenate([points[:QUERIES] for points in candidates(pair.a, pair.place)])
+    if len(uv) < MIN_QUERIES:
+        return []
+    return [
+        LineScore(name, pair.clip, pair.case, pair.place, len(uv), *judge(found, uv, pair.F))
+        for name, found in (
+            (name, each.match(pair.a, pair.b, uv)) for name, each in matchers.items()
+        )
+    ]
+
+
+def judge(matches: Matches, uv: Float, F: Float) -> tuple[int, tuple[int, ...], float]:
+    """found, within and error_px of LineScore for queries uv (N, 2) px."""
+    ok = matches.found
+    off = line_distances(F, uv[ok], matches.uv_b[ok])
+    near = off[off <= THRESHOLDS_PX[-1]]
+    error = float(np.median(near)) if len(near) else float("nan")
+    return int(ok.sum()), tuple(int((off <= limit).sum()) for limit in THRESHOLDS_PX), error
+
+
+COLUMNS = (
+    "clip", "case", "matcher", "found %", "1 px %", "3 px %", "of found 1 px %", "error px",
+    "queries",
+)  # fmt: skip
+
+
+def rows(scores: Sequence[LineScore]) -> list[tuple[Any, ...]]:
+    """A clip, a case and a matcher: shares of all pairs' queries, in percent."""
+    out: list[tuple[Any, ...]] = []
+    for clip, case, name in dict.fromkeys((s.clip, s.case, s.matcher) for s in scores):
+        own = [s for s in scores if (s.clip, s.case, s.matcher) == (clip, case, name)]
+        queries, found = sum(s.queries for s in own), sum(s.found for s in own)
+        near = [sum(s.within[k] for s in own) for k in range(len(THRESHOLDS_PX))]
+        errors = [s.error_px for s in own if np.isfinite(s.error_px)]
+        out.append((
+            clip, case, name, *(round(100 * n / queries, 1) for n in (found, *near)),
+            round(100 * near[0] / found, 1) if found else None,
+            float(np.median(errors)) if errors else None, queries,
+        ))  # fmt: skip
+    return sorted(out, key=lambda row: (row[0], row[1]))
+
+
+def promises(scores: Sequence[LineScore], others: Sequence[str]) -> tuple[Check, ...]:
+    """Ours finds more within either threshold than every other, on every case, over the clips."""
+    checks = []
+    for case in dict.fromkeys(score.case for score in scores):
+        for other in others:
+            for threshold, px in enumerate(THRESHOLDS_PX):
+                theirs, mine = (
+                    {
+                        (s.clip, s.place): s.share(threshold)
+                        for s in scores
+                        if (s.matcher, s.case) == (name, case)
+                    }
+                    for name in (other, OURS)
+                )
+                ratio = compare(theirs, mine) if theirs.keys() & mine.keys() else None
+                what = f"{case}: share of {other} within {px:g} px of the line, over ours"
+                checks += ratio_check(what, ratio, 1.0)
+    return tuple(checks)
+
+
+def table(scores: Sequence[LineScore], notes: Sequence[str]) -> Table:
+    """Shares of every clip and case, and the promises where ours took part."""
+    names = list(dict.fromkeys(score.matcher for score in scores))
+    return Table(
+        "53_model_real_clips",
+        "Correspondences on real clips, by true epipolar lines",
+        "python -m bench.model.real_clips",
+        COLUMNS,
+        tuple(rows(scores)),
+        promises(scores, [n for n in names if n != OURS]) if OURS in names else (),
+        (
+            "shares of all query points, seen in the other picture or not; the distance is the "
+            "larger one of both pictures; error px: median of those within 3 px",
+            "across the eyes the clips are rectified; between keyframes only where the poses are "
+            "the camera's own, and then their error of rotation counts against everyone",
+            "a case of one clip has its interval from that clip's places alone",
+            *notes,
+        ),
+    )
+
+
+def _read(file: Path) -> Bytes:
+    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    if image is None:
+        raise EvaluationError(f"{file}: not a readable image")
+    return np.asarray(image, np.uint8)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Measure, print and keep the table; 1 when a promise is broken."""
+    parser = argparse.ArgumentParser(prog="bench.model.real_clips", description=__doc__)
+    parser.add_argument("--ours", metavar="MODULE:FACTORY", help="another learned matcher")
+    parser.add_argument("--only", action="append", choices=[clip.name for clip in CLIPS])
+    parser.add_argument("--data", type=Path, default=DATA, help="where the clips lie")
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args(argv)
+    scores: list[LineScore] = []
+    try:
+        matchers: dict[str, Matcher] = {name: make() for name, make in BASELINES.items()}
+        ours, missing = contestant(options.ours, "match")
+        if ours is not None:
+            matchers = {OURS: ours, **matchers}
+        notes = [missing] if missing else []
+        for clip in CLIPS:
+            folder = options.data / clip.name
+            if options.only and clip.name not in options.only:
+                continue
+            if not (folder / "cam1").is_dir():
+                notes.append(f"{clip.name} skipped: {folder} is not here")
+                continue
+            print(f"{clip.name} ...", file=sys.stderr, flush=True)
+            for pair in pairs(clip, folder):
+                scores += measure_pair(pair, matchers)
+    except CalmEdgeError as error:
+        print(error, file=sys.stderr)
+        return 1
+    made = table(scores, notes)
+    publish(made, options.out)
+    return 0 if all(check.passed for check in made.checks) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,118 @@
+"""Is one variant better than another on the same drives and seeds? A ratio and its interval.
+
+Errors of different drives differ by orders, so ratios are averaged as logarithms; runs of one
+drive are alike, so the bootstrap draws whole drives and then seeds within each of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.types import Float
+
+# (drive, seed) -> error; None where the run failed.
+Errors = Mapping[tuple[str, int], float | None]
+
+SAMPLES = 10_000
+SEED = 0
+# Fewer pairs than this are no ground for a verdict.
+MIN_PAIRS = 5
+COLUMNS = ("compared", "ratio", "95 % from", "to", "drives", "pairs", "failed", "verdict")
+
+
+@dataclass(frozen=True, slots=True)
+class PairedRatio:
+    """Geometric mean of error / reference error, every drive alike, and its 95 % interval.
+
+    ratio, low, high: below 1 the variant is better; None without a pair of finished runs.
+    drives, pairs: that went in. failed: runs of the variant that failed where the reference did
+    not; reference_failed: the other way round.
+    """
+
+    ratio: float | None
+    low: float | None
+    high: float | None
+    drives: int
+    pairs: int
+    failed: int
+    reference_failed: int
+
+    @property
+    def verdict(self) -> str:
+        """better, worse or tie as the interval leaves 1 out; `too few runs` below MIN_PAIRS."""
+        if self.pairs < MIN_PAIRS or self.low is None or self.high is None:
+            return "too few runs"
+        if self.high < 1:
+            return "better"
+        return "worse" if self.low > 1 else "tie"
+
+    def within(self, target: float) -> bool:
+        """Whether the ratio meets a target such as 1/4; its interval need not."""
+        return self.ratio is not None and self.ratio <= target
+
+    def row(self, name: str) -> list[Any]:
+        """A row of COLUMNS; failures as `variant / reference`."""
+        failed = f"{self.failed} / {self.reference_failed}"
+        figures = [self.ratio, self.low, self.high, self.drives, self.pairs]
+        return [name, *figures, failed, self.verdict]
+
+    def to_dict(self) -> dict[str, Any]:
+        """What goes into the JSON."""
+        return {name: getattr(self, name) for name in (*self.__slots__, "verdict")}
+
+
+def compare(errors: Errors, reference: Errors, samples: int = SAMPLES) -> PairedRatio:
+    """errors against reference over the (drive, seed) both ran; deterministic.
+
+    Interval: percentiles 2.5 and 97.5 of the cluster bootstrap (drives, then seeds, both with
+    replacement); with six drives it held the truth in 88 % of 200 trials. Raises EvaluationError
+    where an error is not above zero, or nothing is paired.
+    """
+    keys = sorted(errors.keys() & reference.keys())
+    if not keys:
+        raise EvaluationError("the two variants share no drive and seed")
+    by_drive: dict[str, list[float]] = {}
+    failed = reference_failed = 0
+    for key in keys:
+        error, of_reference = _finished(key, errors[key]), _finished(key, reference[key])
+        if error is not None and of_reference is not None:
+            by_drive.setdefault(key[0], []).append(math.log(error / of_reference))
+        failed += error is None and of_reference is not None
+        reference_failed += error is not None and of_reference is None
+    logs = [np.array(drive) for drive in by_drive.values()]
+    if not logs:
+        return PairedRatio(None, None, None, 0, 0, failed, reference_failed)
+    low, high = np.exp(np.percentile(_bootstrap(logs, samples), [2.5, 97.5]))
+    ratio = math.exp(float(np.mean([drive.mean() for drive in logs])))
+    pairs = sum(len(drive) for drive in logs)
+    return PairedRatio(ratio, float(low), float(high), len(logs), pairs, failed, reference_failed)
+
+
+def _finished(key: tuple[str, int], error: float | None) -> float | None:
+    if error is None or math.isnan(error):
+        return None
+    if not 0 < error < math.inf:
+        raise EvaluationError(f"{key[0]}, seed {key[1]}: an error of {error:g} has no ratio")
+    return error
+
+
+def _bootstrap(logs: list[Float], samples: int) -> Float:
+    """(samples,) means over drives drawn with replacement of means over seeds so drawn."""
+    rng = np.random.default_rng(SEED)
+    n = np.array([len(drive) for drive in logs])
+    table = np.zeros((len(logs), n.max()))
+    for k, of_drive in enumerate(logs):
+        table[k, : n[k]] = of_drive
+    total = np.zeros(samples)
+    for _ in logs:
+        drive = rng.integers(0, len(logs), samples)
+        seed = (rng.random((samples, n.max())) * n[drive, None]).astype(np.int64)
+        used = np.arange(n.max()) < n[drive, None]
+        total += (table[drive[:, None], seed] * used).sum(1) / n[drive]
+    return total / len(logs)

@@ -1,0 +1,80 @@
+"""What a rival is told of the kit: the truth, or the truth with one thing wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation.truth import read_truth
+from calm_edge.geometry import se3
+from calm_edge.recording.sequence_folder import SequenceFolder
+from calm_edge.trajectories import read_kitti
+from calm_edge.types import Float, Int
+from device.frame import Eye
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """K: (2, 3, 3) px, an eye. T_p_a: (4, 4) assistant->primary, metres. size: (w, h) px."""
+
+    K: Float
+    T_p_a: Float
+    size: tuple[int, int]
+
+    def with_focal(self, factor: float) -> Calibration:
+        """Both focals multiplied, principal points kept."""
+        K = self.K.copy()
+        K[:, 0, 0] *= factor
+        K[:, 1, 1] *= factor
+        return replace(self, K=K)
+
+    def with_yaw(self, degrees: float) -> Calibration:
+        """The assistant believed to look this much further to the right."""
+        T = self.T_p_a.copy()
+        T[:3, :3] = T[:3, :3] @ se3.so3_exp(np.array([0.0, np.radians(degrees), 0.0]))
+        return replace(self, T_p_a=T)
+
+
+def true_calibration(folder: Path, spacing_m: float | None = None) -> Calibration:
+    """The kit of a sequence folder as `calib.txt` and `poses1.txt` have it.
+
+    The rig is the mean of T_w_p(t1)^-1 T_w_a(t1) with the primary interpolated at the
+    assistant's stamps. Without `poses1.txt` the pictures are taken as rectified, `spacing_m`
+    apart along x. Raises EvaluationError when neither tells.
+    """
+    truth, sequence = read_truth(folder), SequenceFolder(folder)
+    if truth.K is None:
+        raise EvaluationError(f"{folder / 'calib.txt'}: missing; a rival needs the calibration")
+    size = sequence.size(Eye.PRIMARY)
+    if sequence.size(Eye.ASSISTANT) != size:
+        raise EvaluationError(f"{folder}: the eyes differ in size; no rival takes that")
+    if (folder / "poses1.txt").is_file():
+        T_w_a = read_kitti(folder / "poses1.txt")
+        t = sequence.t_ns(Eye.ASSISTANT)
+        inside = (t >= truth.t_ns[0]) & (t <= truth.t_ns[-1])
+        seconds = (truth.t_ns - truth.t_ns[0]) / 1e9
+        T_w_p = se3.interpolate_at(seconds, truth.T_w_c, (t[inside] - truth.t_ns[0]) / 1e9)
+        return Calibration(truth.K, se3.mean(se3.inverse(T_w_p) @ T_w_a[inside]), size)
+    if spacing_m is None:
+        raise EvaluationError(f"{folder}: no poses1.txt and no spacing given: the rig is unknown")
+    T_p_a = np.eye(4)
+    T_p_a[0, 3] = spacing_m
+    return Calibration(truth.K, T_p_a, size)
+
+
+def nearest_pairs(t_primary: Int, t_assistant: Int, shift: int = 0) -> Int:
+    """Indices (N, 2) of primary frames and the assistant's nearest in time, `shift` frames on.
+
+    t_primary (P,), t_assistant (A,): ns, sorted. Primary frames whose partner would lie
+    outside the stream are left out.
+    """
+    right = np.clip(np.searchsorted(t_assistant, t_primary), 1, max(len(t_assistant) - 1, 1))
+    right = np.minimum(right, len(t_assistant) - 1)
+    left = np.maximum(right - 1, 0)
+    nearer = np.abs(t_primary - t_assistant[left]) <= np.abs(t_assistant[right] - t_primary)
+    partner = np.where(nearer, left, right) + shift
+    inside = (partner >= 0) & (partner < len(t_assistant))
+    return np.stack([np.flatnonzero(inside), partner[inside]], 1)

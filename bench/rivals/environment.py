@@ -1,0 +1,123 @@
+"""An environment a rival, and the running of a rival's process in it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.drives import ROOT
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Int
+
+RIVALS = ROOT / "build" / "rivals"
+INSTALL_LIMIT_S = 600
+RUN_LIMIT_S = 3 * 3600
+
+# How a rival's process ends when it cannot go on: last line of stderr, exit 1.
+_SILENT = "it said nothing"
+
+
+class RivalMissing(EvaluationError):
+    """A rival cannot be had on this machine; its rows are skipped."""
+
+
+@dataclass(frozen=True, slots=True)
+class RivalRun:
+    """What a rival made of a drive.
+
+    t_ns: (N,) stamps of the primary frames it placed, on SequenceFolder's clock. T_w_c:
+    (N, 4, 4) camera->world, its own unit, and for ORB-SLAM3 the rectified camera's rotation.
+    frames: how many it was given. cpu_s: of all its threads, start-up left out.
+    """
+
+    t_ns: Int
+    T_w_c: Float
+    frames: int
+    cpu_s: float
+    wall_s: float
+    focal_px: tuple[float, ...] = ()
+
+
+def _said(done: subprocess.CompletedProcess[str]) -> str:
+    lines = (done.stderr or done.stdout).strip().splitlines()
+    return lines[-1] if lines else _SILENT
+
+
+def environment(name: str, *packages: str) -> Path:
+    """The Python of build/rivals/`name` holding `packages`; raises RivalMissing.
+
+    Made once: a `ready` file names what was installed, so another list makes it again.
+    """
+    folder = RIVALS / name
+    python, ready = folder / "bin" / "python", folder / "ready"
+    wanted = "\n".join(packages)
+    if python.is_file() and ready.is_file() and ready.read_text() == wanted:
+        return python
+    shutil.rmtree(folder, ignore_errors=True)
+    steps = (
+        [sys.executable, "-m", "venv", str(folder)],
+        [str(python), "-m", "pip", "install", "-q", "--disable-pip-version-check", *packages],
+    )
+    for step in steps:
+        try:
+            done = subprocess.run(
+                step, capture_output=True, text=True, check=False, timeout=INSTALL_LIMIT_S
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise RivalMissing(f"{name} cannot be installed ({type(error).__name__})") from None
+        if done.returncode:
+            raise RivalMissing(f"{name} cannot be installed ({_said(done)})")
+    ready.write_text(wanted)
+    return python
+
+
+def run_process(python: Path, script: Path, job: Mapping[str, Any], work: Path) -> RivalRun:
+    """Run `script` on work/job.json, with work/result.json as its answer.
+
+    result.json: `t_ns` [N], `T_w_c` [N][16] row-major, `frames`, `cpu_s`, `focal_px` [].
+    Raises EvaluationError when it ends without one.
+    """
+    work.mkdir(parents=True, exist_ok=True)
+    answer = work / "result.json"
+    answer.unlink(missing_ok=True)
+    (work / "job.json").write_text(json.dumps(dict(job)))
+    start = time.monotonic()
+    with (work / "log.txt").open("w") as log:
+        try:
+            done = subprocess.run(
+                [str(python), str(script), str(work / "job.json"), str(answer)],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                check=False,
+                timeout=RUN_LIMIT_S,
+            )
+        except subprocess.TimeoutExpired:
+            raise EvaluationError(f"{script.stem}: not done after {RUN_LIMIT_S} s") from None
+    wall_s = time.monotonic() - start
+    # a rival may crash while it shuts down, after its answer is safe on the disk
+    if not answer.is_file():
+        raise EvaluationError(
+            f"{script.stem}: exit {done.returncode} without an answer; see {work / 'log.txt'}"
+        )
+    result = json.loads(answer.read_text())
+    t_ns = np.array(result["t_ns"], np.int64)
+    T = np.array(result["T_w_c"], np.float64).reshape(len(t_ns), 4, 4)
+    order = np.argsort(t_ns, kind="stable")
+    return RivalRun(
+        t_ns[order],
+        se3.compose(T[order, :3, :3], T[order, :3, 3]),
+        int(result["frames"]),
+        float(result["cpu_s"]),
+        wall_s,
+        tuple(float(f) for f in result.get("focal_px", ())),
+    )

@@ -1,0 +1,205 @@
+"""One batch of views: its truth, its draw of errors, and what a model makes of both."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.scripted import coupled, landmarks
+from bench.scripted import depth as model_depth
+from bench.scripted.errors import Errors
+from bench.scripted.landmarks import Bool, Sightings
+from bench.scripted.scene import ScriptedScene
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
+
+DEPTH_STRIDE = 8
+# A street's corners are anywhere in their cells of the picture, a room's in the middle.
+_STREET_GRID, _ROOM_GRID = (5, 8), (6, 10)
+# A loop keyframe from farther away (world units), or turned further, shows another place.
+_SAME_PLACE, _SAME_WAY_RAD = 10.0, np.radians(60.0)
+# How far from one of the batch's own views a model puts such a picture.
+_FALSE_TWIST = np.array([1.0, 0.2, 1.5, 0.02, 0.05, 0.02])
+# A loop keyframe that shares fewer points with every other view cannot be placed.
+_MIN_SHARED = 24
+
+
+def false_place(t_ns: int, n_primary: int) -> tuple[int, Float]:
+    """Where a model puts a picture of another place, exposed at t_ns: a view and T_view_picture.
+
+    What fools a model may fool a look-up in the same way, so both can ask.
+    """
+    rng = np.random.default_rng([t_ns % (1 << 64), n_primary])
+    view = int(rng.integers(n_primary))
+    return view, se3.exp(rng.standard_normal(6) * _FALSE_TWIST)
+
+
+class Batch:
+    """What the backbone says of one batch of N views; all of it follows from the hints."""
+
+    def __init__(self, scene: ScriptedScene, errors: Errors, hints: Hints) -> None:
+        self._scene, self._eyes, self._dials = scene, hints.eyes, errors.dials
+        self._loop = hints.loop
+        self._t_ns = scene.true_ns(hints)
+        self._T_w_c = scene.T_w_c(hints.eyes, self._t_ns)
+        self._n_primary = coupled.n_primary(hints.eyes, hints.loop)
+        self._draw = errors.draw(hints, self._T_w_c)
+        self._false_loop = self._mistake_the_loop()
+        self._size = scene.size[hints.eyes]
+        self._K_true = scene.K[hints.eyes]
+        self._K = self._K_true.copy()
+        self._K[:, :2, :2] *= np.exp(self._draw.focal)[:, None, None]
+        self._sightings = self._sight()
+        self._loop_found = True
+        self._T = self._poses()
+
+    def prediction(self) -> Prediction:
+        """Everything but depth."""
+        draw = self._draw
+        T_s_c = self._bent() @ se3.exp(draw.twists)
+        T_s_c[:, :3, 3] *= draw.scale
+        sigma = None
+        if not self._dials.coupled:
+            sigma = np.abs(np.array(self._dials.focal_log_error))[self._eyes] + 1e-3
+        return Prediction(
+            K=self._K,
+            T_s_c=T_s_c,
+            landmarks=self._landmarks(),
+            focal_log_sigma=sigma,
+            loop_found=self._loop_found,
+        )
+
+    def _bent(self) -> Float:
+        """The poses with their path bent into an arc: half the turn before, half after each."""
+        half = np.zeros((len(self._eyes), 6))
+        half[:, 4] = self._draw.bend / 2
+        return np.asarray(se3.exp(half) @ self._T @ se3.exp(half))
+
+    def depth(self, views: Int) -> tuple[Float32, Float32]:
+        """Depth and confidence (V, h, w) of some of the views, at 1 / DEPTH_STRIDE."""
+        width, height = self._scene.size.min(0) // DEPTH_STRIDE
+        small = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
+        out = np.zeros((2, len(views), height, width), np.float32)
+        for row, view in enumerate(views):
+            zoom = self._size[view] / (width, height)
+            uv = (small + 0.5) * zoom - 0.5
+            z, confidence = self._depth_at(view, uv)
+            at = small / (width, height)
+            warp = self._dials.depth_warp * model_depth.warp(at, self._draw.phases[view])
+            z *= (1 + warp) * np.exp(self._draw.depth[view]) * self._draw.scale
+            out[:, row] = np.stack([z, confidence]).reshape(2, height, width)
+        return out[0], out[1]
+
+    def _depth_at(self, view: int, uv: Float) -> tuple[Float, Float]:
+        """z (P,) of pixels (P, 2) in true length units, 0 unknown, and confidence (P,)."""
+        one = slice(view, view + 1)
+        (true,), (p_w,) = self._scene.surface(self._K_true[one], self._T_w_c[one], uv[None])
+        known = np.isfinite(true)
+        true, p_w = np.where(known, true, 0.0), np.where(known[:, None], p_w, 0.0)
+        if not self._dials.coupled:
+            return true, known.astype(np.float64)
+        others = model_depth.partners(self._t_ns)[view]
+        at, z = landmarks.project_all(self._K_true[others], self._T_w_c[others], p_w)
+        seen = known & (z > 0.1) & landmarks.inside(at, self._size[others])
+        return model_depth.triangulated(
+            self._T[view],
+            model_depth.rays(self._K[view], uv),
+            self._T[others],
+            model_depth.rays(self._K[others][:, None], at),
+            seen.astype(np.float64),
+            self._K[view, 0, 0],
+        )
+
+    def _mistake_the_loop(self) -> bool:
+        """Puts a loop keyframe of another place where a model would see it; whether it did."""
+        if not self._loop:
+            return False
+        rest = len(self._eyes) - 1
+        moved = se3.inverse(self._T_w_c[: self._n_primary]) @ self._T_w_c[rest]
+        turn = np.linalg.norm(se3.so3_log(moved[:, :3, :3]), axis=1)
+        apart = np.linalg.norm(moved[:, :3, 3], axis=1)
+        if np.any((apart < _SAME_PLACE) & (turn < _SAME_WAY_RAD)):
+            return False
+        view, T_v_loop = false_place(int(self._t_ns[rest]), self._n_primary)
+        self._T_w_c[rest] = self._T_w_c[view] @ T_v_loop
+        return True
+
+    def _sight(self) -> Sightings:
+        """A grid of surface points of each view, in every view that sees them."""
+        scene, street = self._scene, self._scene.street is not None
+        grid = _STREET_GRID if street else _ROOM_GRID
+        uv = np.empty((len(self._eyes), grid[0] * grid[1], 2))
+        for view, eye in enumerate(self._eyes):
+            # the corners of a picture are its own, whichever batch holds it
+            seed = [int(self._t_ns[view]) % (1 << 64), int(eye)]
+            jitter = np.random.default_rng(seed) if street else None
+            width, height = scene.size[eye]
+            uv[view] = landmarks.grid_pixels(width, height, grid, jitter)
+        z, p_w = scene.surface(self._K_true, self._T_w_c, uv)
+        seeded_by, place = np.nonzero(np.isfinite(z))
+        p_w = p_w[seeded_by, place]
+        zoom = landmarks.MAX_ZOOM if street else np.inf
+        return landmarks.sightings(p_w, seeded_by, self._K_true, self._T_w_c, self._size, zoom)
+
+    def _poses(self) -> Float:
+        """T_s_c (N, 4, 4) in true length, before the model's own noise."""
+        if not self._dials.coupled:
+            return np.asarray(se3.inverse(self._T_w_c[0]) @ self._T_w_c)
+        rays = model_depth.rays(self._K[:, None], self._sightings.uv)
+        focals = self._K[:, [0, 1], [0, 1]]
+        n = len(self._eyes)
+        if self._loop:
+            shared = (self._sightings.seen[: self._n_primary] & self._sightings.seen[-1]).sum(1)
+            if shared.max() < _MIN_SHARED:
+                self._loop_found = False
+                n -= 1
+        T = coupled.poses(
+            rays[:n],
+            focals[:n],
+            self._sightings,
+            self._T_w_c[:n],
+            self._eyes[:n],
+            self._t_ns[:n],
+            self._n_primary,
+        )
+        return T if n == len(self._eyes) else np.concatenate([T, np.eye(4)[None]])
+
+    def _landmarks(self) -> Landmarks:
+        """The matches: pixels with noise and outliers, points as the model has them."""
+        sightings, rng = self._sightings, self._draw.rng
+        points, known = self._points()
+        seen = sightings.seen & known
+        if self._false_loop and not self._dials.false_loop_matches:
+            seen[-1] = False
+        view, index = np.nonzero(seen)
+        uv = sightings.uv[view, index]
+        uv += rng.standard_normal(uv.shape) * self._dials.match_sigma_px
+        wrong = rng.uniform(size=len(uv)) < self._dials.outlier_share
+        uv[wrong] = rng.uniform(size=(int(wrong.sum()), 2)) * (self._size[view[wrong]] - 1)
+        kept, index = np.unique(index, return_inverse=True)
+        return Landmarks(points[kept] * self._draw.scale, index, view, uv.astype(np.float32))
+
+    def _points(self) -> tuple[Float, Bool]:
+        """(M, 3) the sightings' points in the sub-map, true length units, and which are known."""
+        sightings, draw = self._sightings, self._draw
+        if not self._dials.coupled:
+            points = se3.transform(se3.inverse(self._T_w_c[0]), sightings.p_w)
+            return points, np.ones(len(points), bool)
+        points = np.zeros_like(sightings.p_w)
+        rays = model_depth.rays(self._K[:, None], sightings.uv)
+        for view in np.unique(sightings.seeded_by):
+            own = sightings.seeded_by == view
+            z, _ = model_depth.triangulated(
+                self._T[view],
+                rays[view, own],
+                self._T,
+                rays[:, own],
+                sightings.seen[:, own].astype(np.float64),
+                self._K[view, 0, 0],
+            )
+            at = sightings.uv[view, own] / self._size[view]
+            warp = self._dials.depth_warp * model_depth.warp(at, draw.phases[view])
+            z *= (1 + warp) * np.exp(draw.depth[view])
+            points[own] = np.where(
+                z[:, None] > 0, se3.transform(self._T[view], rays[view, own] * z[:, None]), np.nan
+            )
+        return points, np.asarray(np.isfinite(points).all(1))

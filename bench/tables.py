@@ -1,0 +1,140 @@
+"""Tables of `make eval`: printed, kept as JSON, and put together on one page.
+
+`python -m bench.tables` gathers what the other commands left under build/eval.
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from calm_edge.evaluation.table import pretty, print_rows
+from calm_edge.report import page
+from calm_edge.types import CalmEdgeError
+
+OUT = Path("build") / "eval"
+FOLDER = "tables"
+
+
+class TableError(CalmEdgeError):
+    """A kept table cannot be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One promise: what was asked, what was measured, and whether that keeps it."""
+
+    what: str
+    asked: str
+    measured: Any
+    passed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """name: of its file; also its place on the page. command: what prints it again.
+
+    rows: values in column order, None where there is none. checks: the promises it bears on.
+    notes: what a reader has to know to believe it.
+    """
+
+    name: str
+    title: str
+    command: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+    checks: tuple[Check, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def publish(table: Table, out: Path = OUT) -> None:
+    """Prints a table and keeps it as `out`/tables/NAME.json."""
+    print_rows(table.columns, table.rows, table.title)
+    if table.checks:
+        rows = [(c.what, c.asked, c.measured, c.passed) for c in table.checks]
+        print_rows(("what", "asked", "measured", "kept"), rows)
+    for note in table.notes:
+        print(f"  {note}")
+    folder = out / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(_plain(asdict(table)), indent=1, allow_nan=False)
+    (folder / f"{table.name}.json").write_text(text + "\n")
+
+
+def kept(out: Path = OUT) -> list[Table]:
+    """Every table kept so far, in order of their names; raises TableError."""
+    found = []
+    for file in sorted((out / FOLDER).glob("*.json")):
+        try:
+            fields: dict[str, Any] = json.loads(file.read_text())
+            fields["rows"] = tuple(tuple(row) for row in fields["rows"])
+            fields["checks"] = tuple(Check(**check) for check in fields["checks"])
+            fields |= {key: tuple(fields[key]) for key in ("columns", "notes")}
+            found.append(Table(**fields))
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise TableError(f"{file}: not a table ({error}); remove it") from None
+    return found
+
+
+def render(tables: Iterable[Table]) -> str:
+    """The page of all tables, promises first."""
+    tables = list(tables)
+    checks = [(table, check) for table in tables for check in table.checks]
+    broken = sum(not check.passed for _, check in checks)
+    lead = f"{len(checks)} promises, {len(checks) - broken} kept" if checks else "no promises"
+    parts = [f'<h1>calm-edge, measured</h1><p class="lead">{lead}</p>']
+    if checks:
+        rows = [(t.title, c.what, c.asked, c.measured, c.passed) for t, c in checks]
+        body = _html_table(("table", "what", "asked", "measured", "kept"), rows)
+        parts.append(page.section("Promises", "", body))
+    for table in tables:
+        notes = "".join(f"<li>{html.escape(note)}</li>" for note in table.notes)
+        body = _html_table(table.columns, table.rows) + (f"<ul>{notes}</ul>" if notes else "")
+        command = f"<p><code>{html.escape(table.command)}</code></p>"
+        parts.append(page.section(table.title, "", command + body))
+    return page.whole("calm-edge, measured", parts)
+
+
+def _html_table(columns: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
+    body = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def _cell(value: Any) -> str:
+    kind = {True: ' class="good"', False: ' class="bad"'}[value] if isinstance(value, bool) else ""
+    return f"<td{kind}>{html.escape(pretty(value))}</td>"
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no NaN and no infinity: what was not finite is absent."""
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value.item() if hasattr(value, "item") else value
+
+
+def main(argv: list[str] | None = None) -> int:
+    """report.html and report.json of every kept table; 1 where a promise is broken."""
+    parser = argparse.ArgumentParser(prog="bench.tables", description=__doc__)
+    parser.add_argument("--out", type=Path, default=OUT)
+    out = parser.parse_args(argv).out
+    tables = kept(out)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "report.html").write_text(render(tables), encoding="utf-8")
+    (out / "report.json").write_text(json.dumps(_plain([asdict(t) for t in tables]), indent=1))
+    print(f"report  {out / 'report.html'} ({len(tables)} tables)")
+    return 0 if all(check.passed for table in tables for check in table.checks) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,87 @@
+"""What `model check` found of a model on this machine, kept for the next time it is opened."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import platform
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from calm_edge import typed
+from calm_edge.backbones.onnx.manifest import Manifest, ManifestError, Precision
+
+_RUNTIMES = ("onnxruntime", "onnxruntime-gpu")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """refusal: why the model must not run; empty when it passed. precision: the one to run.
+
+    max_views: a run on this machine, by precision. why: one line on how that was chosen.
+    """
+
+    refusal: str
+    precision: Precision
+    max_views: dict[str, int]
+    why: str
+
+
+def cache_folder() -> Path:
+    """`$XDG_CACHE_HOME/calm-edge/models`, by default under `~/.cache`."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if base else Path.home() / ".cache") / "calm-edge" / "models"
+
+
+def machine() -> str:
+    """What a measurement holds for: processor, its number of cores, and the runtime."""
+    model = platform.processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next((x for x in lines if x.startswith(("model name", "Model"))), model)
+    except OSError:
+        pass
+    cores = len(os.sched_getaffinity(0))
+    return f"{platform.machine()} {model.partition(':')[2].strip()} x{cores}, {_runtime()}"
+
+
+def _runtime() -> str:
+    for name in _RUNTIMES:
+        try:
+            return f"{name} {metadata.version(name)}"
+        except metadata.PackageNotFoundError:
+            continue
+    return "no onnxruntime"
+
+
+def _path(manifest: Manifest) -> Path:
+    here = hashlib.sha256(machine().encode()).hexdigest()
+    return cache_folder() / f"{manifest.digest[:32]}-{here[:12]}.json"
+
+
+def load(manifest: Manifest) -> Verdict | None:
+    """None where this manifest was not checked on this machine, or the file is not ours."""
+    try:
+        table = json.loads(_path(manifest).read_text())
+        verdict: Verdict = typed.record("", Verdict, table, ManifestError)
+    except (OSError, ValueError, ManifestError):
+        return None
+    return verdict
+
+
+def save(manifest: Manifest, verdict: Verdict) -> Path:
+    """Returns the file; raises ManifestError where it cannot be written."""
+    path = _path(manifest)
+    part = path.with_suffix(".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(json.dumps(dataclasses.asdict(verdict), indent=1) + "\n")
+        part.replace(path)
+    except OSError as error:
+        raise ManifestError(
+            f"{path}: the verdict cannot be kept ({error.strerror}); set XDG_CACHE_HOME"
+        ) from None
+    return path

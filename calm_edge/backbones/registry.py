@@ -1,0 +1,51 @@
+"""Names of backbones to backbones: the only file that knows them all.
+
+Each is a dotted name, imported when it is asked for: `bundle` runs without ONNX Runtime, and the
+scripted backbone, which is not shipped, from a checkout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import import_module
+
+from calm_edge.backbones.base import Backbone, BackboneError
+from calm_edge.config import Config
+
+# name -> module:class, whose from_config(Config) opens it
+BACKBONES = {
+    "bundle": "calm_edge.backbones.bundle.backbone:BundleBackbone",
+    "feedforward": "calm_edge.backbones.feedforward.backbone:FeedforwardBackbone",
+    "scripted": "bench.scripted.backbone:ScriptedBackbone",
+}
+
+
+def open_backbone(config: Config) -> Backbone:
+    """Open `backbone.name`: `name`, `name:argument`, or a folder of `models/`.
+
+    Raises BackboneError.
+    """
+    asked = config.backbone.name
+    name = asked.partition(":")[0]
+    if name not in BACKBONES:
+        name = _kind_of_model(asked)
+        config = replace(config, backbone=replace(config.backbone, name=f"{name}:{asked}"))
+    module, _, class_name = BACKBONES[name].partition(":")
+    try:
+        backbone_class = getattr(import_module(module), class_name)
+    except ModuleNotFoundError as error:
+        raise BackboneError(
+            f"backbone.name = {asked!r}: needs {error.name}, which is not installed here"
+        ) from None
+    backbone: Backbone = backbone_class.from_config(config)
+    return backbone
+
+
+def _kind_of_model(name: str) -> str:
+    """The backbone that runs a folder of `models/`; raises BackboneError where there is none."""
+    from calm_edge.backbones.onnx.model_folder import find_model, model_names, read_manifest
+
+    if name not in model_names():
+        known = ", ".join([*BACKBONES, *model_names()])
+        raise BackboneError(f"backbone.name = {name!r}: unknown; known: {known}")
+    return read_manifest(find_model(name)).kind

@@ -1,0 +1,192 @@
+"""The placed sub-maps and the pose graph that ties them (paper IV-B's placement, IV-C).
+
+As T_w_f of IV-B implies, a keyframe belongs to the first sub-map that placed it, and later
+sub-maps place themselves by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calm_edge.config import Config
+from calm_edge.estimator import scale
+from calm_edge.geometry import se3
+from calm_edge.posegraph.joint_graph import JointGraph
+from calm_edge.posegraph.optimiser import Optimiser
+from calm_edge.types import Float, Int, LoopClosure, Submap, Trajectory
+
+
+@dataclass(frozen=True, slots=True)
+class SkippedWindow:
+    """A window without a sub-map. t_ns: (N,) of its primary keyframes."""
+
+    submap_id: int
+    reason: str
+    t_ns: Int
+
+
+class Atlas:
+    """Owns where every sub-map and keyframe is. `epoch` grows when one of them moves."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._submaps: list[Submap] = []
+        self._skipped: list[SkippedWindow] = []
+        self._loops: list[LoopClosure] = []
+        self._stamps: dict[int, int] = {}
+        self._graph = self._empty_graph()
+        self.epoch = 0
+
+    def __len__(self) -> int:
+        return len(self._submaps)
+
+    def __contains__(self, keyframe_id: int) -> bool:
+        return keyframe_id in self._graph
+
+    @property
+    def submaps(self) -> tuple[Submap, ...]:
+        """Every sub-map where it now is."""
+        return tuple(self._submaps)
+
+    @property
+    def skipped(self) -> tuple[SkippedWindow, ...]:
+        """Windows that could not be reconstructed; the next sub-map's n_overlap is 0."""
+        return tuple(self._skipped)
+
+    @property
+    def newest_keyframe(self) -> int | None:
+        """The last primary keyframe that has a pose."""
+        return self._submaps[-1].primary_ids[-1] if self._submaps else None
+
+    def pose(self, keyframe_id: int) -> Float:
+        """T_w_p (4, 4) of a primary keyframe; KeyError where it has none."""
+        return self._graph.pose(keyframe_id)
+
+    @property
+    def T_p_a(self) -> Float:
+        """(4, 4) assistant->primary, world units; identity before the first sub-map."""
+        return self._graph.T_p_a
+
+    def skip(self, window: SkippedWindow) -> None:
+        """Remembers that motion went on while nothing was reconstructed."""
+        self._skipped.append(window)
+
+    def add(self, submap: Submap) -> Submap:
+        """Places a sub-map in world units and adds what it measured to the graph."""
+        graph, ids = self._graph, submap.primary_ids
+        self._stamps.update(zip(ids, submap.t_ns[: submap.n_primary].tolist(), strict=True))
+        primary, assistant = np.split(_rig_views(submap), [submap.n_primary])
+        t_p, t_a = submap.exposed_ns[primary], submap.exposed_ns[assistant]
+        T_s_p, T_s_a = submap.T_s_c[primary], submap.T_s_c[assistant]
+        common = [view for view in range(submap.n_overlap) if ids[view] in graph]
+        if common:
+            T_w_f = np.stack([graph.pose(ids[view]) for view in common])
+            T_w_s = scale.placement(T_w_f, T_s_p[common], self._config.scale.average_placement)
+        else:
+            T_w_s = scale.placement(self._bridge(submap)[None], T_s_p[:1])
+        if not len(graph):
+            graph.set_rig_prior(se3.mean(scale.rig_samples(t_p, T_s_p, t_a, T_s_a)))
+        graph.add_submap(ids, T_w_s, T_s_p, *scale.resampled(t_a, T_s_a, t_p))
+        if self._submaps and not common:
+            graph.add_bridge(self._submaps[-1].primary_ids[-1], ids[0])
+        placed = replace(submap, n_overlap=len(common), T_w_s=T_w_s)
+        self._submaps.append(placed)
+        return placed
+
+    def add_loop(self, loop: LoopClosure) -> None:
+        """E_loop (IV-D); KeyError where a keyframe has no pose."""
+        self._graph.add_loop(loop)
+        self._loops.append(loop)
+
+    def empty(self) -> Atlas:
+        """One that knows the same windows to have been skipped, and nothing else."""
+        other = Atlas(self._config)
+        other._skipped = self._skipped
+        return other
+
+    def become(self, other: Atlas) -> None:
+        """Takes over where another one, no longer to be used, has placed the same sub-maps."""
+        self._submaps, self._graph = other._submaps, other._graph
+        for loop in self._loops:
+            self._graph.add_loop(loop)
+        self.epoch += 1
+
+    def optimise(self) -> None:
+        """The joint optimum (IV-C), here and now."""
+        self._graph.optimise()
+        self._follow()
+
+    def request_optimum(self, optimiser: Optimiser) -> None:
+        """Asks for the joint optimum of everything measured so far."""
+        snapshot = self._graph.snapshot()
+        if snapshot is not None:
+            optimiser.request(snapshot)
+
+    def settle(self, optimiser: Optimiser) -> bool:
+        """Takes an optimum that has come since; whether anything moved."""
+        solved = optimiser.poll()
+        if solved is None or not self._graph.apply(solved):
+            return False
+        self._follow()
+        return True
+
+    def _follow(self) -> None:
+        """Each sub-map follows the mean motion of its keyframes."""
+        self.epoch += 1
+        alike: dict[int, list[int]] = {}
+        for k, submap in enumerate(self._submaps):
+            alike.setdefault(submap.n_primary, []).append(k)
+        for n, some in alike.items():
+            submaps = [self._submaps[k] for k in some]
+            T_w_p = np.array([[self._graph.pose(i) for i in s.primary_ids] for s in submaps])
+            T_s_p = np.stack([s.T_s_c[:n] for s in submaps])
+            T_w_s = scale.placement(T_w_p, T_s_p, average=True)
+            for k, submap, T in zip(some, submaps, T_w_s, strict=True):
+                # a copy: a view would keep those of every sub-map
+                self._submaps[k] = replace(submap, T_w_s=T.copy())
+
+    def trajectory(self) -> Trajectory:
+        """Every primary keyframe that has a pose, once, in order of its id."""
+        ids = self._graph.keyframe_ids
+        order = np.argsort(ids)
+        return self._trajectory(ids[order], self._graph.poses()[order])
+
+    def trajectory_of(self, submap: Submap) -> Trajectory:
+        """The keyframes of one sub-map alone."""
+        ids = np.array(sorted(submap.primary_ids), np.int64)
+        return self._trajectory(ids, np.stack([self._graph.pose(int(i)) for i in ids]))
+
+    def _trajectory(self, ids: Int, T_w_c: Float) -> Trajectory:
+        t_ns = np.fromiter((self._stamps[int(i)] for i in ids), np.int64, len(ids))
+        return Trajectory(ids, t_ns, T_w_c, self._graph.T_p_a, self.epoch)
+
+    def _empty_graph(self) -> JointGraph:
+        return JointGraph(self._config.posegraph, self._config.scale.spacing_m or 1.0)
+
+    def _bridge(self, submap: Submap) -> Float:
+        """T_w_f (4, 4) of a sub-map's first frame when none of its frames has a pose.
+
+        The velocity between the last two keyframes goes on for as long as the skipped keyframes
+        show motion: where nothing moves there are none for longer than max_keyframe_gap_s.
+        """
+        if not self._submaps:
+            return np.eye(4)
+        ids = self._submaps[-1].primary_ids[-2:]
+        start, end = self._stamps[ids[-1]], int(submap.t_ns[0])
+        between = [t for skipped in self._skipped for t in skipped.t_ns if start < t < end]
+        gaps = np.diff(np.unique([start, *between, end])) * 1e-9
+        # a keyframe forced by the clock comes at the limit, or a frame or two later
+        moving_s = gaps[gaps < 2 * self._config.frontend.max_keyframe_gap_s].sum()
+        T_last = self._graph.pose(ids[-1])
+        step_s = (start - self._stamps[ids[0]]) * 1e-9
+        if step_s == 0:
+            return T_last
+        step = se3.inverse(self._graph.pose(ids[0])) @ T_last
+        return np.asarray(T_last @ se3.exp(se3.log(step) * moving_s / step_s))
+
+
+def _rig_views(submap: Submap) -> Int:
+    """Batch indices of the primary, then the assistant keyframes; no loop keyframe."""
+    return np.arange(submap.n_primary + len(submap.assistant_ids))

@@ -1,1 +1,0 @@
-"""What the learned model has to beat, measured: `python -m calm_edge.evaluation.model`."""

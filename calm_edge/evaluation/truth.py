@@ -1,0 +1,83 @@
+"""What really happened on a drive: poses, optics and surfaces, for comparing and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.geometry import pinhole
+from calm_edge.recording.sequence_folder import DEFAULT_RATE_HZ, ORIGIN_NS, read_times
+from calm_edge.trajectories import read_kitti
+from calm_edge.types import Float, Float32, Int
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """The truth of a sequence folder, metres.
+
+    t_ns: (N,) stamps as frontend.sequence gives them. T_w_c: (N, 4, 4) primary camera->world;
+    N is 0 when the folder has no poses. K: (2, 3, 3) px, an eye, or None. cloud: (M, 3) or None.
+    """
+
+    t_ns: Int
+    T_w_c: Float
+    K: Float | None = None
+    cloud: Float32 | None = None
+
+
+def _calibration(path: Path) -> Float:
+    rows = _table(path)
+    if rows.shape != (2, 6):
+        raise EvaluationError(f"{path}: expected two rows of `fx fy cx cy width height`")
+    return np.stack([pinhole.matrix(*(float(v) for v in row[:4])) for row in rows])
+
+
+def _table(path: Path) -> Float:
+    try:
+        return np.array(
+            [[float(v) for v in line.split()] for line in path.read_text().splitlines() if line]
+        )
+    except (OSError, ValueError) as error:
+        raise EvaluationError(f"{path}: not a table of numbers ({error})") from None
+
+
+def _cloud(path: Path) -> NDArray[np.float32]:
+    try:
+        points = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise EvaluationError(f"{path}: not a NumPy array ({error})") from None
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+        raise EvaluationError(f"{path}: expected an (N, 3) array of points, got {points.shape}")
+    return np.asarray(points, np.float32)
+
+
+def read_truth(folder: Path) -> Truth:
+    """Poses, calibration and cloud of a sequence folder, each as far as it is there.
+
+    Raises EvaluationError when the folder, or everything that could be compared, is missing.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise EvaluationError(f"{folder}: no such folder; --truth takes a sequence folder")
+    poses, times = folder / "poses0.txt", folder / "times0.txt"
+    calibration, cloud = folder / "calib.txt", folder / "cloud.npy"
+    if not (poses.is_file() or calibration.is_file() or cloud.is_file()):
+        raise EvaluationError(f"{folder}: holds none of poses0.txt, calib.txt, cloud.npy")
+    T_w_c = read_kitti(poses) if poses.is_file() else np.zeros((0, 4, 4))
+    n = len(T_w_c)
+    if n and times.is_file():
+        t_ns = read_times(times)
+        if len(t_ns) != n:
+            raise EvaluationError(f"{poses}: {n} poses for {len(t_ns)} times in {times.name}")
+    else:
+        t_ns = np.arange(n, dtype=np.int64) * round(1e9 / DEFAULT_RATE_HZ) + ORIGIN_NS
+    return Truth(
+        t_ns,
+        T_w_c,
+        _calibration(calibration) if calibration.is_file() else None,
+        _cloud(cloud) if cloud.is_file() else None,
+    )

@@ -1,0 +1,157 @@
+"""What one drive learned of a kit, kept in a file for the next drive of the same cameras."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calm_edge.kit import layout
+from calm_edge.kit.change import faded
+from calm_edge.types import CalmEdgeError, Float, Int, KitBelief
+
+FORMAT = "calm-edge kit"
+VERSION = 1
+PART = ".part"
+
+# How far the information may be from symmetric and positive, of its scaled size: rounding.
+_ROUNDING = 1e-6
+
+
+class KitFileError(CalmEdgeError):
+    """A kit file that cannot be read, understood or written."""
+
+
+def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) -> None:
+    """Writes the belief whole or not at all: after a power cut the old or the new file is there.
+
+    cameras: the capture address of each eye. sizes: (2, 2) width, height [px] of each eye.
+    Raises KitFileError.
+    """
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "cameras": list(cameras),
+        "sizes": np.asarray(sizes).tolist(),
+        "mean": belief.mean.tolist(),
+        "information": belief.information.tolist(),
+    }
+    try:
+        text = json.dumps(content, indent=1, allow_nan=False)
+    except ValueError:
+        raise KitFileError(f"{path}: not written, the kit's belief is not finite") from None
+    part = Path(f"{path}{PART}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("w", encoding="utf-8") as file:
+            file.write(text + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink()
+        raise KitFileError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+@dataclass(frozen=True, slots=True)
+class KitFile:
+    """What a kit file holds. cameras, sizes: as of `save`, whatever the file says.
+
+    belief: as it was kept; None where another version, whose layout is not known here, kept it.
+    unknown: that layout, in words.
+    """
+
+    cameras: Any = None
+    sizes: Any = None
+    belief: KitBelief | None = None
+    unknown: str = ""
+
+
+def read(path: Path) -> KitFile | None:
+    """The file of whatever cameras, None where there is none yet.
+
+    Raises KitFileError on a damaged or foreign file, which must not be written over.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise KitFileError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise _damaged(path, "not text") from None
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        raise _damaged(path, "not JSON") from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise KitFileError(f"{path}: is no kit file; name another one to keep the kit in")
+    if content.get("version") != VERSION:
+        return KitFile(unknown=f"version {content.get('version')!r}, this program reads {VERSION}")
+    mean = _numbers(path, content, "mean", 1)
+    information = _numbers(path, content, "information", 2)
+    if information.shape != (len(mean), len(mean)):
+        raise _damaged(path, "mean and information differ in size")
+    if len(mean) != layout.SIZE:
+        return KitFile(unknown=f"holds {len(mean)} entries of a kit, this program {layout.SIZE}")
+    if not _is_information(information):
+        raise _damaged(path, "its information is not that of a Gaussian")
+    belief = KitBelief(mean=mean, information=information)
+    return KitFile(content.get("cameras"), content.get("sizes"), belief)
+
+
+def remembered(
+    path: Path, kept: KitFile | None, cameras: tuple[str, str], sizes: Int
+) -> tuple[KitBelief | None, str]:
+    """What the file `kept` of these cameras, faded since; else None and why, in words.
+
+    cameras, sizes: as of `save`. No file, other cameras, another size or another version's layout
+    are no error: that kit is yet to be learned.
+    """
+    if kept is None:
+        return None, f"{path}: no earlier drive of this kit is known"
+    if kept.belief is None:
+        return None, f"{path}: {kept.unknown}"
+    if kept.cameras != list(cameras):
+        return None, f"{path}: of other cameras ({kept.cameras}, not {list(cameras)})"
+    wanted = np.asarray(sizes).tolist()
+    if kept.sizes != wanted:
+        return None, f"{path}: of pictures of {kept.sizes} px, not {wanted}"
+    return faded(kept.belief), ""
+
+
+def _damaged(path: Path, why: str) -> KitFileError:
+    return KitFileError(f"{path}: damaged, {why}; delete it and the next drive learns the kit anew")
+
+
+def _numbers(path: Path, content: dict[str, Any], key: str, dimensions: int) -> Float:
+    try:
+        numbers = np.array(content.get(key), np.float64)
+    except (ValueError, TypeError, OverflowError):
+        raise _damaged(path, f"{key} is not a table of numbers") from None
+    if numbers.ndim != dimensions or not np.isfinite(numbers).all():
+        raise _damaged(path, f"{key} is not a table of numbers")
+    return numbers
+
+
+def _is_information(information: Float) -> bool:
+    """Symmetric and positive semidefinite, whatever the units of its rows."""
+    diagonal = np.diag(information)
+    if (diagonal < 0).any():
+        return False
+    unit = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scaled = information * unit[:, None] * unit
+    if np.abs(scaled - scaled.T).max() > _ROUNDING:
+        return False
+    return bool(np.linalg.eigvalsh(scaled)[0] > -_ROUNDING)

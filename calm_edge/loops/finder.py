@@ -1,0 +1,242 @@
+"""Places seen before: looked up by descriptor, believed only after geometry (paper IV-D).
+
+The backbone measures T_loop, as in the paper: here it is only decided which picture of the past
+joins its batch. Cost and memory are capped: the look-up by `max_places`, geometry by `top_k`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from calm_edge.config import LoopConfig
+from calm_edge.geometry import se3, sift
+from calm_edge.loops.descriptor import GradientLayout, PlaceDescriptor
+from calm_edge.loops.same_place import KnownKit, SamePlace, same_place
+from calm_edge.types import Bytes, Float, Float32, Keyframe, SubmapWindow
+
+MAX_FEATURES = 800
+# Keyframes: between queries and places, as far as places are beside each other, between two
+# closures, and how near to each other two candidates are one.
+EVERY = 2
+BESIDE = 3
+CLOSURE_GAP = 15
+SUPPRESSION = 10
+MAX_PICTURE_BYTES = 96 << 20
+# Pictures described at a time: a network waits for none of the others.
+DESCRIBERS = 2
+JPEG_QUALITY = 92
+# What two rough answers to the same question may differ by.
+AGREE_DISTANCE_SHARE, AGREE_DISTANCE, AGREE_RAD = 0.5, 3.0, np.radians(8.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCandidate:
+    """`query_id` of the window shows the place of `keyframe`, a primary one of the past.
+
+    query_view: its batch index. T_query_match: (4, 4) match->query in spacings, rough. score: how
+    many matches one geometry explains.
+    """
+
+    query_id: int
+    query_view: int
+    keyframe: Keyframe
+    T_query_match: Float
+    score: int
+
+    def agrees(self, T_query_match: Float, spacing: float) -> bool:
+        """Whether another measurement (4, 4), `spacing` of its units a spacing, says the same."""
+        own = np.array(self.T_query_match)
+        own[:3, 3] *= spacing
+        off = se3.inverse(own) @ T_query_match
+        allowed = AGREE_DISTANCE * spacing + AGREE_DISTANCE_SHARE * np.linalg.norm(own[:3, 3])
+        turned = np.linalg.norm(se3.so3_log(off[:3, :3]))
+        return bool(np.linalg.norm(off[:3, 3]) < allowed and turned < AGREE_RAD)
+
+
+class LoopFinder(Protocol):
+    """Finds the window's place in the past; told afterwards which windows got a pose."""
+
+    def find(
+        self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit | None
+    ) -> LoopCandidate | None:
+        """At most one candidate. images: (H, W, 3) uint8 BGR of the window, batch order."""
+        ...
+
+    def remember(self, window: SubmapWindow) -> None:
+        """The window's keyframes have poses now: they can be returned to."""
+        ...
+
+
+class PlaceMemory:
+    """Owns the places: pairs of pictures EVERY keyframes apart, thinned evenly when too many.
+
+    A place is believed only together with one beside it, so a pair is kept or dropped as one.
+    """
+
+    def __init__(self, max_places: int, max_bytes: int = MAX_PICTURE_BYTES) -> None:
+        self._max_places = max(2, max_places)
+        self._max_bytes = max_bytes
+        self._pairs: list[list[tuple[Keyframe, Float32]]] = []
+        self.every = 2 * EVERY
+
+    def __len__(self) -> int:
+        return sum(len(pair) for pair in self._pairs)
+
+    def add(self, keyframe: Keyframe, vector: Float32) -> None:
+        """One more, if its turn has come. A decoded picture is kept as a JPEG of it."""
+        newest = self._pairs[-1] if self._pairs else []
+        begins = not newest or keyframe.id >= newest[0][0].id + self.every
+        joins = len(newest) == 1 and EVERY <= keyframe.id - newest[0][0].id <= BESIDE
+        if not (begins or joins):
+            return
+        if begins:
+            newest = []
+            self._pairs.append(newest)
+        newest.append((_compressed(keyframe), vector))
+        while len(self._pairs) > 1 and (
+            len(self) > self._max_places or self.n_bytes > self._max_bytes
+        ):
+            self._pairs = self._pairs[::2]
+            self.every *= 2
+
+    @property
+    def n_bytes(self) -> int:
+        """Of all pictures."""
+        return sum(len(keyframe.frame.image) for pair in self._pairs for keyframe, _ in pair)
+
+    def beside(self, place: Keyframe) -> list[Keyframe]:
+        """The places next to one, on either side, where none was dropped between."""
+        every = [keyframe for pair in self._pairs for keyframe, _ in pair]
+        return [other for other in every if 0 < abs(other.id - place.id) <= BESIDE]
+
+    def before(self, keyframe_id: int) -> tuple[list[Keyframe], Float32]:
+        """Places up to that id, oldest first, and their descriptors (P, D)."""
+        known = [place for pair in self._pairs for place in pair if place[0].id <= keyframe_id]
+        vectors = [vector for _, vector in known]
+        return [k for k, _ in known], np.stack(vectors) if vectors else np.zeros((0, 0), np.float32)
+
+
+class PlaceLoops:
+    """Owns the places of the drive; a deterministic function of its windows."""
+
+    def __init__(self, config: LoopConfig, descriptor: PlaceDescriptor | None = None) -> None:
+        self._config = config
+        self._descriptor = descriptor or GradientLayout()
+        self._memory = PlaceMemory(config.max_places)
+        self._described: dict[int, Float32] = {}
+        self._last_found: int | None = None
+
+    def find(
+        self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit | None
+    ) -> LoopCandidate | None:
+        """The first of the `top_k` most alike places that geometry confirms.
+
+        images: (H, W, 3) uint8 BGR, batch order. kit: None where nothing was solved yet, and then
+        nothing is found.
+        """
+        new = range(min(window.n_overlap, len(window.primary)), len(window.primary))
+        looked_at = new[::EVERY]
+        with ThreadPoolExecutor(DESCRIBERS) as pool:
+            vectors = pool.map(self._descriptor.describe, [images[view] for view in looked_at])
+        ids = [window.primary[view].id for view in looked_at]
+        self._described = dict(zip(ids, vectors, strict=True))
+        if kit is None or not window.assistant:
+            return None
+        views = [view for view in looked_at if self._may_close(window.primary[view].id)]
+        look = _Look(window, images, kit, self._config.min_matches)
+        for view, place in self._alike(window, views):
+            found = look.same_place(view, place)
+            if found is not None and found.is_same and self._confirmed(look, view, place):
+                self._last_found = window.primary[view].id
+                return LoopCandidate(
+                    self._last_found, view, place, found.T_query_match, found.n_matches
+                )
+        return None
+
+    def remember(self, window: SubmapWindow) -> None:
+        """Keeps places of a window that `find` has just looked at."""
+        for keyframe in window.primary:
+            if keyframe.id in self._described:
+                self._memory.add(keyframe, self._described[keyframe.id])
+        self._described = {}
+
+    def _may_close(self, query_id: int) -> bool:
+        return self._last_found is None or query_id - self._last_found >= CLOSURE_GAP
+
+    def _alike(self, window: SubmapWindow, views: list[int]) -> list[tuple[int, Keyframe]]:
+        """The `top_k` most alike pairs of a view and a place, best first, no place twice."""
+        if not views:
+            return []
+        ids = np.array([window.primary[view].id for view in views])
+        places, vectors = self._memory.before(int(ids.max()) - self._config.min_gap)
+        if not places:
+            return []
+        place_ids = np.array([place.id for place in places])
+        queries = np.stack([self._described[int(i)] for i in ids])
+        score = np.array(self._descriptor.similarity(queries, vectors), np.float64)
+        score[place_ids[None] > ids[:, None] - self._config.min_gap] = -np.inf
+        pairs: list[tuple[int, Keyframe]] = []
+        while len(pairs) < self._config.top_k:
+            query, place = np.unravel_index(int(score.argmax()), score.shape)
+            if score[query, place] < self._descriptor.worth_a_look:
+                break
+            pairs.append((views[query], places[place]))
+            score[:, np.abs(place_ids - place_ids[place]) < SUPPRESSION] = -np.inf
+        return pairs
+
+    def _confirmed(self, look: _Look, view: int, place: Keyframe) -> bool:
+        """Whether a place beside it is seen again too, as far along, and none proves another one.
+
+        One look-alike is not rare; where a look cannot tell, it does not count.
+        """
+        last = len(look.window.primary) - 1
+        said: list[bool] = []
+        for other in self._memory.beside(place):
+            there = min(max(view + other.id - place.id, 0), last)
+            found = look.same_place(there, other) if there != view else None
+            if found is not None:
+                said.append(found.is_same)
+        return bool(said) and all(said)
+
+
+class _Look:
+    """Owns the features of one window's pictures, each detected when first asked for."""
+
+    def __init__(
+        self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit, min_matches: int
+    ) -> None:
+        self.window = window
+        self._images, self._kit, self._min_matches = images, kit, min_matches
+        self._seen: dict[int, sift.Features] = {}
+
+    def same_place(self, view: int, place: Keyframe) -> SamePlace | None:
+        """What geometry says of a primary view, with its nearest assistant view, and a place."""
+        t_ns = self.window.primary[view].frame.t_ns
+        gaps = [abs(keyframe.frame.t_ns - t_ns) for keyframe in self.window.assistant]
+        partner = len(self.window.primary) + int(np.argmin(gaps))
+        past = sift.detect(place.frame.gray(), MAX_FEATURES)
+        size = np.array(self._images[view].shape[1::-1], np.int64)
+        return same_place(
+            self._features(view), self._features(partner), past, self._kit, size, self._min_matches
+        )
+
+    def _features(self, index: int) -> sift.Features:
+        if index not in self._seen:
+            gray = np.asarray(cv2.cvtColor(self._images[index], cv2.COLOR_BGR2GRAY), np.uint8)
+            self._seen[index] = sift.detect(gray, MAX_FEATURES)
+        return self._seen[index]
+
+
+def _compressed(keyframe: Keyframe) -> Keyframe:
+    """The keyframe with its picture as JPEG bytes; a camera's own bytes are untouched."""
+    frame = keyframe.frame
+    if isinstance(frame.image, bytes):
+        return keyframe
+    data = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+    return replace(keyframe, frame=replace(frame, image=data.tobytes()))

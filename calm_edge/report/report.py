@@ -1,0 +1,152 @@
+"""One page on one drive, with everything inside it."""
+
+from __future__ import annotations
+
+import base64
+import html
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calm_edge.evaluation.table import pretty
+from calm_edge.report import curves, map_image, page
+from calm_edge.types import Bytes, Float, Float32
+
+# More than this a picture cannot show.
+MAX_DRAWN_POINTS = 3_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class ReportData:
+    """What the page shows; what is None or empty is left out.
+
+    T_w_c: (N, 4, 4) primary camera->world. unit: of the world, `m` or `spacings`.
+    points_w: (P, 3) color: (P, 3) RGB. truth_w: (M, 3) true positions in this world.
+    t_s: (S,) when each sub-map was placed. scale: (S,) over the first. focal_px,
+    focal_log_sigma: (S, 2). truth_focal_px: (2,). scale_windows: (W, 2) of (t, ratio to truth).
+    headline: a few (number, caption). figures: name -> value. notes: what was not observed.
+    """
+
+    title: str
+    T_w_c: Float
+    unit: str = "m"
+    points_w: Float32 | None = None
+    color: Bytes | None = None
+    truth_w: Float | None = None
+    t_s: Float = field(default_factory=lambda: np.zeros(0))
+    scale: Float = field(default_factory=lambda: np.zeros(0))
+    focal_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    focal_log_sigma: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    truth_focal_px: Float | None = None
+    scale_windows: Float | None = None
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    headline: tuple[tuple[str, str], ...] = ()
+    figures: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def _embedded(svg: str, alt: str) -> str:
+    """As an image of its own, so that two drawings' ids never meet."""
+    code = base64.b64encode(svg.encode()).decode()
+    return f'<img alt="{html.escape(alt)}" src="data:image/svg+xml;base64,{code}">'
+
+
+def _photo(image: Bytes) -> str:
+    import cv2
+
+    ok, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+    if not ok:
+        raise ValueError(f"a picture of shape {image.shape} cannot be encoded")
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def _bar_length(span: float) -> float:
+    """A round length (1, 2 or 5 times a power of ten) of at most a fifth of the span."""
+    power = 10.0 ** np.floor(np.log10(max(span / 5, 1e-12)))
+    return float(max(power * k for k in (1, 2, 5) if power * k <= span / 5 * 1.0001))
+
+
+def _map_from_above(view: map_image.TopDown, path: Float, unit: str) -> str:
+    height, width = view.image.shape[:2]
+    line = " ".join(f"{u:.1f},{v:.1f}" for u, v in view.to_pixels(path))
+    bar = _bar_length(width * view.pixel)
+    end = 24 + bar / view.pixel
+    stroke = f'fill="none" stroke="{curves.ESTIMATE}" stroke-linejoin="round"'
+    return (
+        f'<svg viewBox="0 0 {width} {height + 56}" role="img" aria-label="map from above">'
+        f'<image width="{width}" height="{height}" href="{_photo(view.image)}"/>'
+        f'<polyline points="{line}" {stroke} stroke-width="2.5" stroke-opacity=".85"/>'
+        f'<path d="M24 {height + 14}v12H{end:.1f}v-12" fill="none" stroke="{curves.INK}" '
+        f'stroke-width="2.5"/><text x="{end + 12:.1f}" y="{height + 30}" font-size="24" '
+        f'fill="{curves.INK}">{bar:g} {html.escape(unit)}</text></svg>'
+    )
+
+
+def _map_sections(data: ReportData, R: Float, path: Float) -> list[str]:
+    if data.points_w is None or data.color is None:
+        return []
+    finite = np.flatnonzero(np.isfinite(data.points_w).all(1))
+    if len(finite) == 0:
+        return []
+    drawn = finite[:: max(len(finite) // MAX_DRAWN_POINTS, 1)]
+    points, color = np.asarray(data.points_w[drawn], np.float64) @ R.T, data.color[drawn]
+    above = _map_from_above(map_image.top_down(points, color, path), path, data.unit)
+    views = map_image.best_chases(points, color, path)
+    photos = "".join(f'<img alt="map along the street" src="{_photo(v)}">' for v in views)
+    return [
+        page.section("The map from above", f"{len(finite):,} points in their own colours.", above),
+        page.section("The map along the street", "Seen from behind and above the car.", photos),
+    ]
+
+
+def _rows(values: dict[str, Any]) -> str:
+    cells = (
+        f"<tr><td>{html.escape(name)}</td><td>{html.escape(pretty(value))}</td></tr>"
+        for name, value in values.items()
+    )
+    return f'<table class="pairs">{"".join(cells)}</table>'
+
+
+def render(data: ReportData) -> str:
+    """The page as HTML text; it asks for nothing from outside."""
+    parts = [f'<h1>{html.escape(data.title)}</h1><p class="lead">calm-edge, one drive</p>']
+    if data.headline:
+        cards = (
+            f'<div class="card"><b>{html.escape(number)}</b><span>{html.escape(what)}</span></div>'
+            for number, what in data.headline
+        )
+        parts.append(f'<div class="cards">{"".join(cards)}</div>')
+    if data.notes:
+        items = "".join(f"<li>{html.escape(note)}</li>" for note in data.notes)
+        parts.append(page.section("Not observed, not done", "", f"<ul>{items}</ul>", "warn"))
+    if len(data.T_w_c):
+        R = map_image.level_rotation(data.T_w_c)
+        path = data.T_w_c[:, :3, 3] @ R.T
+        truth = None if data.truth_w is None else data.truth_w @ R.T
+        parts += _map_sections(data, R, path)
+        drawn = _embedded(curves.trajectory(path, truth, data.unit), "trajectory from above")
+        against = "Against the truth." if truth is not None else "No truth was given."
+        parts.append(page.section("The trajectory from above", against, drawn))
+    if len(data.scale):
+        drawn = _embedded(curves.scale(data.t_s, data.scale, data.scale_windows), "scale")
+        note = "What each sub-map's own unit was multiplied by, over the first one's."
+        parts.append(page.section("Scale over time", note, drawn))
+    if len(data.focal_px):
+        drawn = curves.focal(data.t_s, data.focal_px, data.focal_log_sigma, data.truth_focal_px)
+        note = "Bands are one and three sigma; dashed is the truth, where given."
+        parts.append(page.section("Focal length over time", note, _embedded(drawn, "focal length")))
+    if data.stage_ms:
+        drawn = _embedded(curves.stages(data.stage_ms), "time by stage")
+        total = {"all stages": f"{sum(data.stage_ms.values()):.4g} ms a sub-map"}
+        rows = {k: f"{v:.4g} ms" for k, v in data.stage_ms.items()} | total
+        parts.append(page.section("Where the time went", "", drawn + _rows(rows)))
+    if data.figures:
+        parts.append(page.section("Figures", "", _rows(data.figures)))
+    return page.whole(data.title, parts)
+
+
+def write_report(path: Path, data: ReportData) -> None:
+    """Write `render(data)` as UTF-8."""
+    path.write_text(render(data), encoding="utf-8")

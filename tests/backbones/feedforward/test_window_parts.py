@@ -1,0 +1,112 @@
+"""A window in parts: each view is in one, neighbours share some, and stitched it is whole again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.feedforward.decode.decoder import Decoded
+from calm_edge.backbones.feedforward.window_parts import around, overlap, split, stitch
+from calm_edge.geometry import se3
+from calm_edge.geometry.similarity import Similarity
+
+
+def stamps(n: int):
+    """n primary ones, n assistant ones a little later."""
+    t = 100 * np.arange(n)
+    return np.concatenate([t, t + 17])
+
+
+@pytest.mark.parametrize("cap", [2, 3, 4, 7, 9, 29, 30, 40])
+def test_every_view_is_in_a_part_and_neighbours_share_some(cap):
+    t_ns = stamps(15)
+    parts = split(t_ns, cap)
+    assert 0 in parts[0] and max(map(len, parts)) <= cap
+    assert set(np.concatenate(parts).tolist()) == set(range(30))
+    seen = set(parts[0].tolist())
+    for part in parts[1:]:
+        assert len(part) == cap and len(set(part.tolist())) == cap
+        assert len(seen & set(part.tolist())) >= overlap(cap) >= 1
+        seen |= set(part.tolist())
+    if cap >= 3:
+        # both eyes in every part: scale needs them
+        assert all((part < 15).any() and (part >= 15).any() for part in parts)
+
+
+def test_a_first_view_that_is_not_the_earliest():
+    """Parts then go both ways from the first view's."""
+    t_ns = np.array([500, 600, 0, 100, 200, 300, 400])
+    parts = split(t_ns, 3)
+    assert 0 in parts[0]
+    seen = set(parts[0].tolist())
+    for part in parts[1:]:
+        assert seen & set(part.tolist())
+        seen |= set(part.tolist())
+    assert seen == set(range(7))
+
+
+def test_around_is_the_view_and_its_neighbours_in_time():
+    assert around(np.array([0, 10, 21, 33, 50]), 2, 4).tolist() == [2, 1, 3]
+    assert around(np.array([0, 10, 21]), 1, 2).tolist() == [1]
+
+
+def window(n: int, seed: int = 0) -> Decoded:
+    """Poses anywhere, depth of any kind; view 0 is the frame."""
+    rng = np.random.default_rng(seed)
+    T = se3.exp(rng.normal(0, 0.4, (n, 6)))
+    K = np.tile(np.diag([100.0, 100.0, 1.0]), (n, 1, 1)) + rng.random((n, 1, 1))
+    depth = rng.uniform(2, 9, (n, 6, 8)).astype(np.float32)
+    return Decoded(K, se3.inverse(T[0]) @ T, depth, rng.random((n, 6, 8)).astype(np.float32))
+
+
+def of_part(whole: Decoded, part, scale: float, noise: float = 0.0, seed: int = 0) -> Decoded:
+    """What a run over a part alone would say: its first view the frame, in its own unit."""
+    T = whole.T_s_c[part]
+    T = se3.inverse(T[0]) @ T
+    rng = np.random.default_rng(seed)
+    depth = whole.depth[part] * scale * np.exp(noise * rng.normal(size=whole.depth[part].shape))
+    own = Similarity(scale, np.eye(3), np.zeros(3)).poses(T)
+    own = own @ se3.exp(noise * rng.normal(size=(len(part), 6)))
+    return Decoded(whole.K[part], own, depth.astype(np.float32), whole.strength[part])
+
+
+@pytest.mark.parametrize("cap", [2, 3, 6, 11])
+def test_stitched_parts_are_the_whole(cap):
+    whole = window(12)
+    parts = split(stamps(6), cap)
+    scales = np.exp(np.linspace(0, 1, len(parts)))
+    solved = [of_part(whole, p, s) for p, s in zip(parts, scales, strict=True)]
+    found = stitch(12, parts, solved)
+    assert found.T_s_c == pytest.approx(whole.T_s_c, abs=1e-5)
+    assert found.depth == pytest.approx(whole.depth, rel=1e-5)
+    assert np.array_equal(found.K, whole.K) and np.array_equal(found.strength, whole.strength)
+
+
+def test_noise_is_averaged_over_what_is_shared():
+    whole = window(12)
+    parts = split(stamps(6), 8)
+    solved = [of_part(whole, p, 1 + i, 0.01, i) for i, p in enumerate(parts)]
+    found = stitch(12, parts, solved)
+    assert found.T_s_c == pytest.approx(whole.T_s_c, abs=0.08)
+    assert np.median(found.depth[11] / whole.depth[11]) == pytest.approx(1, abs=0.01)
+
+
+def test_depth_the_part_is_unsure_of_does_not_set_its_scale():
+    whole = window(12)
+    parts = split(stamps(6), 8)
+    solved = [of_part(whole, p, 2.0) for p in parts]
+    unsure = solved[1].strength < 0.4
+    solved[1].depth[unsure] *= 5
+    found = stitch(12, parts, solved)
+    # everything is in the unit of the first part
+    assert found.T_s_c[:, :3, 3] == pytest.approx(2 * whole.T_s_c[:, :3, 3], abs=1e-4)
+
+
+def test_parts_that_share_no_depth_cannot_be_joined():
+    whole = window(12)
+    parts = split(stamps(6), 8)
+    solved = [of_part(whole, p, 1.0) for p in parts]
+    solved[1].depth[:] = 0
+    with pytest.raises(BackboneError, match="share no depth"):
+        stitch(12, parts, solved)

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from calm_edge.commands.config_file import with_keys, write_keys
+from calm_edge.config import ConfigError, load
+
+PAIR = {"primary": "v4l2:usb-1", "assistant": 'v4l2:odd "name"'}
+KIT = """\
+# my kit
+[scale]
+spacing_m = 0.52  # tape
+
+[capture]  # both eyes
+  primary = 'v4l2:'   # left
+rate_hz = 15.0
+#assistant = "v4l2:usb-9"
+[backbone]
+primary = "not this one"
+"""
+
+
+def test_only_the_two_lines_change() -> None:
+    changed = with_keys(KIT.replace('primary = "not this one"\n', ""), "capture", PAIR)
+    assert tomllib.loads(changed)["capture"] == PAIR | {"rate_hz": 15.0}
+    assert '  primary = "v4l2:usb-1"   # left\n' in changed
+    for line in ("# my kit", "spacing_m = 0.52  # tape", '#assistant = "v4l2:usb-9"'):
+        assert line + "\n" in changed
+
+
+def test_the_same_key_of_another_section_stays() -> None:
+    assert tomllib.loads(with_keys(KIT, "capture", PAIR))["backbone"]["primary"] == "not this one"
+
+
+@pytest.mark.parametrize("text", ["", "[scale]\nspacing_m = 1.0", "[capture]", "[capture]\n\n"])
+def test_a_missing_section_or_key_is_added(text: str) -> None:
+    after = tomllib.loads(with_keys(text, "capture", PAIR))
+    assert after.pop("capture") == PAIR
+    assert after == {k: v for k, v in tomllib.loads(text).items() if k != "capture"}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "capture = {rate_hz = 5.0}\n",
+        "capture.rate_hz = 5.0\n",
+        '[capture]\nprimary = """v4l2:\n"""\n',
+        'note = """\n[capture]\n"""\n',
+    ],
+)
+def test_what_cannot_be_changed_alone_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="edit it by hand"):
+        with_keys(text, "capture", PAIR)
+
+
+def test_the_file_is_replaced_whole_and_can_be_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "kit.toml"
+    path.write_text(KIT.replace('primary = "not this one"\n', ""))
+    path.chmod(0o640)
+    write_keys(path, "capture", PAIR)
+    config = load(path)
+    assert (config.capture.primary, config.capture.assistant) == tuple(PAIR.values())
+    assert config.scale.spacing_m == 0.52 and config.capture.rate_hz == 15.0
+    assert path.stat().st_mode & 0o777 == 0o640
+    assert [p.name for p in tmp_path.iterdir()] == ["kit.toml"]
+
+
+def test_faults_are_one_line_with_the_file(tmp_path: Path) -> None:
+    broken = tmp_path / "kit.toml"
+    broken.write_text("[capture\n")
+    with pytest.raises(ConfigError, match=r"kit\.toml: not valid TOML"):
+        write_keys(broken, "capture", PAIR)
+    assert broken.read_text() == "[capture\n"
+    broken.write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match=r"kit\.toml: not valid TOML"):
+        write_keys(broken, "capture", PAIR)
+    with pytest.raises(ConfigError, match=r"none/kit\.toml: cannot be written"):
+        write_keys(tmp_path / "none/kit.toml", "capture", PAIR)
+
+
+@pytest.mark.parametrize("value", ["8000", '"auto-then-lock"'])
+def test_a_control_is_a_number_or_a_word(tmp_path: Path, value: str) -> None:
+    (tmp_path / "kit.toml").write_text(f"[capture]\nexposure_us = {value}\n")
+    assert load(tmp_path / "kit.toml").capture.exposure_us == tomllib.loads(f"v = {value}")["v"]
+    (tmp_path / "kit.toml").write_text("[capture]\nexposure_us = 1.5\n")
+    with pytest.raises(ConfigError, match=r"capture\.exposure_us: expected int, got 1\.5"):
+        load(tmp_path / "kit.toml")

@@ -1,0 +1,105 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.estimator.kit_memory import KitMemory
+from calm_edge.types import Hints, KitBelief, Prediction
+
+HINTS = Hints(eyes=np.array([0, 0, 1]), t_ns=np.arange(3))
+
+
+def seen(focals, *, sigma=0.002, kit=None):
+    K = np.tile(np.eye(3), (3, 1, 1))
+    K[:, :2, :2] *= np.array(focals)[HINTS.eyes, None, None]
+    belief = None if kit is None else KitBelief(np.array([kit]), np.array([[1.0]]))
+    depth = np.ones((3, 2, 2), np.float32)
+    return Prediction(
+        K=K,
+        T_s_c=np.tile(np.eye(4), (3, 1, 1)),
+        depth=depth,
+        confidence=depth,
+        focal_log_sigma=np.full(3, sigma),
+        kit=belief,
+    )
+
+
+class Resolver:
+    """Answers with focals of 500 px and its own evidence, except where told to fail."""
+
+    name = "resolver"
+
+    def __init__(self, *, fails=False):
+        self.fails, self.asked = fails, []
+
+    def resolve(self, prediction, hints):
+        assert prediction.depth is None and prediction.confidence is None
+        self.asked.append(None if hints.kit is None else float(hints.kit.mean[0]))
+        if self.fails:
+            raise BackboneError("no")
+        return seen((500, 500), kit=5.0)
+
+
+def test_a_window_is_told_what_the_others_taught():
+    memory = KitMemory(Resolver(), 10)
+    for submap_id, kit in enumerate((1.0, 2.0, 6.0)):
+        memory.add(submap_id, seen((500, 500), kit=kit), HINTS)
+    assert memory.belief().mean == pytest.approx([3.0])
+    assert memory.belief(without=2).mean == pytest.approx([1.5])
+    assert KitMemory(Resolver(), 10).belief() is None
+
+
+def test_what_a_window_teaches_again_replaces_what_it_taught():
+    backbone = Resolver()
+    memory = KitMemory(backbone, 10)
+    for submap_id, kit in enumerate((1.0, 2.0)):
+        memory.add(submap_id, seen((500, 500), kit=kit), HINTS)
+    assert set(memory.resolve([0, 1])) == {0, 1}
+    # each was asked under the other's first evidence: the order of solving does not matter
+    assert backbone.asked == [2.0, 1.0]
+    assert memory.belief().mean == pytest.approx([5.0])
+    assert memory.belief().information[0, 0] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("moved", [(520, 500), (500, 520)])
+def test_a_focal_that_moved_in_either_eye_is_outdated(moved):
+    memory = KitMemory(Resolver(), 10)
+    memory.add(0, seen((500, 500), sigma=0.3), HINTS)
+    memory.add(1, seen((503, 503), sigma=0.3), HINTS)
+    assert memory.outdated() == []
+    memory.add(2, seen(moved), HINTS)
+    assert memory.outdated() == [0, 1]
+
+
+def test_an_unsure_focal_outdates_nothing():
+    memory = KitMemory(Resolver(), 10)
+    memory.add(0, seen((500, 500)), HINTS)
+    memory.add(1, seen((700, 700), sigma=0.05), HINTS)
+    assert memory.outdated() == []
+    memory.add(2, dataclasses.replace(seen((700, 700)), focal_log_sigma=None), HINTS)
+    assert memory.outdated() == []
+
+
+def test_a_window_that_cannot_be_solved_again_is_not_asked_at_every_turn():
+    memory = KitMemory(Resolver(fails=True), 10)
+    memory.add(0, seen((600, 600), sigma=0.3), HINTS)
+    memory.add(1, seen((500, 500)), HINTS)
+    assert memory.outdated() == [0]
+    assert memory.resolve([0]) == {}
+    assert memory.outdated() == []
+
+
+def test_the_oldest_windows_are_let_go_but_not_what_they_taught():
+    memory = KitMemory(Resolver(), 2)
+    for submap_id in range(4):
+        memory.add(submap_id, seen((500, 500), kit=float(submap_id)), HINTS)
+    assert memory.retained() == [2, 3]
+    assert memory.belief().mean == pytest.approx([1.5])
+
+
+def test_a_backbone_that_cannot_resolve_keeps_no_window():
+    memory = KitMemory(object(), 10)
+    memory.add(0, seen((500, 500), kit=1.0), HINTS)
+    assert memory.retained() == [] and memory.resolve([0]) == {}
+    assert memory.belief().mean == pytest.approx([1.0])

@@ -1,0 +1,399 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from bench.scripted import ScriptedBackbone, ScriptedErrors
+from calm_edge.backbones.base import BackboneError
+from calm_edge.config import Config, merge
+from calm_edge.estimator import localizer as localizer_module
+from calm_edge.estimator.localizer import Localizer
+from calm_edge.geometry import se3
+from calm_edge.trajectories import folded
+from calm_edge.types import Keyframe, KitBelief
+from device.frame import Frame
+from tests.drives import PERIOD_NS, START_NS, T_P_A, circle, curved, position_error, scene, windows
+
+SPACING_M = float(np.linalg.norm(T_P_A[:3, 3]))
+CORRECTED = merge(Config(), {"scale": {"spacing_m": SPACING_M}})
+# these sub-maps have true focals: what section V reads from float32 pixels moves them by 1e-5
+METRES = merge(CORRECTED, {"correction": {"apply": "never"}})
+NOISE = ScriptedErrors(scale_log_sigma=0.5, translation_sigma=0.004, rotation_sigma_rad=0.0005)
+
+
+def drive(T, errors, config=METRES, **cut):
+    localizer = Localizer(config, ScriptedBackbone(scene(T), errors))
+    updates = [localizer.process(window) for window in windows(len(T), **cut)]
+    return localizer, updates
+
+
+def with_loop_to(keyframe, window):
+    return dataclasses.replace(window, loop_keyframe=keyframe)
+
+
+def live(updates):
+    """The trajectory as the updates so far tell it."""
+    return folded(update.trajectory for update in updates)
+
+
+def test_any_scale_of_any_submap_comes_out_as_metres():
+    T = curved(150)
+    localizer, updates = drive(T, ScriptedErrors(scale_log_sigma=0.5))
+    raw = [1 / update.submap.scale for update in updates]
+    assert max(raw) / min(raw) > 2
+    assert position_error(live(updates).T_w_c, T).max() < 1e-9
+    final = localizer.finish()
+    assert position_error(final.T_w_c, T).max() < 1e-9
+    assert np.abs(final.T_p_a - T_P_A).max() < 1e-9
+    assert final.keyframe_ids.tolist() == list(range(150))
+    assert np.array_equal(final.t_ns, START_NS + PERIOD_NS * np.arange(150))
+    for submap in localizer.submaps:
+        assert np.abs(submap.T_w_c()[: submap.n_primary] - T[list(submap.primary_ids)]).max() < 1e-9
+
+
+def test_without_a_spacing_the_world_is_in_spacings():
+    T = curved(40)
+    _, updates = drive(T, ScriptedErrors(scale_log_sigma=0.5), config=Config())
+    T_units = T.copy()
+    T_units[:, :3, 3] /= SPACING_M
+    assert position_error(live(updates).T_w_c, T_units).max() < 1e-9
+
+
+@pytest.mark.parametrize("late_ns", [17_000_000, -40_000_000])
+def test_unsynchronised_cameras_cost_little(late_ns):
+    T = curved(150)
+    localizer, _ = drive(T, ScriptedErrors(scale_log_sigma=0.5), assistant_late_ns=late_ns)
+    error = position_error(localizer.finish().T_w_c, T)
+    assert error.max() < 0.001 * 150
+
+
+@pytest.mark.parametrize("late_ns", [0, 17_000_000])
+def test_optimising_a_noisy_loop_lowers_its_error(late_ns):
+    T = circle(150)
+    noise = dataclasses.replace(NOISE, rotation_sigma_rad=0.004)
+    cut = windows(150, assistant_late_ns=late_ns)
+    joined = [*cut[:-1], with_loop_to(cut[0].primary[0], cut[-1])]
+    localizer = Localizer(METRES, ScriptedBackbone(scene(T), noise))
+    updates = [localizer.process(window) for window in cut]
+    before = position_error(live(updates).T_w_c, T)
+    epoch = updates[-1].trajectory.epoch
+    localizer = Localizer(METRES, ScriptedBackbone(scene(T), noise))
+    for window in joined:
+        after = localizer.process(window).trajectory
+    error = position_error(after.T_w_c, T)
+    assert error[-1] < 0.2 * before[-1]
+    assert error.mean() < before.mean()
+    assert after.epoch == epoch + 1
+    assert np.abs(after.T_p_a - T_P_A).max() < 0.02
+
+
+def test_what_is_learned_of_the_focal_moves_every_submap_placed_before():
+    T = curved(75)
+    errors = ScriptedErrors(coupled=True, focal_log_sigma=0.08)
+    localizer, updates = drive(T, errors, config=CORRECTED)
+    localizer.finish()
+    K = np.stack([[submap.K_raw[0, 0, 0], submap.K[0, 0, 0]] for submap in localizer.submaps])
+    raw, corrected = np.abs(np.log(K / scene(T).K[0, 0, 0])).T
+    assert corrected.max() < raw.max() / 3
+    # the first was placed before anything was known
+    assert corrected[0] < abs(np.log(updates[0].submap.K[0, 0, 0] / scene(T).K[0, 0, 0]))
+
+
+def test_averaged_placement_drifts_less_with_noise():
+    T = curved(150)
+    averaged = merge(METRES, {"scale": {"average_placement": True}})
+    noise = dataclasses.replace(NOISE, rotation_sigma_rad=0.002)
+    error = {
+        config: np.mean(
+            [
+                position_error(
+                    live(drive(T, dataclasses.replace(noise, seed=seed), config=config)[1]).T_w_c,
+                    T,
+                ).mean()
+                for seed in range(3)
+            ]
+        )
+        for config in (METRES, averaged)
+    }
+    assert error[averaged] < error[METRES]
+
+
+def test_a_keyframe_keeps_the_pose_of_its_first_submap_until_optimised():
+    _, updates = drive(curved(40), NOISE)
+    for k, later in enumerate(updates[1:], 1):
+        before = live(updates[:k])
+        n = len(before.keyframe_ids)
+        assert np.array_equal(live(updates[: k + 1]).T_w_c[:n], before.T_w_c)
+        assert np.array_equal(later.T_odom_correction, np.eye(4))
+        assert later.trajectory.epoch == 0
+        first = later.submap.primary_ids[0]
+        assert np.allclose(later.submap.T_w_c()[0], before.T_w_c[first], atol=1e-9)
+
+
+def test_same_windows_give_the_same_bytes():
+    runs = []
+    for _ in range(2):
+        localizer, updates = drive(curved(60), NOISE, assistant_late_ns=17_000_000)
+        runs.append(live(updates).T_w_c.tobytes() + localizer.finish().T_w_c.tobytes())
+    assert runs[0] == runs[1]
+
+
+def test_the_loop_view_takes_no_part_in_scale_and_closes_a_loop():
+    T = circle(150)
+    cut = windows(150)
+    localizer = Localizer(METRES, ScriptedBackbone(scene(T)))
+    for window in cut[:-1]:
+        localizer.process(window)
+    update = localizer.process(with_loop_to(cut[0].primary[0], cut[-1]))
+    assert len(update.submap.T_s_c) == 31 - 15 * 2 + 2 * len(cut[-1].primary)
+    assert update.submap.scale == pytest.approx(1.0, abs=1e-9)
+    assert update.loop.match_id == 0
+    expected = se3.inverse(T[0]) @ T[update.loop.query_id]
+    assert np.allclose(update.loop.T_match_query, expected, atol=1e-9)
+    assert update.trajectory.epoch == 1 and len(update.trajectory.t_ns) == 150
+
+
+def test_a_loop_to_a_place_without_a_pose_is_no_loop():
+    T = circle(60)
+    cut = windows(60)
+    localizer = Localizer(METRES, ScriptedBackbone(scene(T)))
+    localizer.process(cut[0])
+    update = localizer.process(with_loop_to(cut[-1].primary[-1], cut[1]))
+    assert update.loop is None and update.loop_keyframe is None
+    assert len(update.submap.T_s_c) == len(update.prediction.T_s_c) == 30
+
+
+def test_without_loops_a_recorded_loop_keyframe_is_left_out():
+    class Counting(ScriptedBackbone):
+        views = ()
+
+        def infer(self, images, hints):
+            self.views += ((len(images), len(hints.t_ns)),)
+            return super().infer(images, hints)
+
+    T, cut = circle(60), windows(60)
+    backbone = Counting(scene(T))
+    localizer = Localizer(merge(METRES, {"loops": {"enabled": False}}), backbone)
+    localizer.process(cut[0])
+    update = localizer.process(with_loop_to(cut[0].primary[0], cut[1]))
+    assert backbone.views == ((30, 30), (30, 30))
+    assert update.loop is None and update.loop_keyframe is None
+    assert update.trajectory.epoch == 0 and len(update.submap.T_s_c) == 30
+
+
+class Failing(ScriptedBackbone):
+    """Cannot reconstruct the calls named in `fails`."""
+
+    def __init__(self, *arguments, fails):
+        super().__init__(*arguments)
+        self.calls, self.fails = 0, fails
+
+    def infer(self, images, hints):
+        self.calls += 1
+        if self.calls - 1 in self.fails:
+            raise BackboneError("too dark")
+        return super().infer(images, hints)
+
+
+def straight(n):
+    return se3.exp(np.arange(n)[:, None] * np.array([0, 0, 1.0, 0, 0.004, 0]))
+
+
+@pytest.mark.parametrize("fails", [{1}, {2, 3}])
+def test_a_window_that_fails_is_bridged_at_constant_velocity(fails):
+    T = straight(75)
+    localizer = Localizer(METRES, Failing(scene(T), ScriptedErrors(), fails=fails))
+    updates = [localizer.process(window) for window in windows(75)]
+    assert {k for k, update in enumerate(updates) if update is None} == fails
+    assert [s.submap_id for s in localizer.skipped] == sorted(fails)
+    assert localizer.skipped[0].reason == "too dark"
+    after = updates[max(fails) + 1]
+    assert after.submap.n_overlap == 0
+    assert updates[max(fails) + 2].submap.n_overlap == 3
+    trajectory = localizer.finish()
+    known = trajectory.keyframe_ids
+    assert len(known) < 75
+    assert position_error(trajectory.T_w_c, T[known]).max() < 1e-6
+
+
+def test_a_window_left_out_is_bridged_as_if_it_had_failed():
+    T = straight(75)
+    localizer = Localizer(METRES, Failing(scene(T), ScriptedErrors(), fails=set()))
+    for window in windows(75):
+        if window.submap_id in (2, 3):
+            stamps = np.array([keyframe.frame.t_ns for keyframe in window.primary])
+            localizer.leave_out(window.submap_id, stamps)
+        else:
+            assert localizer.process(window) is not None
+    assert [s.submap_id for s in localizer.skipped] == [2, 3]
+    trajectory = localizer.trajectory()
+    known = trajectory.keyframe_ids
+    assert len(known) < 75
+    assert position_error(trajectory.T_w_c, T[known]).max() < 1e-6
+
+
+def test_long_gaps_between_skipped_keyframes_are_a_standstill():
+    T = straight(60)
+    # a moving car would have been given a keyframe long before
+    gap_ns = int(3 * METRES.frontend.max_keyframe_gap_s * 1e9)
+    stops = 9  # keyframes 15 to 23, all in window 1, show the car where 14 left it
+    lost_ns = stops * gap_ns
+
+    def delayed(keyframe):
+        late = min(max(keyframe.id - 14, 0), stops) * (gap_ns - PERIOD_NS)
+        frame = keyframe.frame
+        return Keyframe(
+            keyframe.id, Frame(frame.eye, frame.sequence, frame.t_ns + late, frame.image)
+        )
+
+    class Parked(Failing):
+        def infer(self, images, hints):
+            t_ns = hints.t_ns - lost_ns if self.calls > 1 else hints.t_ns
+            return super().infer(images, dataclasses.replace(hints, t_ns=t_ns))
+
+    localizer = Localizer(METRES, Parked(scene(T), ScriptedErrors(), fails={1}))
+    for window in windows(60):
+        cut = {eye: tuple(map(delayed, getattr(window, eye))) for eye in ("primary", "assistant")}
+        localizer.process(dataclasses.replace(window, **cut))
+    trajectory = localizer.trajectory()
+    jump = np.linalg.norm(np.diff(trajectory.T_w_c[:, :3, 3], axis=0), axis=1)
+    assert trajectory.keyframe_ids[15] == 24
+    assert jump == pytest.approx(1.0, abs=1e-3)
+
+
+def test_nothing_reconstructed_is_no_trajectory():
+    localizer = Localizer(METRES, Failing(scene(curved(20)), ScriptedErrors(), fails={0, 1}))
+    assert [localizer.process(window) for window in windows(20)] == [None, None]
+    assert localizer.finish() is None
+    assert len(localizer.trajectory().keyframe_ids) == 0
+
+
+def test_a_window_of_one_eye_or_of_broken_pictures_is_skipped():
+    localizer = Localizer(METRES, ScriptedBackbone(scene(curved(40))))
+    first, second, third = windows(40)[:3]
+    assert localizer.process(dataclasses.replace(first, assistant=())) is None
+    broken = dataclasses.replace(second.primary[4].frame, image=b"no picture")
+    primary = (*second.primary[:4], Keyframe(second.primary[4].id, broken), *second.primary[5:])
+    assert localizer.process(dataclasses.replace(second, primary=primary)) is None
+    reasons = [skipped.reason for skipped in localizer.skipped]
+    assert "both clocks" in reasons[0] and "not a readable image" in reasons[1]
+    assert localizer.process(third).submap.n_overlap == 0
+
+
+class Learning(ScriptedBackbone):
+    """One log focal, learnt from the third window on; a wrong focal stretches the motion."""
+
+    WRONG = 0.2
+
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.inferred, self.resolved = [], []
+
+    def _seen(self, prediction, hints, log_error):
+        K, T = prediction.K.copy(), prediction.T_s_c.copy()
+        K[:, :2, :2] *= np.exp(log_error)
+        T[:, 2, 3] *= np.exp(log_error)
+        sigma = np.full(len(hints.t_ns), 0.002 if log_error == 0 else 0.3)
+        information = np.array([[sigma[0] ** -2]])
+        kit = KitBelief(mean=np.array([log_error]), information=information)
+        return dataclasses.replace(
+            prediction, K=K, T_s_c=T, focal_log_sigma=sigma, kit=kit, landmarks=None
+        )
+
+    def infer(self, images, hints):
+        self.inferred.append(hints.kit)
+        late = hints.t_ns[0] > START_NS + 20 * PERIOD_NS
+        return self._seen(super().infer(images, hints), hints, 0.0 if late else self.WRONG)
+
+    def resolve(self, prediction, hints):
+        assert prediction.depth is None
+        assert hints.kit is not None
+        self.resolved.append(int(hints.t_ns[0] - START_NS) // PERIOD_NS)
+        if abs(hints.kit.mean[0]) > 0.01:
+            raise BackboneError("still unsure")
+        return self._seen(ScriptedBackbone.infer(self, [], hints), hints, 0.0)
+
+
+def test_windows_are_solved_again_once_the_focal_is_known():
+    T = straight(70)
+    backbone = Learning(scene(T))
+    localizer = Localizer(METRES, backbone)
+    updates = [localizer.process(window) for window in windows(70)]
+    assert backbone.inferred[0] is None
+    assert backbone.inferred[1].mean == pytest.approx([0.2])
+    # the third window starts at keyframe 24; it is sure, so the two before it are solved again
+    assert backbone.resolved == [0, 12]
+    assert [update.trajectory.epoch for update in updates] == [0, 0, 1, 1, 1, 1][: len(updates)]
+    old, new = live(updates[:2]), updates[2].trajectory
+    assert position_error(old.T_w_c, T[:27]).max() > 1.0
+    assert position_error(new.T_w_c, T[:39]).max() < 1e-9
+    moved = updates[2].T_odom_correction @ old.T_w_c[-1]
+    assert np.allclose(moved, new.T_w_c[26], atol=1e-9)
+    final = localizer.finish()
+    assert backbone.resolved[2:] == [0, 12, 24, 36, 48, 60]
+    assert position_error(final.T_w_c, T).max() < 1e-9
+    assert final.epoch == 3
+
+
+def test_only_so_many_windows_are_kept_for_solving_again():
+    backbone = Learning(scene(straight(70)))
+    config = merge(METRES, {"backbone": {"resolve_windows": 2}})
+    localizer = Localizer(config, backbone)
+    for window in windows(70):
+        localizer.process(window)
+    assert backbone.resolved == [12]
+    localizer.finish()
+    assert backbone.resolved[1:] == [48, 60]
+
+
+def test_what_is_learned_late_is_applied_to_all_at_the_end_at_latest(monkeypatch):
+    localizer = Localizer(METRES, ScriptedBackbone(scene(curved(150))))
+    moved = []
+    monkeypatch.setattr(localizer._rectifier, "learn", lambda *_: True)
+    begin = localizer._begin_replacement
+    monkeypatch.setattr(localizer, "_begin_replacement", lambda s: (moved.append(len(s)), begin(s)))
+    for window in windows(150):
+        localizer.process(window)
+    # the ninth takes two windows: the tenth waits for it
+    assert moved == [1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 13]
+    placed = len(localizer.submaps)
+    assert placed == 13
+    localizer.finish()
+    assert moved[-1] == placed
+
+
+def learnt(monkeypatch, a_window, n, at):
+    """The final trajectory of a curved drive that learns of the assistant's lateness at sub-map
+    `at`, and the epoch and the sub-maps rectified with each window.
+    """
+    monkeypatch.setattr(localizer_module, "REPLACED_A_WINDOW", a_window)
+    localizer = Localizer(METRES, ScriptedBackbone(scene(curved(n))))
+    rectifier, rectify = localizer._rectifier, localizer._rectifier.rectify
+    rectified, per_window, epochs = [], [], []
+
+    def learn(raw, landmarks, images):
+        if raw.id == at:
+            rectifier._late_s = 0.02
+        return raw.id == at
+
+    monkeypatch.setattr(rectifier, "learn", learn)
+    monkeypatch.setattr(
+        rectifier, "rectify", lambda s, held=None: rectified.append(s.id) or rectify(s, held)
+    )
+    for window in windows(n):
+        epochs.append(localizer.process(window).trajectory.epoch)
+        per_window.append(len(rectified))
+    return localizer.finish(), epochs, np.diff(per_window, prepend=0).tolist()
+
+
+@pytest.mark.parametrize(("n", "moved"), [(150, [7]), (87, [])])
+def test_a_share_with_every_window_ends_where_all_at_once_does(monkeypatch, n, moved):
+    # of the shorter drive the end comes before all were placed anew
+    at_once, early, most = learnt(monkeypatch, 1000, n, at=5)
+    shared, late, few = learnt(monkeypatch, 3, n, at=5)
+    assert np.flatnonzero(np.diff(early, prepend=0)).tolist() == [5]
+    assert np.flatnonzero(np.diff(late, prepend=0)).tolist() == moved
+    assert (max(most), max(few)) == (1 + 6, 1 + 3)
+    assert np.abs(at_once.T_p_a - T_P_A).max() > 1e-4
+    assert np.abs(shared.T_w_c - at_once.T_w_c).max() < 1e-9
+    assert np.abs(shared.T_p_a - at_once.T_p_a).max() < 1e-9

@@ -1,0 +1,70 @@
+"""A pose from points: exact, robust, sure of itself as far as it may be, and always a rotation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry.pnp import locate, refine
+
+K = pinhole.from_hfov(80, 640, 240)
+THRESHOLD_PX = 3.0
+
+
+def scene(n: int = 120, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """World points (n, 3) before a camera, its pose (4, 4) and their exact pixels (n, 2)."""
+    rng = np.random.default_rng(seed)
+    T_w_c = se3.exp(np.array([3.0, -1.0, 2.0, 0.1, 0.4, -0.05]))
+    uv = rng.uniform([0, 0], [639, 239], (n, 2))
+    p_c = pinhole.back_project(K, uv, rng.uniform(4, 40, n))
+    return se3.transform(T_w_c, p_c), T_w_c, uv
+
+
+def test_exact_pixels_give_the_exact_pose() -> None:
+    p_w, T_w_c, uv = scene()
+    start = T_w_c @ se3.exp(np.array([0.3, 0.1, -0.4, 0.01, -0.02, 0.01]))
+    fit = refine(K, p_w, uv.astype(np.float32), start, THRESHOLD_PX)
+    assert fit is not None and fit.inlier.all()
+    np.testing.assert_allclose(fit.T_w_c, T_w_c, atol=1e-4)
+
+
+def test_a_third_of_wrong_matches_and_a_bad_prediction_are_survived() -> None:
+    p_w, T_w_c, uv = scene()
+    rng = np.random.default_rng(1)
+    wrong = rng.permutation(len(uv))[:40]
+    uv[wrong] = rng.uniform([0, 0], [639, 239], (40, 2))
+    start = T_w_c @ se3.exp(np.array([2.0, 1.0, -2.0, 0.3, -0.3, 0.2]))
+    fit = locate(K, p_w, uv.astype(np.float32), start, THRESHOLD_PX)
+    assert fit is not None
+    np.testing.assert_allclose(fit.T_w_c, T_w_c, atol=1e-3)
+    assert fit.inlier.sum() >= 80 and fit.inlier[wrong].sum() < 4
+
+
+def test_the_covariance_says_how_far_off_noisy_pixels_put_it() -> None:
+    p_w, T_w_c, uv = scene()
+    rng = np.random.default_rng(2)
+    distances = []
+    for _ in range(60):
+        noisy = (uv + rng.normal(0, 0.5, uv.shape)).astype(np.float32)
+        fit = refine(K, p_w, noisy, T_w_c, THRESHOLD_PX)
+        assert fit is not None
+        miss = se3.log(se3.inverse(fit.T_w_c) @ T_w_c)
+        distances.append(miss @ np.linalg.solve(fit.covariance, miss))
+    # chi-square of six degrees
+    assert 4.5 < np.mean(distances) < 8.0
+
+
+def test_a_pose_predicted_from_poses_for_hours_is_still_a_rotation() -> None:
+    p_w, T_w_c, uv = scene()
+    seen = uv.astype(np.float32)
+    T_map_odom, T_o_c = np.eye(4), T_w_c
+    for _ in range(60):
+        # what the tracker does with every sub-map and frame: products grow what is not a rotation
+        T_map_odom = T_w_c @ se3.inverse(T_o_c)
+        for _ in range(3):
+            fit = refine(K, p_w, seen, T_map_odom @ T_o_c, THRESHOLD_PX)
+            assert fit is not None
+            T_o_c = se3.inverse(T_map_odom) @ fit.T_w_c
+    R = T_o_c[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(T_o_c, T_w_c, atol=1e-3)

@@ -1,0 +1,171 @@
+import json
+import os
+import re
+import stat
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calm_edge.kit import file, layout
+from calm_edge.kit.change import faded
+from calm_edge.types import KitBelief
+
+CAMERAS = ("v4l2:usb-0000:00:14.0-1", "v4l2:usb-0000:00:14.0-2")
+SIZES = np.array([[1280, 720], [640, 480]])
+
+
+def belief(seed=0, rank=layout.SIZE):
+    rng = np.random.default_rng(seed)
+    J = rng.normal(size=(rank, layout.SIZE)) * 10 ** rng.uniform(0, 4, layout.SIZE)
+    return KitBelief(mean=rng.normal(size=layout.SIZE), information=J.T @ J)
+
+
+def saved(folder, **changed):
+    """A kit file with some of its keys replaced; a value of None leaves the key out."""
+    path = folder / "kit.json"
+    file.save(path, CAMERAS, SIZES, belief())
+    content = json.loads(path.read_text()) | changed
+    path.write_text(json.dumps({k: v for k, v in content.items() if v is not None}))
+    return path
+
+
+def load(path, cameras, sizes):
+    return file.remembered(path, file.read(path), cameras, sizes)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10**6), st.integers(0, layout.SIZE))
+def test_there_and_back_is_the_belief_faded(tmp_path_factory, seed, rank):
+    path = tmp_path_factory.mktemp("kit") / "kit.json"
+    kept = belief(seed, rank)
+    file.save(path, CAMERAS, SIZES, kept)
+    back, reason = load(path, CAMERAS, SIZES)
+    assert reason == ""
+    assert np.array_equal(back.mean, kept.mean)
+    assert np.array_equal(back.information, faded(kept).information)
+
+
+def test_the_same_belief_gives_the_same_bytes(tmp_path):
+    for name in ("a.json", "b.json"):
+        file.save(tmp_path / name, CAMERAS, SIZES, belief())
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+
+
+def test_a_kit_not_driven_before_has_nothing_to_remember(tmp_path):
+    assert load(tmp_path / "kit.json", CAMERAS, SIZES) == (
+        None,
+        f"{tmp_path}/kit.json: no earlier drive of this kit is known",
+    )
+
+
+@pytest.mark.parametrize(
+    ("cameras", "sizes", "said"),
+    [
+        (CAMERAS[::-1], SIZES, "other cameras"),
+        (("v4l2:usb-9", CAMERAS[1]), SIZES, "other cameras .*usb-9"),
+        (CAMERAS, SIZES[::-1], "pictures of .*not .*640, 480"),
+    ],
+)
+def test_another_kit_is_not_this_one(tmp_path, cameras, sizes, said):
+    back, reason = load(saved(tmp_path), cameras, sizes)
+    assert back is None
+    assert re.search(said, reason)
+
+
+def test_another_version_is_said_and_not_used(tmp_path):
+    back, reason = load(saved(tmp_path, version=2), CAMERAS, SIZES)
+    assert back is None and "version 2" in reason
+    shorter = saved(tmp_path, mean=[0.0] * 12, information=np.eye(12).tolist())
+    back, reason = load(shorter, CAMERAS, SIZES)
+    assert back is None and "holds 12 entries" in reason
+
+
+NOT_POSITIVE = np.diag([-1.0] + [1.0] * (layout.SIZE - 1)).tolist()
+INDEFINITE = (np.eye(layout.SIZE) + 2 * np.eye(layout.SIZE)[::-1]).tolist()
+LOPSIDED = (np.eye(layout.SIZE) + np.eye(layout.SIZE, k=1)).tolist()
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"mean": None},
+        {"mean": "text"},
+        {"mean": [[0.0]]},
+        {"mean": [float("nan")] * layout.SIZE},
+        {"mean": [10**400] * layout.SIZE},
+        {"mean": [0.0] * (layout.SIZE - 1)},
+        {"information": None},
+        {"information": [[0.0], [0.0, 1.0]]},
+        {"information": {"0": 1}},
+        {"information": NOT_POSITIVE},
+        {"information": INDEFINITE},
+        {"information": LOPSIDED},
+    ],
+)
+def test_a_damaged_file_is_one_line_that_names_the_mend(tmp_path, changed):
+    path = saved(tmp_path, **changed)
+    with pytest.raises(file.KitFileError) as caught:
+        load(path, CAMERAS, SIZES)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: damaged, ") and "delete it" in text and "\n" not in text
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_a_torn_file_is_damaged(tmp_path, share):
+    path = saved(tmp_path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(file.KitFileError, match="damaged, not JSON"):
+        load(path, CAMERAS, SIZES)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(file.KitFileError, match="damaged, not text"):
+        load(path, CAMERAS, SIZES)
+    path.write_text("[" * 100_000)
+    with pytest.raises(file.KitFileError, match="damaged, not JSON"):
+        load(path, CAMERAS, SIZES)
+
+
+@pytest.mark.parametrize("text", ["[]", "3", '{"format": "other", "mean": [1]}', "{}"])
+def test_a_file_of_something_else_is_left_alone(tmp_path, text):
+    path = tmp_path / "settings.json"
+    path.write_text(text)
+    with pytest.raises(file.KitFileError, match="is no kit file; name another"):
+        load(path, CAMERAS, SIZES)
+
+
+def test_a_folder_in_its_place_is_said(tmp_path):
+    with pytest.raises(file.KitFileError, match=f"{tmp_path}: cannot be read"):
+        load(tmp_path, CAMERAS, SIZES)
+    with pytest.raises(file.KitFileError, match=f"{tmp_path}: cannot be written"):
+        file.save(tmp_path, CAMERAS, SIZES, belief())
+    below = tmp_path / "file"
+    below.write_text("")
+    with pytest.raises(file.KitFileError, match="cannot be written"):
+        file.save(below / "kit.json", CAMERAS, SIZES, belief())
+
+
+def test_a_failed_write_keeps_the_file_there_was(tmp_path, monkeypatch):
+    path = tmp_path / "deep" / "kit.json"
+    file.save(path, CAMERAS, SIZES, belief(1))
+    before = path.read_bytes()
+
+    def full(fd):
+        # the folder's own sync comes after the rename, when the new file is already there
+        if stat.S_ISREG(os.fstat(fd).st_mode):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(file.KitFileError, match=r"cannot be written \(No space left"):
+        file.save(path, CAMERAS, SIZES, belief(2))
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_belief_that_is_no_number_is_not_written(tmp_path):
+    path = tmp_path / "kit.json"
+    broken = KitBelief(np.full(layout.SIZE, np.nan), np.eye(layout.SIZE))
+    with pytest.raises(file.KitFileError, match="not finite"):
+        file.save(path, CAMERAS, SIZES, broken)
+    assert not path.exists()

@@ -1,0 +1,87 @@
+import logging
+
+import numpy as np
+import pytest
+
+from calm_edge.config import Config, merge
+from calm_edge.kit import layout
+from calm_edge.kit.file import KitFileError
+from calm_edge.kit.prior import TRUSTED_AFTER, KitPrior
+from calm_edge.types import KitBelief
+
+SIZES = np.array([[640, 360], [640, 360]])
+
+
+def config(path):
+    return merge(Config(), {"backbone": {"kit_file": str(path)}})
+
+
+def taught(turned_rad=0.0):
+    """What a good drive teaches: focals to 0.5 %, the rig to half a milliradian."""
+    mean = layout.prior((70.0, 70.0)).mean
+    mean[layout.RIG] = [0.02, 0.05 + turned_rad, 0.0, 1.0, 0.0, 0.0]
+    sigma = np.full(layout.SIZE, 0.005)
+    sigma[layout.RIG] = 0.0005
+    return KitBelief(mean, np.diag(sigma**-2.0))
+
+
+def test_what_one_drive_learned_the_next_one_knows(tmp_path):
+    first = KitPrior(config(tmp_path / "kit.json"))
+    first.open(SIZES)
+    assert first.belief is None
+    first.save(taught())
+    second = KitPrior(config(tmp_path / "kit.json"))
+    second.open(SIZES)
+    for _ in range(TRUSTED_AFTER):
+        # nothing is solved under it before the drive's own evidence was compared
+        assert second.belief is None
+        assert second.contradicted(taught()) == ()
+    assert np.allclose(second.belief.mean, taught().mean)
+
+
+def test_a_bumped_mount_is_said_and_the_memory_dropped(tmp_path):
+    first = KitPrior(config(tmp_path / "kit.json"))
+    first.open(SIZES)
+    first.save(taught())
+    second = KitPrior(config(tmp_path / "kit.json"))
+    second.open(SIZES)
+    notices = second.contradicted(taught(np.radians(4.0)))
+    assert any("assistant turned by 4.0 deg" in line for line in notices)
+    assert second.belief is None and second.contradicted(taught()) == ()
+
+
+def test_without_a_file_nothing_is_kept(tmp_path):
+    prior = KitPrior(Config())
+    prior.open(SIZES)
+    prior.save(taught())
+    assert prior.belief is None and not list(tmp_path.iterdir())
+
+
+FOREIGN = ("[]", "not JSON", '{"format": "calm-edge kit", "version": 1, "mean": [1]}')
+
+
+@pytest.mark.parametrize("text", FOREIGN)
+def test_a_file_that_is_not_understood_stops_the_drive_at_its_start(tmp_path, text):
+    (tmp_path / "kit.json").write_text(text)
+    with pytest.raises(KitFileError, match=r"kit\.json"):
+        KitPrior(config(tmp_path / "kit.json"))
+
+
+@pytest.mark.parametrize("text", FOREIGN)
+def test_a_file_that_is_not_understood_is_never_written_over(tmp_path, caplog, text):
+    prior = KitPrior(config(tmp_path / "kit.json"))
+    prior.open(SIZES)
+    (tmp_path / "kit.json").write_text(text)
+    with caplog.at_level(logging.ERROR):
+        prior.save(taught())
+    assert "kit.json" in caplog.text
+    assert (tmp_path / "kit.json").read_text() == text
+
+
+def test_a_file_that_cannot_be_written_costs_a_line(tmp_path, caplog):
+    prior = KitPrior(config(tmp_path / "folder" / "kit.json"))
+    prior.open(SIZES)
+    (tmp_path / "folder").write_text("")
+    with caplog.at_level(logging.ERROR):
+        prior.save(taught())
+    assert "Not a directory" in caplog.text

@@ -1,0 +1,259 @@
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from calm_edge.backbones.bundle.learned import place
+from calm_edge.config import LoopConfig
+from calm_edge.geometry import se3, sift
+from calm_edge.loops.finder import EVERY, PlaceLoops, PlaceMemory
+from calm_edge.loops.same_place import KnownKit
+from calm_edge.types import Float, Keyframe, SubmapWindow
+from device.frame import Eye, Frame
+from tests.synthetic.drive import Settings, T_primary_assistant, exposed, make_rig
+from tests.synthetic.render import render_views
+from tests.synthetic.world import make_world
+
+SETTINGS = Settings(width=320, height=128, density=14.0, frames=40, start_s=6.0)
+STEP = 3  # frames a keyframe
+N = 5
+FIRST_RETURN = 100
+# the second time the car keeps 0.3 m to the side and stops for no keyframe at the same spot
+ASIDE = se3.exp(np.array([0.3, 0.0, 0.4, 0.0, 0.02, 0.0]))
+CONFIG = LoopConfig()
+
+
+@dataclass(frozen=True)
+class Street:
+    """Pictures of a first visit and of a return (primary, then assistant), T_w_c (N, 4, 4)."""
+
+    first: list
+    T_first: Float
+    again: list
+    T_again: Float
+    elsewhere: list
+    kit: KnownKit
+
+
+@pytest.fixture(scope="module")
+def street() -> Street:
+    world = make_world(SETTINGS.seed, SETTINGS.density)
+    rig, rng = make_rig(world, SETTINGS), np.random.default_rng(0)
+    T_p_a = T_primary_assistant(SETTINGS)
+
+    def pictures(T_w_c, eye):
+        views, _ = render_views(world.scene, T_w_c, rig.K[eye], (320, 128), oversample=1)
+        return [exposed(view, 0.0, rng, SETTINGS) for view in views]
+
+    T_first = rig.T_w_c[0][: N * STEP : STEP]
+    T_again = T_first @ ASIDE
+    late = rig.T_w_c[1][: N * STEP : STEP] @ se3.inverse(T_p_a) @ ASIDE @ T_p_a
+    return Street(
+        pictures(T_first, 0),
+        T_first,
+        pictures(T_again, 0) + pictures(late, 1),
+        T_again,
+        pictures(rig.T_w_c[0][20 : 20 + N * STEP : STEP], 0),
+        KnownKit(np.stack(rig.K), T_p_a),
+    )
+
+
+def keyframe(i, image, eye=Eye.PRIMARY):
+    return Keyframe(i, Frame(eye, i, 10**9 + 300_000_000 * i, image))
+
+
+def window(first_id, images, submap_id=0, n_overlap=0):
+    """Half of the images are the primary's, half the assistant's."""
+    half = len(images) // 2
+    primary = [keyframe(first_id + k, image) for k, image in enumerate(images[:half])]
+    assistant = [
+        keyframe(first_id + k, image, Eye.ASSISTANT) for k, image in enumerate(images[half:])
+    ]
+    return SubmapWindow(submap_id, tuple(primary), tuple(assistant), n_overlap)
+
+
+def visited(pictures, kit, config=CONFIG, descriptor=None, first_id=0):
+    """A finder that has been where these pictures show."""
+    finder = PlaceLoops(config, descriptor)
+    past = window(first_id, pictures + pictures)
+    assert finder.find(past, pictures + pictures, kit) is None
+    finder.remember(past)
+    return finder
+
+
+def found(finder, street, first_id=FIRST_RETURN):
+    return finder.find(window(first_id, street.again), street.again, street.kit)
+
+
+def test_a_return_is_found_and_roughly_placed(street):
+    candidate = found(visited(street.elsewhere[::-1] + street.first, street.kit), street)
+    here, there = candidate.query_id - FIRST_RETURN, candidate.keyframe.id - N
+    assert candidate.query_view == here and 0 <= there < N
+    true = se3.inverse(street.T_again[here]) @ street.T_first[there]
+    assert np.linalg.norm(true[:3, 3]) < 4.0
+    rough = candidate.T_query_match[:3, 3] * SETTINGS.spacing_m
+    assert np.linalg.norm(rough - true[:3, 3]) < 0.4
+    assert candidate.agrees(true, SETTINGS.spacing_m)
+    assert candidate.score >= CONFIG.min_matches
+
+
+def test_a_return_is_found_by_the_network_as_well(street):
+    descriptor = place()
+    known = visited(street.elsewhere[::-1] + street.first, street.kit, descriptor=descriptor)
+    candidate = found(known, street)
+    there = candidate.keyframe.id - N
+    assert 0 <= there < N
+    true = se3.inverse(street.T_again[candidate.query_view]) @ street.T_first[there]
+    assert candidate.agrees(true, SETTINGS.spacing_m)
+
+
+def test_another_measurement_far_off_does_not_agree(street):
+    candidate = found(visited(street.first, street.kit), street)
+    own = np.array(candidate.T_query_match)
+    assert candidate.agrees(own, 1.0)
+    assert not candidate.agrees(own @ se3.exp(np.array([0, 0, 12.0, 0, 0, 0])), 1.0)
+    assert not candidate.agrees(own @ se3.exp(np.array([0, 0, 0, 0, 0.3, 0])), 1.0)
+
+
+def test_the_same_windows_give_the_same_candidate(street):
+    a, b = (found(visited(street.first, street.kit), street) for _ in range(2))
+    assert (a.query_id, a.keyframe.id, a.score) == (b.query_id, b.keyframe.id, b.score)
+    assert a.T_query_match.tobytes() == b.T_query_match.tobytes()
+
+
+class AllAlike:
+    """A descriptor that takes every place for every other."""
+
+    worth_a_look = 0.5
+
+    def describe(self, image):
+        return np.ones(1, np.float32)
+
+    def similarity(self, queries, places):
+        return np.ones((len(queries), len(places)), np.float32)
+
+
+def test_a_planted_look_alike_is_not_believed(street):
+    """Another street with this one's road and kerbs in it, at the right place in the picture."""
+    planted = [image.copy() for image in street.elsewhere]
+    for image, here in zip(planted, street.first, strict=True):
+        image[70:] = here[70:]
+    query, past = (
+        sift.detect(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), 800)
+        for image in (street.again[2], planted[2])
+    )
+    # enough matches on one epipolar geometry: that alone would close the loop
+    assert len(sift.consistent(query, past, 1.0)) >= CONFIG.min_matches
+    assert found(visited(planted, street.kit, descriptor=AllAlike()), street) is None
+    assert found(visited(street.first, street.kit, descriptor=AllAlike()), street) is not None
+
+
+def test_another_street_is_not_believed_however_alike_it_is_called(street):
+    assert found(visited(street.elsewhere, street.kit, descriptor=AllAlike()), street) is None
+
+
+def test_one_look_alike_between_other_places_is_not_believed(street):
+    lonely = [street.elsewhere[0], street.elsewhere[1], street.first[2], *street.elsewhere[3:]]
+    assert found(visited(lonely, street.kit, descriptor=AllAlike()), street) is None
+
+
+def test_nothing_is_found_before_anything_was_solved(street):
+    finder = visited(street.first, street.kit)
+    assert finder.find(window(FIRST_RETURN, street.again), street.again, None) is None
+
+
+def test_what_is_near_in_the_drive_is_no_loop(street):
+    assert found(visited(street.first, street.kit), street, first_id=CONFIG.min_gap - 1) is None
+    wide = replace(CONFIG, min_gap=FIRST_RETURN + N)
+    assert found(visited(street.first, street.kit, wide), street) is None
+
+
+def test_a_closure_is_not_followed_by_one_at_once(street):
+    finder = visited(street.first, street.kit)
+    assert found(finder, street) is not None
+    assert found(finder, street, FIRST_RETURN + N) is None
+    assert found(finder, street, FIRST_RETURN + 10 * N) is not None
+
+
+def test_a_window_without_a_pose_is_no_place(street):
+    finder = PlaceLoops(CONFIG)
+    finder.find(window(0, street.first * 2), street.first * 2, street.kit)
+    # `remember` was not called
+    assert found(finder, street) is None
+
+
+def picture_of(i, size=(40, 60, 3)):
+    return np.full(size, i % 251, np.uint8)
+
+
+def test_places_are_capped_and_thinned_evenly_in_pairs():
+    memory = PlaceMemory(max_places=16)
+    for i in range(1000):
+        memory.add(keyframe(i, picture_of(i)), np.full(4, i, np.float32))
+        assert len(memory) <= 16
+    places, vectors = memory.before(999)
+    ids = np.array([place.id for place in places])
+    first, second = ids[::2], ids[1::2]
+    assert len(ids) > 8 and ids[0] == 0
+    assert (np.diff(first) == memory.every).all() and ids[-1] > 999 - memory.every
+    assert np.array_equal(second, first[: len(second)] + EVERY)
+    assert np.array_equal(vectors[:, 0], ids)
+    assert [place.id for place in memory.before(int(ids[3]))[0]] == ids[:4].tolist()
+    # the dropped ones leave no neighbours behind but the other of the pair
+    assert [place.id for place in memory.beside(places[2])] == [ids[3]]
+
+
+def test_a_drive_of_any_length_can_still_be_returned_to(street):
+    """Thinned to one pair in sixteen keyframes, a place still has one beside it to confirm it."""
+    memory_of_few = replace(CONFIG, max_places=4)
+    finder = visited(street.first, street.kit, memory_of_few)
+    blank = [np.full((128, 320, 3), k, np.uint8) for k in (0, 80, 160)]
+    for first_id in range(N, 60, 3):
+        later = window(first_id, blank + blank)
+        assert finder.find(later, blank + blank, street.kit) is None
+        finder.remember(later)
+    assert found(finder, street, FIRST_RETURN + 60) is not None
+
+
+def test_pictures_are_capped_in_bytes():
+    noise = np.random.default_rng(0).integers(0, 255, (40, 60, 3), np.uint8)
+    memory = PlaceMemory(max_places=1000, max_bytes=20_000)
+    for i in range(0, 200, EVERY):
+        memory.add(keyframe(i, noise), np.zeros(4, np.float32))
+        assert memory.n_bytes <= 20_000
+    assert 1 < len(memory) < 20
+
+
+def test_one_place_every_few_keyframes():
+    memory = PlaceMemory(max_places=100)
+    for i in range(20):
+        memory.add(keyframe(i, picture_of(i)), np.zeros(4, np.float32))
+    assert [place.id for place in memory.before(100)[0]] == list(range(0, 20, EVERY))
+    beside = memory.beside(memory.before(100)[0][3])
+    assert [place.id for place in beside] == [2 * EVERY, 4 * EVERY]
+    assert [p.id for p in memory.beside(memory.before(0)[0][0])] == [EVERY]
+
+
+def test_a_place_is_the_frame_itself():
+    """A recording finds it by eye, sequence and stamp; a camera's own bytes stay as they are."""
+    memory = PlaceMemory(max_places=10)
+    jpeg = cv2.imencode(".jpg", picture_of(7))[1].tobytes()
+    given = keyframe(0, jpeg), keyframe(EVERY, picture_of(9))
+    for one in given:
+        memory.add(one, np.zeros(4, np.float32))
+    kept, decoded = memory.before(100)[0]
+    assert kept is given[0]
+    assert isinstance(decoded.frame.image, bytes)
+    assert np.abs(decoded.frame.bgr().astype(int) - 9).max() <= 1
+    assert replace(decoded.frame, image=b"") == replace(given[1].frame, image=b"")
+
+
+def test_pictures_with_nothing_in_them_are_no_places():
+    tiny = [np.zeros((4, 4, 3), np.uint8)] * 4
+    finder = visited(tiny[:2], KnownKit(np.stack([np.eye(3)] * 2), np.eye(4)))
+    assert (
+        finder.find(window(200, tiny), tiny, KnownKit(np.stack([np.eye(3)] * 2), np.eye(4))) is None
+    )

@@ -1,0 +1,139 @@
+"""The page stands alone and shows what it was given."""
+
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calm_edge.evaluation.estimate import from_updates
+from calm_edge.evaluation.results import compare
+from calm_edge.evaluation.truth import Truth
+from calm_edge.report.drive_report import report_data, unobserved
+from calm_edge.report.report import ReportData, render, write_report
+from calm_edge.types import LocalizerUpdate
+from tests.evaluation.worlds import curve, stamps, update
+
+N = 160
+
+
+def _updates(sigma: float = 0.01) -> list[LocalizerUpdate]:
+    T, t = curve(N), stamps(N)
+    return [
+        update(
+            T[: 40 * (k + 1) : 4],
+            t[: 40 * (k + 1) : 4],
+            sigma=(0.01, sigma),
+            submap_id=k,
+            scale=2.0 + k,
+            stage_ms={"infer": 120.0},
+        )
+        for k in range(4)
+    ]
+
+
+def _street() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    base = curve(N)[rng.integers(0, N, 6000), :3, 3]
+    points = (base + rng.normal(0, [3, 0.02, 3], (6000, 3)) + [0, 1.5, 0]).astype(np.float32)
+    return points, np.full((6000, 3), (200, 30, 30), np.uint8)
+
+
+class _Closed(HTMLParser):
+    """Collects every address and checks that tags close in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in {"meta", "img", "image", "polyline", "path"}:
+            self.open.append(tag)
+        self.links += [v or "" for k, v in attrs if k in {"src", "href", "srcset", "data"}]
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in {"image", "polyline", "path"}:
+            assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+
+
+def test_a_whole_page_asks_for_nothing_from_outside(tmp_path: Path) -> None:
+    points, color = _street()
+    estimate = replace(from_updates("r", _updates(), N, 0.5), points_w=points)
+    K = np.stack([np.diag([f, f, 1.0]) for f in (500.0, 610.0)])
+    truth = Truth(stamps(N), curve(N), K)
+    data = report_data("A drive <1>", estimate, _updates(), color, truth, compare(estimate, truth))
+    write_report(tmp_path / "report.html", data)
+    text = (tmp_path / "report.html").read_text()
+    page = _Closed()
+    page.feed(text)
+    assert page.open == []
+    assert page.links and all(link.startswith("data:image/") for link in page.links)
+    assert "<script" not in text and "A drive &lt;1&gt;" in text and "<1>" not in text
+    for heading in (
+        "from above",
+        "along the street",
+        "Scale over",
+        "Focal length over",
+        "time went",
+    ):
+        assert heading in text
+    assert text == render(data)  # the same drive gives the same bytes
+    photos = [
+        cv2.imdecode(np.frombuffer(base64.b64decode(link.split(",")[1]), np.uint8), 1)
+        for link in page.links
+        if link.startswith("data:image/jpeg")
+    ]
+    assert len(photos) == 3
+    for photo in photos:
+        red = (photo[..., 2] > 150) & (photo[..., 1] < 90)
+        assert red.mean() > 0.005
+
+
+def test_curves_hold_the_truth_only_when_given() -> None:
+    data = report_data("t", from_updates("r", _updates(), N, 0.5), _updates())
+    assert data.truth_w is None and data.scale_windows is None and data.truth_focal_px is None
+    assert "No truth was given" in render(data)
+    assert np.allclose(data.scale, [1, 1.5, 2, 2.5])
+    assert data.focal_px.tolist() == [[500, 600]] * 4
+    truth = Truth(stamps(N), curve(N))
+    data = report_data("t", from_updates("r", _updates(), N), _updates(), truth=truth)
+    assert data.truth_w is not None and data.scale_windows is not None
+    # the truth is laid into the estimate's world, which here is its own
+    assert np.allclose(data.truth_w, curve(N)[: len(data.truth_w), :3, 3], atol=1e-6)
+    assert np.allclose(data.scale_windows[:, 1], 1, atol=1e-3)
+
+
+def test_a_sub_map_written_again_is_drawn_once_as_it_was_placed() -> None:
+    again = [replace(u, submap=replace(u.submap, scale=9.0)) for u in _updates()]
+    data = report_data("t", from_updates("r", _updates(), N, 0.5), [*_updates(), *again])
+    assert np.allclose(data.scale, [1, 1.5, 2, 2.5])
+
+
+def test_what_was_not_observed_is_said() -> None:
+    (focal, spacing) = unobserved(from_updates("r", _updates(sigma=0.11)))
+    assert "assistant" in focal and "11.0 %" in focal and "unobserved" in focal
+    assert "spacings" in spacing
+    assert unobserved(from_updates("r", _updates(), spacing_m=0.5)) == ()
+    page = render(report_data("t", from_updates("r", _updates(0.11)), _updates(0.11)))
+    assert "Not observed" in page and "11.0 %" in page
+
+
+def test_a_drive_without_sub_maps_still_has_a_page() -> None:
+    data = report_data("nothing", from_updates("r", [], 12), [], notes=("3 frames were lost.",))
+    page = render(data)
+    assert "No sub-map could be placed" in page and "3 frames were lost." in page
+    assert "Scale over" not in page
+
+
+def test_a_straight_or_standing_drive_is_drawn() -> None:
+    straight = np.tile(np.eye(4), (12, 1, 1))
+    straight[:, 2, 3] = np.arange(12)
+    for T in (straight, straight[:1], np.tile(np.eye(4), (3, 1, 1))):
+        assert re.search("data:image/svg", render(ReportData("t", T)))
