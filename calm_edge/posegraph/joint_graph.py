@@ -1,8 +1,8 @@
-"""The primary-assistant joint pose graph (paper IV-C): what was measured, and its best poses.
+"""The primary-assistant joint pose graph (paper IV-C): relative measurements and keyframe poses.
 
-State: the primary keyframes and T_p_a; the assistant's trajectory is T_w_p T_p_a throughout.
-Variances are the paper's numbers taken in map units (spacings) and radians: the paper states
-them in its first sub-map's own unit, and without loops only their ratios matter.
+State: poses of the primary keyframes and T_p_a; assistant poses are always T_w_p T_p_a.
+The variances are the paper's numbers, applied in map units (camera spacings) and rad; the paper
+applies them in the unit of its first sub-map. Without loops only their ratios matter.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from calm_edge.posegraph.optimum import TOLERANCE, optimum
 from calm_edge.posegraph.problem import Edges, Problem, State, joined
 from calm_edge.types import Float, Int, LoopClosure
 
-# A bridge is a guess at motion nobody measured: ten times an odometry edge's sigma.
+# Information of a bridge relative to an odometry edge: it is a guess, so 10 times the sigma.
 _BRIDGE_WEIGHT = 0.01
-# Sub-maps that `relative_covariance` looks at, at the least.
+# Minimum number of recent sub-maps that `relative_covariance` uses.
 _RECENT = 6
 _KEYS = count()
 
 
 @dataclass(frozen=True, slots=True)
 class Optimised:
-    """What a run of the optimiser did. Costs: half squared Mahalanobis distances.
+    """Summary of one optimisation. Costs: half the sum of squared Mahalanobis distances.
 
-    loops: (R,) in the order they were added, whether each was believed.
+    loops: (R,) whether each loop was accepted, in the order they were added.
     """
 
     iterations: int
@@ -43,9 +43,9 @@ class Optimised:
 
 
 class JointGraph:
-    """Owns the keyframe poses in the world and every relative measurement of them.
+    """Owner of the keyframe poses and of all relative measurements between them.
 
-    spacing: world units a map unit.
+    spacing: world units per map unit.
     """
 
     def __init__(self, config: PoseGraphConfig, spacing: float = 1.0) -> None:
@@ -73,7 +73,7 @@ class JointGraph:
 
     @property
     def T_p_a(self) -> Float:
-        """(4, 4) assistant->primary, world units."""
+        """Rig transform (4, 4), assistant to primary camera, world units."""
         return self._T_p_a
 
     def poses(self) -> Float:
@@ -85,21 +85,22 @@ class JointGraph:
         return self._T_w_p[self._row[keyframe_id]]
 
     def state(self) -> State:
-        """Every pose and T_p_a where they now are."""
+        """Current estimate of all poses and of T_p_a."""
         return State(self.poses(), self._T_p_a)
 
     def set_rig_prior(self, T_p_a: Float) -> None:
-        """E_prior: anchors T_p_a (4, 4) to the first sub-map's average."""
+        """Set the prior on the rig (E_prior of IV-C): T_p_a (4, 4), the first sub-map's mean."""
         self._T_p_a_prior = self._T_p_a = T_p_a
 
     def add_submap(
         self, ids: tuple[int, ...], T_w_s: Float, T_s_p: Float, T_s_a: Float, seen: Int
     ) -> None:
-        """E_pri and E_ast of each keyframe against its `window` predecessors in the sub-map.
+        """Add E_pri and E_ast between each keyframe and its `window` predecessors in a sub-map.
 
-        ids: keyframe of each T_s_p (N, 4, 4). T_s_a: (V, 4, 4) the assistant at the stamps of
-        the primary views `seen` (V,). World units, rectified. Keyframes already known keep
-        their pose, the first sub-map's; a pair that two sub-maps saw was measured twice.
+        ids: keyframe ids of T_s_p (N, 4, 4). T_s_a: (V, 4, 4) assistant poses interpolated to
+        the stamps of the primary views with index `seen` (V,). All rectified, world units.
+        A keyframe that is in the graph already keeps its pose; a pair of keyframes that lies in
+        two sub-maps gets an edge from each.
         """
         for keyframe_id, T in zip(ids, T_w_s @ T_s_p, strict=True):
             if keyframe_id not in self._row:
@@ -128,12 +129,15 @@ class JointGraph:
         self._scale_variance += _scale_variance(T_s_p[seen], T_s_a)
 
     def add_bridge(self, before_id: int, after_id: int) -> None:
-        """Ties two keyframes with nothing measured between them, loosely, where they now are."""
+        """Add a weak edge that holds the current relative pose of two keyframes.
+
+        For a gap over which no sub-map could be reconstructed.
+        """
         T_j_i = se3.inverse(self.pose(before_id)) @ self.pose(after_id)
         self._add_single(before_id, after_id, T_j_i, _BRIDGE_WEIGHT, robust=False)
 
     def add_loop(self, loop: LoopClosure) -> None:
-        """E_loop, with a robust kernel; KeyError where a keyframe is not in the graph."""
+        """Add E_loop with a robust kernel. Raises KeyError for a keyframe not in the graph."""
         self._add_single(loop.match_id, loop.query_id, loop.T_match_query, 1.0, robust=True)
 
     def _add_single(
@@ -153,12 +157,15 @@ class JointGraph:
         )
 
     def problem(self) -> Problem:
-        """Everything measured so far, with its noise in world units; needs one pair and a prior."""
+        """All measurements and their noise in world units.
+
+        Raises ValueError without a rig prior or without any edge.
+        """
         return self._problem(self._edges)
 
     def _problem(self, edges: list[Edges]) -> Problem:
         if self._T_p_a_prior is None:
-            raise ValueError("set_rig_prior comes before problem and optimise")
+            raise ValueError("call set_rig_prior before problem or optimise")
         config = self._config
         unit = np.repeat([self._spacing, 1.0], 3)
         variance = np.repeat([config.translation_variance, config.rotation_variance], 3)
@@ -172,9 +179,9 @@ class JointGraph:
         )
 
     def optimise(self, tolerance: float = TOLERANCE) -> Optimised:
-        """Moves every pose and T_p_a to the optimum; the first keyframe stays where it is.
+        """Optimise all poses and T_p_a; the first keyframe is held fixed (gauge).
 
-        tolerance: it ends when an iteration lowers the cost by less than this share.
+        tolerance: relative decrease of the cost at which the iteration stops.
         """
         if not self._edges:
             return Optimised(0, 0.0, 0.0)
@@ -183,13 +190,13 @@ class JointGraph:
         return Optimised(found.iterations, found.cost_before, found.cost_after, found.loops)
 
     def snapshot(self) -> Snapshot | None:
-        """What an optimiser needs, None while nothing is measured."""
+        """Copy of problem and state for an optimiser; None while the graph has no edge."""
         return Snapshot(self._key, self.problem(), self.state()) if self._edges else None
 
     def apply(self, solved: Solved) -> bool:
-        """Moves every pose to an optimum of this graph as it was; False for another graph's.
+        """Set all poses to the optimum of an earlier snapshot; False if of another graph.
 
-        Keyframes added since follow the last optimised one rigidly.
+        Keyframes added after the snapshot move rigidly with the last optimised one.
         """
         if solved.graph != self._key:
             return False
@@ -200,20 +207,21 @@ class JointGraph:
         return True
 
     def covariances(self, ids: Int) -> Float:
-        """(M, 6, 6) of keyframes `ids` (M,) against the first one; after `optimise`.
+        """Pose covariances (M, 6, 6) of keyframes `ids` (M,) relative to the first keyframe.
 
-        (translation, rotation) in each camera's own axes, world units and rad. The whole graph
-        is factorised: linear in its length. KeyError where a keyframe has no pose.
+        (translation, rotation) in each camera's own axes, world units and rad. Valid after
+        `optimise`. Time is linear in the graph's length. Raises KeyError for an unknown id.
         """
         rows = np.array([self._row[int(keyframe_id)] for keyframe_id in ids])
         problem = self.problem()
         return Marginals(problem, self.state(), self._noise(problem)).covariances(rows)
 
     def relative_covariance(self, keyframe_id: int, origin_id: int) -> Float:
-        """(6, 6) of a keyframe against an earlier one, both among the last few sub-maps.
+        """Pose covariance (6, 6) of a keyframe relative to an earlier, recent one.
 
-        As `covariances`, from the newest sub-maps alone: its cost does not grow with the drive,
-        and loops beyond them do not count. KeyError where either has no pose.
+        Like `covariances`, but only the newest sub-maps that span both keyframes are used, so
+        the time does not grow with the drive; loops to older keyframes are ignored. Raises
+        KeyError for an unknown id.
         """
         row, origin = self._row[keyframe_id], self._row[origin_id]
         recent: list[Edges] = []
@@ -233,8 +241,9 @@ class JointGraph:
         return np.asarray(marginals.covariances(np.array([row - first]), origin - first)[0])
 
     def noise_scale(self) -> tuple[float, float] | None:
-        """By how much the variances of translation and rotation of a measured pair differ from
-        the paper's, as factors; None while no pair was measured twice.
+        """Measured over configured variance of an edge, for translation and for rotation.
+
+        None while no pair of keyframes lies in two sub-maps.
         """
         if not self._edges:
             return None
@@ -251,13 +260,13 @@ class JointGraph:
 
 
 def _preceding(n: int, window: int) -> tuple[Int, Int]:
-    """Pairs (i, j) of n views, each view i with its `window` predecessors j."""
+    """Index pairs (i, j) of n views: each view i with its up to `window` predecessors j."""
     i, j = np.nonzero(np.tri(n, k=-1) - np.tri(n, k=-window - 1))
     return i, j
 
 
 def _scale_variance(T_s_p: Float, T_s_a: Float) -> float:
-    """Of the log scale of a sub-map: how uncertain the mean of its spacings (V,) is."""
+    """Variance of a sub-map's log scale: that of the mean of its V camera spacings, relative."""
     spacing = np.linalg.norm((T_s_a - T_s_p)[:, :3, 3], axis=-1)
     if len(spacing) < 2:
         return 0.0

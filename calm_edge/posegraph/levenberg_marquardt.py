@@ -15,9 +15,9 @@ _STEP_TOLERANCE = 1e-9
 
 
 def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -> tuple[State, int]:
-    """The state of least cost near `state`, keyframe 0 held, and the iterations it took.
+    """Local minimum of the cost from `state`, keyframe 0 held fixed, and the iterations used.
 
-    tolerance: it ends when an iteration lowers the cost by less than this share.
+    tolerance: relative decrease of the cost at which the iteration stops.
     """
     r = residuals(problem, state)
     current = cost(problem, r, kernel)
@@ -28,7 +28,7 @@ def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -
         while True:
             steps = linear.solve(damping)
             if steps is None and damping < _MAX_DAMPING:
-                # rounding left the weakest direction to nothing: from now on it is held by more
+                # not positive definite after rounding: raise the lower bound of the damping too
                 damping = least = 10 * damping
                 continue
             if steps is None:

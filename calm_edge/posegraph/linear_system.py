@@ -1,9 +1,8 @@
-"""The normal equations of the joint graph, and GTSAM's elimination of them (paper IV-C).
+"""Normal equations of the joint graph, and their elimination by GTSAM (paper IV-C).
 
-Every residual is linearised exactly in one numpy pass, with numpy's own tangent, so that
-GTSAM's order of rotation and translation never enters. Each call from Python costs, so
-neighbouring keyframes share one GTSAM variable, a *group*, and all that joins a group to the
-next is one factor.
+All residuals are linearised in numpy, in our twist order (translation, rotation); GTSAM gets
+linear factors only. Calls from Python are slow, so that _GROUP consecutive keyframes form one
+GTSAM variable (a *group*) and all edges between two groups are summed into one HessianFactor.
 """
 
 from __future__ import annotations
@@ -16,19 +15,19 @@ import numpy as np
 
 from calm_edge.geometry import se3
 from calm_edge.posegraph import assistant_factor
-from calm_edge.posegraph.problem import Edges, Kernel, Problem, Residuals, State, softening
+from calm_edge.posegraph.problem import Edges, Kernel, Problem, Residuals, State, robust_weights
 from calm_edge.types import Float, Int
 
-# Keyframes a group: just wide enough for a window of 3 to reach no further than the next group.
+# Keyframes per group. With a window of 3 predecessors, edges then reach the next group at most.
 _GROUP = 3
-# Pairs linearised at once: what they need stays in the processor's cache and out of its memory.
+# Edges linearised at once: their temporaries fit into the CPU cache.
 _CHUNK = 256
 
 
 class Rows(NamedTuple):
-    """Whitened derivatives (P, 12, 6) by the poses i, j and by T_p_a, and -residuals b (P, 12).
+    """Whitened Jacobians (P, 12, 6) by pose i, pose j and T_p_a, and b = -residuals (P, 12).
 
-    The first six rows are the primary's, the others the assistant's.
+    Rows 0-5 are the primary's residual, rows 6-11 the assistant's.
     """
 
     by_i: Float
@@ -38,9 +37,9 @@ class Rows(NamedTuple):
 
 
 def linearise(problem: Problem, state: State, r: Residuals, soft: Float, pairs: Int) -> Rows:
-    """Some pairs (Q,) of the edges at `state`, where residuals are `r`.
+    """Whitened Jacobians of the edges with indices `pairs` (Q,), at `state` with residuals `r`.
 
-    soft: (P,) factors on the primary's inverse variances, of `softening`.
+    soft: (P,) robust weights of the primary's residuals, from `robust_weights`.
     """
     edges, sigma = problem.edges, problem.sigma
     i, j = state.T_w_p[edges.i[pairs]], state.T_w_p[edges.j[pairs]]
@@ -58,11 +57,11 @@ def linearise(problem: Problem, state: State, r: Residuals, soft: Float, pairs: 
 
 
 class Layout:
-    """Where each pair's block goes; depends on the pairs' ends alone.
+    """Sparsity of the system: which factor and columns each edge goes to. Values play no part.
 
-    Keyframes are padded to whole groups, two at least. A factor joins the groups low (F,) and
-    high (F,): each neighbouring pair first, then each that only a loop joins. Within a factor
-    a pose has six columns, low's poses first, then T_p_a, then b.
+    Keyframes are padded to whole groups, at least two. Factor f joins groups low[f] and high[f]
+    (F,): first all pairs of neighbouring groups, then the pairs joined by loops only. Columns of
+    a factor: 6 per pose of `low`, 6 per pose of `high`, 6 of T_p_a, 1 of b.
     """
 
     def __init__(self, edges: Edges, n: int) -> None:
@@ -77,7 +76,7 @@ class Layout:
         self.high = np.concatenate([near + 1, far % self.n_groups])
         factor_of = np.minimum(low, self.n_groups - 2)
         factor_of[is_far] = len(near) + factor
-        # groups that a loop joins to more than their neighbours
+        # groups with a loop to a group that is not a neighbour
         self.looped = np.zeros(self.n_groups, bool)
         self.looped[self.low[len(near) :]] = self.looped[self.high[len(near) :]] = True
         self._order = np.argsort(factor_of, kind="stable")
@@ -85,17 +84,21 @@ class Layout:
         ends = np.stack([edges.i, edges.j], -1)[self._order]
         is_low = ends // _GROUP == self.low[self._factor][:, None]
         column = 6 * (ends % _GROUP + np.where(is_low, 0, _GROUP))
-        # each end's six columns, then those of T_p_a and of b
+        # (P, 19): 6 columns of either pose, 6 of T_p_a, 1 of b
         both = (column[..., None] + np.arange(6)).reshape(-1, 12)
         rest = np.broadcast_to(12 * _GROUP + np.arange(7), (len(both), 7))
         self._columns = np.concatenate([both, rest], 1)
 
     def complete(self, n_factors: int) -> int:
-        """How many groups, from the first, are joined to their neighbours by the first factors."""
+        """Number of leading groups with all factors to neighbours among the first n_factors."""
         return self.n_groups if n_factors >= self.n_groups - 1 else n_factors
 
     def chunks(self) -> Iterator[tuple[slice, Int, Int, Int]]:
-        """(factors, pairs (Q,), factor of each counted in the slice (Q,), columns (Q, 19))."""
+        """Chunks of whole factors with about _CHUNK edges each.
+
+        Yields the slice of factors, the edge indices (Q,), each edge's factor relative to the
+        slice's start (Q,), and its columns (Q, 19).
+        """
         cuts = np.searchsorted(self._factor, self._factor[::_CHUNK])
         cuts = np.unique(np.append(cuts, len(self._factor)))
         for start, end in pairwise(cuts.tolist()):
@@ -105,21 +108,21 @@ class Layout:
 
 
 def _blocks(rows: Rows, factor: Int, columns: Int, n_factors: int) -> Float:
-    """(F, D, D) sums of A^T A of the pairs, b the last column: D = 12 poses' and 7 more."""
+    """Augmented Hessians [A b]^T [A b] (F, D, D), summed over the edges of each factor."""
     A = np.concatenate([rows.by_i, rows.by_j, rows.by_rig, rows.b[..., None]], -1)
     D = 12 * _GROUP + 7
     index = (factor[:, None, None] * D + columns[:, :, None]) * D + columns[:, None, :]
-    # a copy: of one and the same buffer numpy computes half a product, three times slower
+    # the copy avoids numpy's syrk path for A^T A, which is three times slower at this size
     products = np.swapaxes(A, -1, -2) @ A.copy()
     summed = np.bincount(index.ravel(), products.ravel(), n_factors * D * D)
     return np.asarray(summed.reshape(n_factors, D, D))
 
 
 class LinearSystem:
-    """The problem linearised at a state: GTSAM keys are the groups, T_p_a the last.
+    """The problem linearised at a state. GTSAM keys: groups 0 .. n_groups-1, then T_p_a.
 
-    A group is eliminated as soon as all that joins it to others is there, so of a long drive no
-    more is ever held than back-substitution needs. Groups at the ends of loops come last.
+    A group is eliminated as soon as all its factors have been added, so that memory holds the
+    Bayes net and a few factors, never the whole graph. Groups with loops are eliminated last.
     """
 
     def __init__(
@@ -129,18 +132,17 @@ class LinearSystem:
 
         self._gtsam: Any = gtsam
         self._problem, self._state, self._r, self._layout = problem, state, r, layout
-        self._soft = softening(problem, r, kernel)
+        self._soft = robust_weights(problem, r, kernel)
         self._rig = layout.n_groups
 
     def solve(self, damping: float) -> Float | None:
-        """Steps (N + 1, 6) of the damped normal equations, that of T_p_a last.
+        """Solution (N + 1, 6) of the damped normal equations: a twist per keyframe, then T_p_a's.
 
-        None where they are not positive definite: a path of kilometres, hardly damped, can lose
-        that to rounding.
+        None if they are numerically not positive definite, as over kilometres at low damping.
         """
         gtsam, layout = self._gtsam, self._layout
         graph, net, done = gtsam.GaussianFactorGraph(), gtsam.GaussianBayesNet(), 0
-        self._hold(graph, damping)
+        self._add_priors(graph, damping)
         try:
             for factors, pairs, factor, columns in layout.chunks():
                 rows = linearise(self._problem, self._state, self._r, self._soft, pairs)
@@ -154,7 +156,7 @@ class LinearSystem:
                     found, graph = graph.eliminatePartialSequential(gtsam.Ordering(within))
                     _append(net, found)
             self._damp(graph, np.arange(done, layout.n_groups), damping)
-            # T_p_a touches every keyframe: eliminated last, the rest stays a narrow band
+            # T_p_a is connected to every keyframe: eliminated last, the system stays banded
             ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(graph, [self._rig])
             _append(net, graph.eliminateSequential(ordering))
             solution = net.optimize()
@@ -163,13 +165,13 @@ class LinearSystem:
         steps = np.asarray(solution.vector(list(range(self._rig + 1)))).reshape(-1, 6)
         return np.concatenate([steps[: layout.n], steps[-1:]])
 
-    def _hold(self, graph: Any, damping: float) -> None:
-        """The prior on T_p_a, the gauge, and rows that no keyframe has."""
+    def _add_priors(self, graph: Any, damping: float) -> None:
+        """Add the prior on T_p_a, the gauge prior on keyframe 0, and identities for padding."""
         problem, r = self._problem, self._r
         J = se3.right_jacobian_inverse(r.prior) / problem.sigma_prior[:, None]
         self._add_rows(graph, self._rig, J, -r.prior / problem.sigma_prior)
         self._add_rows(graph, self._rig, np.sqrt(damping) * np.eye(6), np.zeros(6))
-        # without the gauge the whole world may move at no cost, so any weight holds exactly
+        # nothing else fixes the world frame, so that a prior of any weight holds it exactly
         held = np.zeros((6, 6 * _GROUP))
         held[:, :6] = np.diag(1 / problem.sigma)
         self._add_rows(graph, 0, held, np.zeros(6))
@@ -181,7 +183,7 @@ class LinearSystem:
             self._add_rows(graph, group, np.diag(empty), np.zeros(6 * _GROUP))
 
     def _join(self, graph: Any, H: Float, factors: slice) -> None:
-        """Adds factors, their blocks in H (F, D, D)."""
+        """Add one HessianFactor per block of H (F, D, D)."""
         g, r = 6 * _GROUP, 12 * _GROUP
         factor = self._gtsam.HessianFactor
         low, high = self._layout.low[factors].tolist(), self._layout.high[factors].tolist()
@@ -207,6 +209,6 @@ class LinearSystem:
 
 
 def _append(net: Any, more: Any) -> None:
-    """Conditionals of one GTSAM Bayes net, after those of another."""
+    """Append the conditionals of one GTSAM Bayes net to another."""
     for k in range(more.size()):
         net.push_back(more.at(k))

@@ -1,11 +1,11 @@
-"""Which loops to believe, before the optimiser sees them (paper IV-D leaves this open).
+"""Outlier rejection for loop closures before optimisation (the paper has none in IV-D).
 
-Under the paper's loose variances any one loop closes at little cost, a false one as well: a
-kernel alone cannot tell them apart. A loop is believed when usual drift could explain it, or
-when severe drift could and other loops nearby call for the same correction; never against better
-supported ones. That is the pairwise consistency of Mangelson et al., "Pairwise consistent
-measurement set maximization for robust multi-robot map merging", 2018, kept to loops near each
-other. A false loop that is no further off than drift is believed too: nothing tells it apart.
+With the paper's loose variances a single false loop closes at a low cost, so a robust kernel
+cannot reject it. A loop is accepted if typical drift explains it, or if severe drift does and
+enough loops nearby agree with it, and only if it agrees with all loops accepted before it (those
+with more support come first). The agreement test is the pairwise consistency of Mangelson et al.,
+"Pairwise consistent measurement set maximization for robust multi-robot map merging", 2018,
+between nearby loops. A false loop within typical drift cannot be recognised and is accepted.
 """
 
 from __future__ import annotations
@@ -20,23 +20,27 @@ from calm_edge.types import Float, Int
 
 Bool = NDArray[np.bool_]
 
-# chi-square with six degrees of freedom: one true loop in a thousand fails.
+# 99.9 % quantile of chi-square with six degrees of freedom.
 _GATE = 22.46
-# Drift that goes on one way: of the distance, and rad a keyframe; for so many keyframes at most.
+# Typical systematic drift: share of the distance, rad per keyframe, and the number of keyframes
+# over which its direction persists.
 _DRIFT_SHARE, _DRIFT_RAD, _DRIFT_KEYFRAMES = 0.01, 0.0005, 100
-# Severe drift is so many times worse: a focal length nobody has observed yet, for one.
+# Severe over typical drift, as from a focal length that is not observable yet.
 _SEVERE = 10.0
-# Loops that must back one which only severe drift explains: on a road of even bends two wrong
-# ones agree by chance.
+# Agreeing loops required where only severe drift explains a loop. One is too few: on a road with
+# similar bends two false loops can agree by chance.
 _BACKERS = 2
-# Two loops can bear each other out where so many keyframes, at both ends together, part them.
+# Two loops are nearby when their first and their second keyframes differ by at most this in sum.
 _NEARBY = 80
-# One sigma of a loop's own measurement: spacings, rad.
+# Sigma of a loop measurement: map units, rad.
 _LOOP_SIGMA = (0.2, 0.04)
 
 
-def believed(problem: Problem, T_w_p: Float, noise: Noise) -> Bool:
-    """(R,) of the edges that are `robust`, in their order, at the poses (N, 4, 4) so far."""
+def accepted_loops(problem: Problem, T_w_p: Float, noise: Noise) -> Bool:
+    """Whether each loop (R,) is accepted, in the order of the edges that are `robust`.
+
+    T_w_p: (N, 4, 4) current keyframe poses. noise: of the odometry edges.
+    """
     edges = problem.edges
     (at,) = np.nonzero(edges.robust)
     if not len(at):
@@ -63,7 +67,8 @@ def believed(problem: Problem, T_w_p: Float, noise: Noise) -> Bool:
     short = np.abs(i - j) <= _DRIFT_KEYFRAMES
     chosen = np.zeros(len(at), bool)
     for k in np.lexsort((own, -support)):
-        # far along the way drift explains much: once others are backed, that is not enough
+        # over a long way typical drift explains almost any loop: ask for support once there is
+        # an accepted loop that has it
         possible = (usual[k] and (short[k] or support[k] or not (chosen & backed).any())) or (
             severe[k] and backed[k]
         )
@@ -72,18 +77,18 @@ def believed(problem: Problem, T_w_p: Float, noise: Noise) -> Bool:
             worse = np.where(backed[k] & backed[others] & ~nearby[k, others], _SEVERE, 1.0)
             possible = (apart_by(others, np.full(len(others), k), worse) < _GATE).all()
         chosen[k] = possible
-    # support that was itself thrown out supports nothing
+    # count support by accepted loops only
     return np.asarray(chosen & (usual | ((agree & chosen).sum(1) >= _BACKERS)))
 
 
 class _Path:
-    """Uncertainty of the motion along the keyframes, summed in the world from the first one."""
+    """Covariance of the motion along the keyframes, accumulated from the first in world axes."""
 
     def __init__(self, problem: Problem, T_w_p: Float, noise: Noise) -> None:
         edges, sigma = problem.edges, problem.sigma
         length = np.linalg.norm(np.diff(T_w_p[:, :3, 3], axis=0), axis=-1)
         n = len(length)
-        # a third of a view's variance a step: window and both cameras average more than that away
+        # 1/3 of a view's variance per step, since a window of both cameras averages the errors
         step = np.tile(noise.view_covariance() / 3, (n, 1, 1))
         bridge = ~edges.robust & (edges.submap < 0)
         last = np.maximum(edges.i, edges.j)[bridge] - 1
@@ -95,10 +100,11 @@ class _Path:
         self._drift = _summed(to_world, drift[:, :, None] * np.eye(6))
 
     def between(self, i: Int, j: Int, from_world: Float, worse: float | Float) -> Float:
-        """(M, 6, 6) covariance of the motion between rows i and j, by from_world (M, 6, 6).
+        """Covariance (M, 6, 6) of the relative motion between state rows i and j (M,).
 
-        worse: how many times the usual drift, one or (M,).
-        Drift of n keyframes that all goes one way has n times the variance of independent ones.
+        from_world: (M, 6, 6) adjoints from world axes to those of the result. worse: factor on
+        typical drift, one or (M,). Fully correlated drift over n keyframes has n times the
+        variance of independent drift.
         """
         low, high = np.minimum(i, j), np.maximum(i, j)
         steps = (np.minimum(high - low, _DRIFT_KEYFRAMES) * np.square(worse))[:, None, None]
@@ -108,7 +114,7 @@ class _Path:
 
 
 def _summed(to_world: Float, step: Float) -> Float:
-    """(N, 6, 6): sums of steps (N - 1, 6, 6) up to each keyframe, in world axes."""
+    """Cumulative sums (N, 6, 6) of step covariances (N - 1, 6, 6), brought to world axes."""
     moved = to_world @ step @ np.swapaxes(to_world, -1, -2)
     return np.concatenate([np.zeros((1, 6, 6)), np.cumsum(moved, 0)])
 
@@ -121,13 +127,17 @@ def _disagreement(
     loop: Float,
     worse: float | Float,
 ) -> Float:
-    """(M,) squared Mahalanobis distances of loops b from what loops a and the path predict."""
+    """Squared Mahalanobis distances (M,) between loops b and their prediction from loops a.
+
+    a, b: state rows i and j (M,) and measurement T_j_i (M, 4, 4). Loop a is carried to loop b
+    along the path. loop: (6, 6) covariance of a loop measurement.
+    """
     (i_a, j_a, Z_a), (i_b, j_b, Z_b) = a, b
     T_ia_ib = se3.inverse(T_w_p[i_a]) @ T_w_p[i_b]
     predicted = se3.inverse(T_w_p[j_b]) @ T_w_p[j_a] @ Z_a @ T_ia_ib
     error = se3.log(se3.inverse(Z_b) @ predicted)
     from_a = se3.adjoint(se3.inverse(T_ia_ib))
-    # the path at the far end moves in the world's axes, seen through the loop
+    # adjoint from world axes at the far end to the frame of the error, through loop a
     through_loop = se3.adjoint(se3.inverse(T_w_p[j_a] @ Z_a @ T_ia_ib))
     covariance = (
         path.between(i_a, i_b, se3.adjoint(se3.inverse(T_w_p[i_b])), worse)
@@ -139,6 +149,6 @@ def _disagreement(
 
 
 def _mahalanobis(error: Float, covariance: Float) -> Float:
-    """(M,) squared, of errors (M, 6) under covariances (M, 6, 6)."""
+    """Squared Mahalanobis norms (M,) of errors (M, 6) under covariances (M, 6, 6)."""
     solved = np.linalg.solve(covariance, error[..., None])[..., 0]
     return np.asarray((error * solved).sum(-1))

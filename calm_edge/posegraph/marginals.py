@@ -1,9 +1,9 @@
-"""How far the optimised poses may be off: errors of the views, carried through the optimum.
+"""Covariances of the optimised poses, propagated from the pose errors of single views.
 
-The optimum is a linear function of small measurement errors. Edges of one sub-map share their
-views, so their errors are not independent and the inverse of the normal matrix is not the
-covariance, whatever it is scaled by: here each view's error is followed on its own, a sum over
-views of (influence) Q (influence)^T with Q from `noise`.
+To first order the optimum is linear in the measurement errors. Edges of one sub-map share views,
+so that their errors are correlated and the inverse Hessian is no covariance, not even up to a
+factor. Instead the covariance is the sum over views of J Q J^T: J the derivative of a pose by the
+view's error, Q the view's covariance from `noise`.
 """
 
 from __future__ import annotations
@@ -17,42 +17,44 @@ from scipy.sparse.linalg import splu
 from calm_edge.geometry import se3
 from calm_edge.posegraph.linear_system import Rows, linearise
 from calm_edge.posegraph.noise import Noise
-from calm_edge.posegraph.problem import Problem, State, cauchy, residuals, softening
+from calm_edge.posegraph.problem import Problem, State, cauchy, residuals, robust_weights
 from calm_edge.types import Float, Int
 
 
 class Marginals:
-    """The graph linearised at its optimum: covariances of any of its keyframes.
+    """Covariances of keyframes in the graph linearised at its optimum.
 
-    A focal length that is wrong throughout is not in it.
+    They do not include the effect of a constant error of the focal length.
     """
 
     def __init__(self, problem: Problem, state: State, noise: Noise) -> None:
         self._problem, self._state, self._noise = problem, state, noise
         r = residuals(problem, state)
         every = np.arange(len(problem.edges.i))
-        self._rows = linearise(problem, state, r, softening(problem, r, cauchy), every)
+        self._rows = linearise(problem, state, r, robust_weights(problem, r, cauchy), every)
         J = se3.right_jacobian_inverse(r.prior) / problem.sigma_prior[:, None]
         self._prior = J.T @ J
         self._n = len(state.T_w_p)
         self._factor, self._border, self._rest = self._factorise()
 
     def covariances(self, rows: Int, origin: int = 0) -> Float:
-        """(M, 6, 6) of keyframes `rows` (M,) of the state against keyframe `origin`.
+        """Covariances (M, 6, 6) of keyframes at state rows `rows` (M,) relative to row `origin`.
 
         (translation, rotation) in the keyframe's own camera axes, world units and rad.
         """
-        return np.stack([self._spread(self._influenced(int(row), origin)) for row in rows])
+        return np.stack([self._covariance(self._sensitivity(int(row), origin)) for row in rows])
 
     def graph_covariances(self, rows: Int) -> Float:
-        """(M, 6, 6) against the first keyframe, were the paper's variances the errors."""
-        return np.stack([self._influenced(int(row), 0)[row] for row in rows])
+        """Blocks (M, 6, 6) of the inverse Hessian: covariances if edges were independent with
+        the configured variances.
+        """
+        return np.stack([self._sensitivity(int(row), 0)[row] for row in rows])
 
     def _factorise(self) -> tuple[Any, Float, Float]:
-        """H without the first keyframe, which holds the world, T_p_a's border apart.
+        """Factorise the Hessian [P B; B^T R] of poses (without the first) and T_p_a.
 
-        The factor of the poses' part P, P^-1 B (6 N - 6, 6) of the border B, and the rest (6, 6)
-        that the border leaves of T_p_a: a dense row would ruin the order of elimination.
+        Returns the sparse factor of P, P^-1 B (6 N - 6, 6) and the Schur complement
+        R - B^T P^-1 B (6, 6). T_p_a is kept apart since its rows are dense.
         """
         edges, n_pairs, n_poses = self._problem.edges, len(self._problem.edges.i), 6 * self._n
         ends = np.stack([edges.i, edges.j], 1)[..., None] * 6 + np.arange(6)
@@ -68,8 +70,8 @@ class Marginals:
         Z = factor.solve(border)
         return factor, Z, by_rig.T @ by_rig + self._prior - border.T @ Z
 
-    def _influenced(self, row: int, origin: int) -> Float:
-        """X (N + 1, 6, 6): column k is H^-1 of the k-th axis of `row` seen from `origin`."""
+    def _sensitivity(self, row: int, origin: int) -> Float:
+        """H^-1 D^T (N + 1, 6, 6), D the derivative of the pose of `row` relative to `origin`."""
         target = np.zeros((self._n + 1, 6, 6))
         T_w_p = self._state.T_w_p
         target[row] = np.eye(6)
@@ -80,23 +82,29 @@ class Marginals:
         X[1:-1] = (self._factor.solve(b) - self._border @ X[-1]).reshape(-1, 6, 6)
         return X
 
-    def _spread(self, X: Float) -> Float:
-        """(6, 6): what the errors of all views, bridges, loops and the prior amount to."""
+    def _covariance(self, X: Float) -> Float:
+        """Covariance (6, 6) from the errors of all views, scales, bridges, loops and the prior.
+
+        X: (N + 1, 6, 6) from `_sensitivity`.
+        """
         edges, rows = self._problem.edges, self._rows
         U = rows.by_i @ X[edges.i] + rows.by_j @ X[edges.j] + rows.by_rig @ X[-1]
         Q = self._noise.view_covariance()
         from_submap = edges.submap >= 0
         single = U[~from_submap, :6].reshape(-1, 6)
         total = single.T @ single
-        for G in self._views(rows, U, from_submap):
+        for G in self._by_view(rows, U, from_submap):
             total += np.einsum("vai,ab,vbj->ij", G, Q, G, optimize=True)
-        along = self._scales(rows, U, from_submap)
+        along = self._by_scale(rows, U, from_submap)
         total += self._noise.scale**2 * along.T @ along
         by_prior = self._prior @ X[-1]
         return np.asarray(total + by_prior.T @ Q @ by_prior)
 
-    def _views(self, rows: Rows, U: Float, kept: Any) -> tuple[Float, Float]:
-        """Influence (V, 6, 6) of every view of every sub-map: primary, then assistant."""
+    def _by_view(self, rows: Rows, U: Float, kept: Any) -> tuple[Float, Float]:
+        """Derivatives (V, 6, 6) by the pose error of each view: the primary's, the assistant's.
+
+        V counts the views of each sub-map. kept: (P,) the edges that are of sub-maps.
+        """
         edges = self._problem.edges
         submap, i, j = edges.submap[kept], edges.i[kept], edges.j[kept]
         ends = np.concatenate([submap * self._n + i, submap * self._n + j])
@@ -111,15 +119,15 @@ class Marginals:
             out.append((sums @ G.reshape(-1, 36)).reshape(len(views), 6, 6))
         return out[0], out[1]
 
-    def _scales(self, rows: Rows, U: Float, kept: Any) -> Float:
-        """Influence (S, 6) of the log scale of every sub-map."""
+    def _by_scale(self, rows: Rows, U: Float, kept: Any) -> Float:
+        """Derivatives (S, 6) by the log scale of each sub-map."""
         edges = self._problem.edges
         total = np.zeros((int(edges.submap.max()) + 1, 6))
         turns = (np.eye(6), se3.adjoint(self._state.T_p_a))
         for T_j_i, half, turn in zip(
             (edges.T_j_i, edges.T_j_i_assistant), (slice(0, 6), slice(6, 12)), turns, strict=True
         ):
-            # a longer measurement is one whose view i has moved by its translation, in its axes
+            # d/d(log scale) of a measurement: view i moved along its translation, in its own axes
             moved = np.zeros((int(kept.sum()), 6))
             moved[:, :3] = -se3.inverse(T_j_i[kept])[:, :3, 3]
             by = (rows.by_i[kept, half] @ turn @ moved[..., None])[..., 0]

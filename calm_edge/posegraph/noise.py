@@ -1,8 +1,8 @@
-"""What the measurements say of their own noise: pairs of views that two sub-maps both saw.
+"""Noise of the odometry edges, estimated from keyframe pairs that lie in two sub-maps.
 
-The paper's variances weigh one measurement against another; they are not the error of any
-backbone. Two sub-maps that share keyframes measure the same motion twice, with errors of their
-own: how far they disagree is the error.
+The paper's variances (IV-C) only set the relative weights of measurements. Two sub-maps that
+share keyframes measure the same motion with independent errors; their differences give the
+actual variance of a backbone.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from calm_edge.types import Float, Int
 
 
 class Noise(NamedTuple):
-    """One sigma, per axis, of a view's pose in its sub-map (world units, rad), and of the log
-    scale of a sub-map.
+    """Sigmas of a view's pose in its sub-map, per axis (world units, rad), and of a sub-map's
+    log scale.
     """
 
     translation: float
@@ -26,12 +26,12 @@ class Noise(NamedTuple):
     scale: float
 
     def view_covariance(self) -> Float:
-        """(6, 6) of (translation, rotation), the view's own axes."""
+        """Covariance (6, 6) of a view's pose, (translation, rotation) in its own axes."""
         return np.diag(np.repeat(np.square([self.translation, self.rotation]), 3))
 
 
 def measured_twice(edges: Edges) -> tuple[Int, Int]:
-    """Indices (R,), (R,) of pairs that two sub-maps measured, one after the other."""
+    """Edge indices (R,), (R,) of pairs that two consecutive sub-maps measured."""
     order = np.lexsort((edges.submap, edges.j, edges.i))
     order = order[edges.submap[order] >= 0]
     first, second = order[:-1], order[1:]
@@ -40,12 +40,12 @@ def measured_twice(edges: Edges) -> tuple[Int, Int]:
 
 
 def measured_noise(problem: Problem) -> Noise | None:
-    """From the disagreement of both cameras' pairs; None where none was measured twice.
+    """Noise from the differences of edges measured twice, of both cameras; None without any.
 
-    The errors of the four views of two measurements are taken as independent. A rotation then
-    disagrees by 4 times a view's variance. So does a translation, and across the pair's
-    direction the rotations of the two earlier views add a lever of its length, along it the
-    scales of the two sub-maps. Where the scatter of the spacing says more of scale, it counts.
+    Two measurements involve four views with independent errors, so a difference has 4 times a
+    view's variance. Differences of translation also contain, across the pair's direction, the
+    rotation errors of the two earlier views times its length, and along it the scale errors of
+    the two sub-maps. The scale sigma is at least that from the scatter of the camera spacing.
     """
     edges = problem.edges
     first, second = measured_twice(edges)
@@ -60,10 +60,11 @@ def measured_noise(problem: Problem) -> Noise | None:
     across = max((difference**2).sum(-1).mean() - along, 0.0) / 2
     rotation = (se3.log(se3.inverse(A) @ B)[:, 3:] ** 2).mean() / 4
     lever = 2 * rotation * length2.mean()
-    # where the lever explains all, the rest is below what this can see: a tenth of it
+    # if rotation explains all of it, translation noise is not measurable: assume a tenth
     translation = max(across - lever, across / 10) / 4
     excess = along - 4 * translation
-    # two standard errors of a mean square; a hand-over's pairs come in threes that share views
+    # not significant below two standard errors of a mean square; of the pairs of one overlap
+    # each three share views, so a third of them counts as independent
     if excess < 2 * along * np.sqrt(2 * 3 / len(A)):
         excess = 0.0
     scale = max(excess / (2 * length2.mean()), problem.scale_sigma**2)
@@ -71,6 +72,6 @@ def measured_noise(problem: Problem) -> Noise | None:
 
 
 def assumed_noise(problem: Problem) -> Noise:
-    """The paper's variances as if they were the errors of pairs: where nothing better is known."""
+    """Noise from the configured variances, halved from a pair to one view: the fallback."""
     translation, rotation = problem.sigma[[0, -1]] / np.sqrt(2)
     return Noise(float(translation), float(rotation), problem.scale_sigma)

@@ -1,8 +1,8 @@
-"""Where the joint optimum is computed: here and now, or beside the one who asked.
+"""Optimisers of the joint graph: at once in the caller, or in a separate process.
 
-GTSAM holds the interpreter lock from end to end, so a long graph is optimised in a process of
-its own. That one is started as a plain program, not by multiprocessing: the estimator is itself
-a daemonic child, which may have no children of its own.
+GTSAM holds the interpreter lock (GIL) for the whole optimisation, so live it runs in a process
+of its own. That is started with subprocess since the estimator is a daemonic multiprocessing
+child, and these may not have multiprocessing children.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _CLOSE_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """A graph as it was asked to be optimised; `graph` tells one graph from another."""
+    """Problem and initial state of a graph at the time of a request. graph: id of the graph."""
 
     graph: int
     problem: Problem
@@ -39,27 +39,27 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """The optimum of a snapshot of that graph."""
+    """Optimum of a snapshot. graph: id of the graph it was taken from."""
 
     graph: int
     optimum: Optimum
 
 
 class Optimiser(Protocol):
-    """Takes snapshots, gives optima. Only the newest request counts."""
+    """Computes optima of snapshots; a newer request replaces one that waits."""
 
     def request(self, snapshot: Snapshot) -> None:
-        """Asks for the optimum of a snapshot; replaces a request not yet begun."""
+        """Request the optimum of a snapshot. Replaces a request that has not started."""
 
     def poll(self) -> Solved | None:
-        """An optimum that has not been given yet, None without one; never waits."""
+        """Return the newest optimum once, None without a new one. Does not block."""
 
     def close(self) -> None:
-        """Ends what runs and forgets what was asked."""
+        """Stop a running optimisation and drop pending requests."""
 
 
 class Immediate:
-    """Computes on request: deterministic, for lockstep and for `map`."""
+    """Optimiser that computes in `request`: deterministic, for lockstep and for `map`."""
 
     def __init__(self) -> None:
         self._solved: Solved | None = None
@@ -76,9 +76,9 @@ class Immediate:
 
 
 class Spawned:
-    """Computes in a process of its own, started at the first request and again if it dies.
+    """Optimiser in a child process, started at the first request and restarted if it dies.
 
-    Requests pile up to one: the newest waits while another is worked on.
+    While one request is computed, only the newest other one waits.
     """
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class Spawned:
 
     @property
     def pid(self) -> int | None:
-        """Of the process, None while there is none."""
+        """Process id of the child, None while there is none."""
         child = self._child
         return child.pid if child else None
 
@@ -129,7 +129,7 @@ class Spawned:
                 solved = child.solve(snapshot)
             except (EOFError, OSError) as error:
                 self._discard(child)
-                log.warning("the optimiser ended (%s); poses stay until it is asked again", error)
+                log.warning("the optimiser process died (%s); it restarts when next needed", error)
                 continue
             with self._changed:
                 self._solved = solved
@@ -157,7 +157,7 @@ class Spawned:
 
 
 class _Child:
-    """The process and the two pipes to it; it ends when its end of the pipe closes."""
+    """The child process and the two pipes to it. It exits when the pipes close."""
 
     def __init__(self) -> None:
         their_in, our_out = os.pipe()
@@ -176,14 +176,14 @@ class _Child:
         self.pid = self._process.pid
 
     def solve(self, snapshot: Snapshot) -> Solved:
-        """Waits for the answer; EOFError or OSError where the process is gone."""
+        """Send a snapshot and wait for its optimum. EOFError or OSError if the process died."""
         self._out.send(snapshot)
         solved = self._in.recv()
         assert isinstance(solved, Solved)
         return solved
 
     def kill(self) -> None:
-        """From any thread: a solve that waits fails."""
+        """Kill the process, from any thread; a waiting `solve` raises."""
         with contextlib.suppress(ProcessLookupError):
             self._process.kill()
 

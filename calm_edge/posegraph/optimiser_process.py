@@ -1,6 +1,7 @@
-"""`python -m calm_edge.posegraph.optimiser_process READ WRITE`: optimises what comes in.
+"""Program of the optimiser's child process: reads snapshots, writes optima.
 
-READ, WRITE: file descriptors of pipes. It ends when whoever asks is gone.
+`python -m calm_edge.posegraph.optimiser_process READ WRITE`, both file descriptors of pipes.
+Exits when the parent closes them.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from calm_edge.posegraph.optimum import optimum
 
 
 def serve(requests: Connection, answers: Connection) -> None:
-    """Answers every snapshot until either pipe closes."""
+    """Answer each snapshot with its optimum until either pipe closes."""
     while True:
         try:
             snapshot = requests.recv()
             assert isinstance(snapshot, Snapshot)
             answers.send(Solved(snapshot.graph, optimum(snapshot.problem, snapshot.state)))
-            # or it would be held beside the next one
+            # free it before the next one is received
             del snapshot
         except (EOFError, BrokenPipeError):
             return
 
 
 def main() -> None:
-    # whoever asks decides when it ends: Ctrl-C in the terminal is meant for that one
+    # Ctrl-C reaches the whole process group; the parent decides when this one ends
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(5)
     read, write = (int(argument) for argument in sys.argv[1:3])

@@ -1,4 +1,4 @@
-"""The joint optimum, loops told apart on the way: a pure function, fit for another process."""
+"""Joint optimum of the pose graph, with selection of true loops. Pure functions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.posegraph.levenberg_marquardt import minimise
-from calm_edge.posegraph.loop_gate import believed
+from calm_edge.posegraph.loop_gate import accepted_loops
 from calm_edge.posegraph.noise import assumed_noise, measured_noise
 from calm_edge.posegraph.problem import (
     Problem,
@@ -21,18 +21,20 @@ from calm_edge.posegraph.problem import (
 )
 
 TOLERANCE = 1e-6
-# How far the convex pass goes: until it moves the cost by less than this share.
+# Tolerance of the first pass, with the convex kernel.
 _COARSE = 1e-3
-# A closed loop shows which others are true; each round may believe more of them.
+# Closing loops reduces the drift, after which more loops may be accepted: rounds at most.
 _ROUNDS = 4
-# A loop of this whitened length keeps half its weight under the Cauchy kernel.
+# Whitened norm at which the Cauchy kernel halves a loop's weight.
 _HALF_WEIGHT = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """State: where everything belongs. Costs: half squared Mahalanobis distances, of the
-    measurements believed. loops: (R,) bool in the order they were added, which were believed.
+    """Result of an optimisation.
+
+    cost_before, cost_after: half the sum of squared Mahalanobis distances, without rejected
+    loops. loops: (R,) whether each loop was accepted, in the order they were added.
     """
 
     state: State
@@ -43,9 +45,9 @@ class Optimum:
 
 
 def optimum(problem: Problem, start: State, tolerance: float = TOLERANCE) -> Optimum:
-    """The poses of least cost, the first keyframe held.
+    """Select loops and minimise the cost from `start`, the first keyframe held fixed.
 
-    tolerance: it ends when an iteration lowers the cost by less than this share.
+    tolerance: relative decrease of the cost at which the iteration stops.
     """
     edges = problem.edges
     noise = measured_noise(problem) or assumed_noise(problem)
@@ -53,7 +55,7 @@ def optimum(problem: Problem, start: State, tolerance: float = TOLERANCE) -> Opt
     state, iterations = start, 0
     kept = problem
     for count in range(_ROUNDS):
-        more = loops | believed(problem, state.T_w_p, noise)
+        more = loops | accepted_loops(problem, state.T_w_p, noise)
         if count and (more == loops).all():
             break
         loops, kept = more, _with_loops(problem, more)
@@ -69,18 +71,18 @@ def optimum(problem: Problem, start: State, tolerance: float = TOLERANCE) -> Opt
 
 
 def _with_loops(problem: Problem, loops: NDArray[np.bool_]) -> Problem:
-    """The problem with some of its loops only."""
+    """The problem with only those loops for which `loops` (R,) is true."""
     kept = ~problem.edges.robust
     kept[problem.edges.robust] = loops
     return replace(problem, edges=problem.edges.chosen(kept))
 
 
 def _descend(problem: Problem, start: State, tolerance: float) -> tuple[State, int]:
-    """The optimum near `start` and the iterations it took.
+    """Local minimum from `start`, and the iterations used.
 
-    With loops there are two ways down: at once, and, where that left a loop out, after a convex
-    kernel, by which a true loop closes however far the drift. The lower of the two ends is kept:
-    a false loop bends the path at a cost.
+    If the Cauchy kernel has rejected a loop, minimise again from a first pass with the convex
+    Huber kernel, which closes a true loop over any drift. The result with the lower cost is
+    returned: a false loop bends the trajectory and costs more.
     """
     state, iterations = minimise(problem, start, cauchy, tolerance)
     r = residuals(problem, state)

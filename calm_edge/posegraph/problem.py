@@ -1,4 +1,4 @@
-"""What the joint graph minimises (paper IV-C), as arrays: measurements, state, kernels, cost."""
+"""Cost function of the joint graph (paper IV-C): measurements, state, kernels, residuals."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from calm_edge.geometry import se3
 from calm_edge.posegraph import assistant_factor
 from calm_edge.types import Float, Int
 
-# A kernel takes the whitened norms (P,) of loop residuals to (cost, weight), each (P,).
+# Robust kernel: from whitened norms (P,) of loop residuals to (cost, weight), each (P,).
 Kernel = Callable[[Float], tuple[Float, Float]]
 
-# Pairs whose residuals are taken at once: their poses on the way are many times what they leave.
+# Edges whose residuals are computed at once: bounds the memory of the temporaries.
 _CHUNK = 4096
 
 
 class State(NamedTuple):
-    """T_w_p (N, 4, 4) primary keyframes and T_p_a (4, 4), world units."""
+    """Unknowns: primary keyframe poses T_w_p (N, 4, 4) and rig T_p_a (4, 4), world units."""
 
     T_w_p: Float
     T_p_a: Float
@@ -29,12 +29,13 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Edges:
-    """Measurements between keyframes j and i, rows of the state (P,), world units.
+    """Relative pose measurements between pairs of keyframes.
 
-    T_j_i: (P, 4, 4) of the primary. T_j_i_assistant: (P, 4, 4), anything where not weighed.
-    weight, weight_assistant: (P,) factors on the inverse variances, 0 for none.
-    robust: (P,) bool, whether the kernel applies (loop closures).
-    submap: (P,) count of the sub-map that measured it, -1 for bridges and loops.
+    i, j: (P,) rows of the state. T_j_i: (P, 4, 4) of the primary, world units.
+    T_j_i_assistant: (P, 4, 4) of the assistant, arbitrary where its weight is 0.
+    weight, weight_assistant: (P,) factors on the inverse variances, 0 for no measurement.
+    robust: (P,) true for loop closures, to which the robust kernel applies.
+    submap: (P,) running number of the sub-map that measured it, -1 for bridges and loops.
     """
 
     i: Int
@@ -47,26 +48,27 @@ class Edges:
     submap: Int
 
     def chosen(self, which: NDArray[np.bool_]) -> Edges:
-        """Those that `which` (P,) tells."""
+        """Subset for which `which` (P,) is true."""
         return Edges(**{name: getattr(self, name)[which] for name in Edges.__slots__})
 
     def shifted(self, rows: int) -> Edges:
-        """The same of a state that begins `rows` later."""
+        """The same edges with `rows` added to the state rows i and j."""
         return replace(self, i=self.i + rows, j=self.j + rows)
 
 
 def joined(edges: Sequence[Edges]) -> Edges:
-    """One after the other; at least one."""
+    """Concatenate; ValueError for an empty sequence."""
     names = Edges.__slots__
     return Edges(**{name: np.concatenate([getattr(e, name) for e in edges]) for name in names})
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Edges, the prior on T_p_a, sigmas (6,) of (translation, rotation): world units, rad.
+    """Edges, rig prior and noise.
 
-    spacing: world units a map unit. scale_sigma: one sigma of a sub-map's log scale, as the
-    scatter of its spacing tells.
+    T_p_a_prior: (4, 4). sigma, sigma_prior: (6,) of (translation, rotation) of edges and prior,
+    world units and rad. spacing: world units per map unit. scale_sigma: sigma of a sub-map's log
+    scale, from the scatter of its camera spacings.
     """
 
     edges: Edges
@@ -78,7 +80,7 @@ class Problem:
 
 
 class Residuals(NamedTuple):
-    """Twists, unweighted: primary and assistant (P, 6) of every edge, prior (6,) of T_p_a."""
+    """Unweighted residual twists: primary and assistant (P, 6) of each edge, rig prior (6,)."""
 
     primary: Float
     assistant: Float
@@ -86,19 +88,19 @@ class Residuals(NamedTuple):
 
 
 def huber(norm: Float, k: float = 3.0) -> tuple[Float, Float]:
-    """Convex: a long drift's true loop still pulls, and a false one only so hard."""
+    """Huber's kernel: convex, so a loop with a large residual still pulls, with bounded force."""
     far = norm > k
     safe = np.where(far, norm, 1.0)
     return np.where(far, k * norm - k * k / 2, norm**2 / 2), np.where(far, k / safe, 1.0)
 
 
 def cauchy(norm: Float, k: float = 3.0) -> tuple[Float, Float]:
-    """Lets go of a loop that the rest still contradicts."""
+    """Cauchy kernel: the weight of a loop with a large residual tends to zero."""
     return k * k / 2 * np.log1p((norm / k) ** 2), 1 / (1 + (norm / k) ** 2)
 
 
 def residuals(problem: Problem, state: State) -> Residuals:
-    """E_pri or E_loop, E_ast and E_prior of IV-C at a state."""
+    """Residuals of E_pri and E_loop, E_ast, and E_prior of IV-C at a state."""
     edges, (T_w_p, T_p_a) = problem.edges, state
     T_w_a = T_w_p @ T_p_a
     return Residuals(
@@ -109,7 +111,7 @@ def residuals(problem: Problem, state: State) -> Residuals:
 
 
 def _relative(T_j_i: Float, T_w_c: Float, edges: Edges) -> Float:
-    """(P, 6) of one camera, poses (N, 4, 4)."""
+    """Residuals (P, 6) of one camera with poses T_w_c (N, 4, 4)."""
     r = np.empty((len(edges.i), 6))
     for start in range(0, len(r), _CHUNK):
         some = slice(start, start + _CHUNK)
@@ -119,19 +121,19 @@ def _relative(T_j_i: Float, T_w_c: Float, edges: Edges) -> Float:
 
 
 def norms(problem: Problem, r: Residuals) -> Float:
-    """(P,) whitened lengths of the primary residuals: what a kernel takes."""
+    """Whitened norms (P,) of the primary residuals, the argument of a kernel."""
     return np.asarray(
         np.linalg.norm(r.primary / problem.sigma, axis=-1) * np.sqrt(problem.edges.weight)
     )
 
 
-def softening(problem: Problem, r: Residuals, kernel: Kernel) -> Float:
-    """(P,) factors on the primary's inverse variances: the kernel's of loops, else 1."""
+def robust_weights(problem: Problem, r: Residuals, kernel: Kernel) -> Float:
+    """Robust weights (P,) of the primary residuals: the kernel's for loops, 1 otherwise."""
     return np.where(problem.edges.robust, kernel(norms(problem, r))[1], 1.0)
 
 
 def cost(problem: Problem, r: Residuals, kernel: Kernel) -> float:
-    """Half the sum of squared Mahalanobis distances, loops through the kernel."""
+    """Half the sum of squared Mahalanobis distances; loops pass through the kernel."""
     edges, norm = problem.edges, norms(problem, r)
     assistant = ((r.assistant / problem.sigma) ** 2).sum(-1) * edges.weight_assistant
     prior = ((r.prior / problem.sigma_prior) ** 2).sum()

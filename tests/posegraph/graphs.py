@@ -1,4 +1,4 @@
-"""Joint graphs of scripted sub-maps, and loops true and false to plant in them."""
+"""Joint graphs of simulated sub-maps, and true and false loop closures to add to them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calm_edge.types import LoopClosure
 from tests.drives import T_P_A
 
 CONFIG = PoseGraphConfig()
-# A drift that every sub-map has alike: 5 % of the way and 0.6 degrees of yaw a step.
+# Drift per keyframe, the same in all sub-maps: 5 % of the distance and 0.6 degrees of yaw.
 SEVERE = np.array([0, 0.002, 0.05, 0, 0.01, 0])
 N_LAP = 120
 
@@ -28,10 +28,10 @@ def graph_of(
     spacing=1.0,
     config=CONFIG,
 ):
-    """Sub-maps of `n_max` frames, 3 shared, each seen through its own noise.
+    """Graph of sub-maps of `n_max` keyframes that overlap by 3, with independent noise.
 
-    noise: of a view's position; turn: of its rotation, radians a unit of noise. rectified: each
-    sub-map is scaled to the true spacing by its own, as IV-B does.
+    noise: sigma of a view's position; turn: sigma of its rotation over that, rad per unit.
+    rectified: scale each sub-map to the true camera spacing, as in IV-B.
     """
     rng = np.random.default_rng(seed)
     graph = JointGraph(config, spacing)
@@ -57,7 +57,7 @@ def graph_of(
 
 
 def true_loops(T, n, rng):
-    """`n` returns, a lap of N_LAP poses later, measured to 2 cm and 0.1 degrees."""
+    """`n` true loops to the keyframe N_LAP earlier, measured to 2 cm and 0.1 degrees."""
     query = np.linspace(N_LAP, len(T) - 1, n).astype(int)
     error = se3.exp(rng.normal(size=(n, 6)) * np.repeat([0.02, 0.002], 3))
     return [
@@ -67,7 +67,7 @@ def true_loops(T, n, rng):
 
 
 def false_loops(T, n, rng):
-    """`n` places a tenth of a lap apart or more, each taken for the other by its looks."""
+    """`n` false loops: places at least a tenth of a lap apart, taken for the same place."""
     loops: list[LoopClosure] = []
     while len(loops) < n:
         j, i = sorted(rng.integers(0, len(T), 2).tolist())

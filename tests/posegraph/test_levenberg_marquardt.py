@@ -8,7 +8,7 @@ from tests.drives import curved
 from tests.posegraph.graphs import graph_of
 
 
-def test_a_system_lost_to_rounding_is_damped_until_it_can_be_solved(monkeypatch):
+def test_damping_rises_until_the_system_is_positive_definite(monkeypatch):
     graph = graph_of(curved(40), noise=0.02)
     expected, _ = minimise(graph.problem(), graph.state(), cauchy, 1e-9)
     solve, asked = LinearSystem.solve, []
@@ -20,11 +20,11 @@ def test_a_system_lost_to_rounding_is_damped_until_it_can_be_solved(monkeypatch)
     monkeypatch.setattr(LinearSystem, "solve", rounded)
     found, _ = minimise(graph.problem(), graph.state(), cauchy, 1e-9)
     assert np.allclose(found.T_w_p, expected.T_w_p, atol=1e-3)
-    # what was learned of rounding is not forgotten at the next iteration
+    # the raised lower bound of the damping persists over iterations
     assert sum(damping < 1e-8 for damping in asked) <= 4
 
 
-def test_a_system_that_never_can_be_solved_leaves_the_state(monkeypatch):
+def test_the_state_stays_if_the_system_cannot_be_solved(monkeypatch):
     graph = graph_of(curved(20), noise=0.02)
     monkeypatch.setattr(LinearSystem, "solve", lambda self, damping: None)
     monkeypatch.setattr(levenberg_marquardt, "_MAX_DAMPING", 1e-6)

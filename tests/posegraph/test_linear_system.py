@@ -5,23 +5,23 @@ import pytest
 
 from calm_edge.posegraph import linear_system
 from calm_edge.posegraph.linear_system import Layout, LinearSystem, linearise
-from calm_edge.posegraph.problem import State, huber, residuals, softening
+from calm_edge.posegraph.problem import State, huber, residuals, robust_weights
 from calm_edge.types import LoopClosure
 from tests.drives import curved
 from tests.posegraph.graphs import CONFIG, graph_of
 
 
 def dense_steps(problem, state, damping):
-    """The same normal equations, one matrix."""
+    """Solution of the same normal equations as one dense matrix."""
     edges, n = problem.edges, len(state.T_w_p)
     r = residuals(problem, state)
-    rows = linearise(problem, state, r, softening(problem, r, huber), np.arange(len(edges.i)))
+    rows = linearise(problem, state, r, robust_weights(problem, r, huber), np.arange(len(edges.i)))
     A = np.zeros((len(edges.i), 12, n + 1, 6))
     pairs = np.arange(len(edges.i))
     A[pairs, :, edges.i], A[pairs, :, edges.j], A[:, :, n] = rows.by_i, rows.by_j, rows.by_rig
     A = A.reshape(-1, 6 * n + 6)
     H, g = A.T @ A, A.T @ rows.b.ravel()
-    # T_p_a is at its prior, so the residual is zero and its derivative the identity
+    # T_p_a equals its prior: residual zero, Jacobian identity
     H[-6:, -6:] += np.diag(problem.sigma_prior**-2)
     H[:6, :6] += np.diag(problem.sigma**-2)
     return np.linalg.solve(H + damping * np.eye(len(H)), g).reshape(-1, 6)
@@ -47,7 +47,7 @@ def test_steps_are_those_of_the_dense_normal_equations(n, window, damping):
 
 
 @pytest.mark.parametrize("window", [1, 3])
-def test_steps_are_the_same_where_groups_are_eliminated_on_the_way(monkeypatch, window):
+def test_steps_are_the_same_with_elimination_chunk_by_chunk(monkeypatch, window):
     graph = graph_of(curved(60), noise=0.1, config=dataclasses.replace(CONFIG, window=window))
     for query, match in ((59, 0), (58, 1), (33, 12)):
         graph.add_loop(LoopClosure(query, match, np.eye(4)))

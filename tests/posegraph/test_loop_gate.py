@@ -4,7 +4,7 @@ import pytest
 from calm_edge.evaluation.trajectory import ate
 from calm_edge.geometry import se3
 from calm_edge.geometry.similarity import align
-from calm_edge.posegraph.loop_gate import believed
+from calm_edge.posegraph.loop_gate import accepted_loops
 from calm_edge.posegraph.noise import measured_noise
 from calm_edge.types import LoopClosure
 from tests.drives import circle
@@ -18,13 +18,13 @@ DRIFTS = {
 
 
 def laps():
-    """A lap and two fifths of a circle."""
+    """Poses of a lap around a circle and two fifths of the next."""
     lap = circle(N_LAP)
     return np.concatenate([lap, lap @ se3.inverse(lap[0])])[: N_LAP + 50]
 
 
 def error_after(drift, seed, loops):
-    """ATE of the optimum with these loops."""
+    """ATE of the optimised graph with these loops."""
     T = laps()
     graph = graph_of(T, seed=seed, **DRIFTS[drift])
     for loop in loops:
@@ -57,37 +57,37 @@ def test_true_loops_close_in_spite_of_false_ones(drift, n_true, n_false):
     assert error_after(drift, 0, mixed) <= 1.1 * closed
 
 
-def verdict(loops, drift="mild"):
+def accepted(loops, drift="mild"):
     T = laps()
     graph = graph_of(T, **DRIFTS[drift])
     for loop in loops:
         graph.add_loop(loop)
     problem = graph.problem()
-    return believed(problem, graph.poses(), measured_noise(problem)).tolist()
+    return accepted_loops(problem, graph.poses(), measured_noise(problem)).tolist()
 
 
-def test_a_lone_loop_within_usual_drift_is_believed():
+def test_a_single_loop_within_typical_drift_is_accepted():
     T = laps()
-    assert verdict([LoopClosure(40, 5, se3.inverse(T[5]) @ T[40])]) == [True]
+    assert accepted([LoopClosure(40, 5, se3.inverse(T[5]) @ T[40])]) == [True]
 
 
-def test_of_two_that_contradict_each_other_the_likelier_is_believed():
+def test_of_two_contradicting_loops_the_likelier_is_accepted():
     T = laps()
     aside = se3.exp(np.array([2.0, 0, 0, 0, 0, 0]))
     true = LoopClosure(70, 5, se3.inverse(T[5]) @ T[70])
     off = LoopClosure(71, 5, se3.inverse(T[5]) @ T[71] @ aside)
-    assert verdict([true], "white") == verdict([off], "white") == [True]
-    assert verdict([off, true], "white") == [False, True]
+    assert accepted([true], "white") == accepted([off], "white") == [True]
+    assert accepted([off, true], "white") == [False, True]
 
 
-def test_severe_drift_is_believed_of_three_loops_that_agree_and_of_no_fewer():
+def test_severe_drift_needs_three_agreeing_loops():
     T = laps()
     loops = [LoopClosure(N_LAP + k, k, se3.inverse(T[k]) @ T[N_LAP + k]) for k in (0, 12, 24)]
-    assert verdict(loops, "severe") == [True, True, True]
-    assert verdict(loops[:2], "severe") == [False, False]
+    assert accepted(loops, "severe") == [True, True, True]
+    assert accepted(loops[:2], "severe") == [False, False]
     spoiled = LoopClosure(N_LAP + 24, 24, se3.exp(np.array([0, 0, 9.0, 0, 2.0, 0])))
-    assert verdict([*loops[:2], spoiled], "severe") == [False, False, False]
+    assert accepted([*loops[:2], spoiled], "severe") == [False, False, False]
 
 
-def test_no_loop_no_verdict():
-    assert verdict([]) == []
+def test_without_loops_the_result_is_empty():
+    assert accepted([]) == []

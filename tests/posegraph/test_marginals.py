@@ -15,7 +15,10 @@ N = 27
 
 
 def submaps(T, moved=None):
-    """A graph of exact sub-maps but for `moved`: (sub-map, eye, view, twist) or (sub-map, log)."""
+    """Graph of exact sub-maps with one error, `moved`.
+
+    (sub-map, eye, view, twist) moves a view; (sub-map, log scale) scales a sub-map.
+    """
     graph = JointGraph(CONFIG)
     graph.set_rig_prior(T_P_A)
     for k, start in enumerate(range(0, len(T) - 3, 12)):
@@ -36,7 +39,7 @@ def submaps(T, moved=None):
 
 
 def shifts(T, moved, row, origins):
-    """(M, 6) twists by which the optimum of `row`, seen from each origin, answers."""
+    """Twists (M, 6) by which `moved` shifts the optimised pose of `row` relative to origins."""
     graph = submaps(T, moved)
     graph.optimise(tolerance=1e-9)
     X = graph.poses()
@@ -44,7 +47,7 @@ def shifts(T, moved, row, origins):
     return se3.log(se3.inverse(truth) @ se3.inverse(X[origins]) @ X[row])
 
 
-def test_the_covariance_is_that_of_every_error_put_in_by_hand():
+def test_the_covariance_is_the_sum_over_all_single_errors():
     T, row, origins, h = curved(N, turn=0.1), 20, [0, 9], 1e-4
     noise = Noise(translation=0.01, rotation=0.002, scale=0.03)
     sigma = np.repeat([noise.translation, noise.rotation], 3)
@@ -59,13 +62,13 @@ def test_the_covariance_is_that_of_every_error_put_in_by_hand():
     for origin, wanted in zip(origins, expected, strict=True):
         found, rest = (
             Marginals(graph.problem(), graph.state(), n).covariances(np.array([row]), origin)[0]
-            # without noise the loop is left, whose error nothing here moved
+            # with zero noise only the loop's share remains, which `shifts` does not contain
             for n in (noise, Noise(0.0, 0.0, 0.0))
         )
         assert np.linalg.norm(found - rest - wanted) < 0.02 * np.linalg.norm(wanted)
 
 
-def test_honest_over_independent_drives():
+def test_normalised_errors_of_independent_drives_match_the_covariance():
     T, rows, values = curved(51), np.array([12, 50]), []
     for seed in range(20):
         graph = graph_of(T, noise=0.02, seed=seed)
@@ -73,7 +76,7 @@ def test_honest_over_independent_drives():
         X = se3.inverse(graph.poses()[0]) @ graph.poses()
         truth = se3.inverse(T[0]) @ T
         problem = graph.problem()
-        # these sub-maps share one scale
+        # the scale of these sub-maps has no noise
         noise = Noise(0.02, 0.002, 0.0)
         covariance = Marginals(problem, graph.state(), noise).covariances(rows)
         values.append(pose_nees(X[rows], truth[rows], covariance) / 6)
@@ -82,7 +85,7 @@ def test_honest_over_independent_drives():
     assert (np.mean(values, 0) < high).all()
 
 
-def test_papers_variances_as_errors_are_the_inverse_of_the_normal_matrix():
+def test_graph_covariances_scale_with_the_configured_variances():
     graph = graph_of(curved(20), noise=0.01)
     graph.optimise()
     problem = graph.problem()

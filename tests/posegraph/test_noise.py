@@ -11,13 +11,13 @@ from tests.posegraph.graphs import CONFIG, graph_of
 
 
 @pytest.mark.parametrize("noise", [0.005, 0.05])
-def test_the_noise_put_in_is_the_noise_found(noise):
+def test_simulated_noise_is_recovered(noise):
     found = measured_noise(graph_of(curved(600), noise=noise).problem())
     assert found.translation == pytest.approx(noise, rel=0.1)
     assert found.rotation == pytest.approx(noise / 10, rel=0.1)
 
 
-def test_shared_pairs_are_found_whatever_the_order():
+def test_pairs_measured_twice_are_found_in_any_order():
     edges = graph_of(curved(27), noise=0.01).problem().edges
     first, second = measured_twice(edges)
     pairs = {(int(edges.i[a]), int(edges.j[a])) for a in first}
@@ -27,14 +27,14 @@ def test_shared_pairs_are_found_whatever_the_order():
     assert len(measured_twice(edges.chosen(np.arange(len(edges.i))[::-1]))[0]) == 3
 
 
-def test_bridges_and_loops_are_no_repeated_measurement():
+def test_bridges_do_not_count_as_measured_twice():
     graph = graph_of(curved(15), noise=0.01)
     graph.add_bridge(3, 4)
     graph.add_bridge(3, 4)
     assert measured_noise(graph.problem()) is None
 
 
-def test_scales_that_differ_between_submaps_show_where_neighbours_share_a_way():
+def test_scale_noise_is_recovered_from_the_overlap_of_submaps():
     rng, T, graph = np.random.default_rng(2), curved(600), JointGraph(CONFIG)
     graph.set_rig_prior(T_P_A)
     for start in range(0, len(T) - 3, 12):
@@ -50,7 +50,7 @@ def test_scales_that_differ_between_submaps_show_where_neighbours_share_a_way():
     assert measured_noise(graph.problem()).scale == pytest.approx(0.05, rel=0.3)
 
 
-def test_the_spacings_scatter_is_a_scales_noise():
+def test_scale_noise_is_at_least_that_of_the_spacing_scatter():
     problem = graph_of(curved(600), noise=0.01).problem()
     spacing = np.linalg.norm(T_P_A[:3, 3])
     assert problem.scale_sigma == pytest.approx(0.01 * np.sqrt(2 / 15) / spacing, rel=0.1)
@@ -58,7 +58,7 @@ def test_the_spacings_scatter_is_a_scales_noise():
     assert measured_noise(louder).scale == pytest.approx(0.2)
 
 
-def test_with_nothing_measured_twice_the_papers_variances_stand():
+def test_assumed_noise_is_half_the_configured_variance():
     noise = assumed_noise(graph_of(curved(15), spacing=2.0).problem())
     assert 2 * noise.translation**2 == pytest.approx(0.1 * 2.0**2)
     assert 2 * noise.rotation**2 == pytest.approx(0.05)

@@ -29,7 +29,7 @@ def wait_for(condition):
 
 
 def gone(pid):
-    """Ended: no such process, or one that only waits to be collected."""
+    """Whether a process has exited: it does not exist or is a zombie."""
     try:
         with open(f"/proc/{pid}/stat") as stat:  # noqa: PTH123
             return stat.read().rpartition(")")[2].split()[0] == "Z"
@@ -53,7 +53,7 @@ def test_immediate_gives_the_newest_once():
     assert optimiser.poll() is None
 
 
-def test_both_give_the_same_bits(spawned):
+def test_immediate_and_spawned_give_identical_bits(spawned):
     asked, here = snapshot(), Immediate()
     here.request(asked)
     spawned.request(asked)
@@ -64,7 +64,7 @@ def test_both_give_the_same_bits(spawned):
     assert spawned.poll() is None
 
 
-def test_requests_that_pile_up_become_the_newest(spawned):
+def test_only_the_newest_waiting_request_is_computed(spawned):
     keys = list(range(40))
     for key in keys:
         spawned.request(snapshot(10, key))
@@ -72,7 +72,7 @@ def test_requests_that_pile_up_become_the_newest(spawned):
     while not given or given[-1] != keys[-1]:
         given.append(wait_for(spawned.poll).graph)
     assert given == sorted(given)
-    # while the first starts its process, all the others wait in one place
+    # while the process starts, only the newest request waits
     assert len(given) <= 3
 
 
@@ -83,14 +83,14 @@ def test_a_killed_process_is_replaced_at_the_next_request(spawned, caplog):
     os.kill(first, signal.SIGKILL)
     wait_for(lambda: gone(first))
     spawned.request(snapshot(key=2))
-    wait_for(lambda: "the optimiser ended" in caplog.text)
+    wait_for(lambda: "the optimiser process died" in caplog.text)
     assert spawned.poll() is None
     spawned.request(snapshot(key=3))
     assert wait_for(spawned.poll).graph == 3
     assert spawned.pid != first
 
 
-def test_close_ends_the_process_even_at_work():
+def test_close_kills_a_process_that_computes():
     optimiser = Spawned()
     optimiser.request(snapshot(10))
     wait_for(optimiser.poll)
@@ -103,7 +103,7 @@ def test_close_ends_the_process_even_at_work():
     Spawned().close()
 
 
-def ask_and_tell(connection):
+def solve_in_grandchild(connection):
     optimiser = Spawned()
     optimiser.request(snapshot(10, key=7))
     connection.send((wait_for(optimiser.poll).graph, optimiser.pid))
@@ -113,7 +113,7 @@ def ask_and_tell(connection):
 def test_works_inside_a_daemonic_process_and_dies_with_it():
     ours, theirs = multiprocessing.Pipe()
     context = multiprocessing.get_context("spawn")
-    process = context.Process(target=ask_and_tell, args=(theirs,), daemon=True)
+    process = context.Process(target=solve_in_grandchild, args=(theirs,), daemon=True)
     process.start()
     assert ours.poll(PATIENCE_S)
     key, pid = ours.recv()
@@ -123,7 +123,7 @@ def test_works_inside_a_daemonic_process_and_dies_with_it():
     wait_for(lambda: gone(pid))
 
 
-def test_snapshots_hold_arrays_and_numbers_alone():
+def test_snapshots_are_arrays_and_need_no_gtsam():
     taken = snapshot(10)
     assert isinstance(taken.state.T_w_p, np.ndarray)
     code = "import calm_edge.posegraph.optimiser, sys; sys.exit('gtsam' in sys.modules)"

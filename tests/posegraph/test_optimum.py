@@ -8,7 +8,7 @@ from tests.drives import circle, position_error
 from tests.posegraph.graphs import SEVERE, graph_of
 
 
-def test_costs_are_those_of_both_ends():
+def test_costs_are_those_of_start_and_optimum():
     graph = graph_of(circle(60), noise=0.05)
     problem, start = graph.problem(), graph.state()
     found = optimum(problem, start)
@@ -18,14 +18,14 @@ def test_costs_are_those_of_both_ends():
     assert not len(found.loops)
 
 
-def test_a_closed_lap_shows_a_loop_across_it_to_be_true():
+def test_a_loop_beyond_typical_drift_is_accepted_once_the_lap_is_closed():
     T = circle(120)
     graph = graph_of(T, noise=0.003, bias=SEVERE)
 
     def loop(query, match):
         return LoopClosure(query, match, se3.inverse(T[match]) @ T[query])
 
-    graph.add_loop(loop(60, 20))  # more than usual drift, and nothing nearby bears it out
+    graph.add_loop(loop(60, 20))  # beyond typical drift, without support by loops nearby
     alone = optimum(graph.problem(), graph.state())
     assert alone.loops.tolist() == [False]
     for query, match in ((119, 0), (118, 1), (116, 2)):
@@ -35,7 +35,7 @@ def test_a_closed_lap_shows_a_loop_across_it_to_be_true():
     assert position_error(found.state.T_w_p, T)[-1] < 0.2
 
 
-def test_the_input_is_left_alone():
+def test_optimum_does_not_modify_its_input():
     graph = graph_of(circle(40), noise=0.05)
     start = graph.state()
     before = start.T_w_p.copy()

@@ -6,7 +6,7 @@ from tests.drives import curved
 from tests.posegraph.graphs import graph_of
 
 
-def test_residuals_are_the_same_taken_a_few_at_a_time(monkeypatch):
+def test_residuals_do_not_depend_on_the_chunk_size(monkeypatch):
     graph = graph_of(curved(40), noise=0.1)
     problem, state = graph.problem(), graph.state()
     whole = residuals(problem, state)

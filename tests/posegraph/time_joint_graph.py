@@ -1,4 +1,7 @@
-"""`python -m tests.posegraph.time_joint_graph`: what the graph costs at KITTI 00's length."""
+"""Measure time and memory of the joint graph at the length of KITTI 00.
+
+`python -m tests.posegraph.time_joint_graph`.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ N_SUBMAPS = 2000
 
 
 def optimising() -> JointGraph:
-    """With no loop, one, and 30 with 10 false ones; returns the last graph."""
+    """Time the optimisation without loops, with one, and with 30 true and 10 false ones.
+
+    Returns the last graph.
+    """
     T = curved(N)
     last = LoopClosure(N - 1, 0, se3.inverse(T[0]) @ T[-1])
     query = np.linspace(N // 2, N - 2, 30).astype(int)
@@ -38,7 +44,7 @@ def optimising() -> JointGraph:
         print(
             f"{name}: {N} keyframes, {len(graph.problem().edges.i)} pairs, "
             f"{outcome.iterations} iterations, {wall:.2f} s ({cpu:.2f} s CPU, "
-            f"{cpu / N * 1e3:.2f} ms a keyframe), {outcome.loops.sum()} loops believed, "
+            f"{cpu / N * 1e3:.2f} ms per keyframe), {outcome.loops.sum()} loops accepted, "
             f"mean error {np.mean(before):.2f} -> {np.mean(after):.2f}"
         )
     return graph
@@ -61,7 +67,7 @@ def covariances(graph: JointGraph) -> None:
 
 
 def growing() -> None:
-    """Adds sub-maps; what the first and last hundreds cost, and what a keyframe holds."""
+    """Time `add_submap` for the first and the last 200 sub-maps; memory per keyframe."""
     T = curved(15)
     T_s_p, T_s_a = T, T @ T_P_A
     graph = JointGraph(CONFIG)
