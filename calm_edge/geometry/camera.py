@@ -1,0 +1,234 @@
+"""Camera models: points in camera axes (x right, y down, z forward) to pixels and back.
+
+Pixels: the centre of the top-left one is (0, 0). `Perspective` is OpenCV's pinhole model with
+distortion (calib3d); `geometry/fisheye.py` has the angle model. OpenCV's own inverses fail towards
+90 degrees off the axis, these do not.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Self
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+# inverses: Newton's method, started from a table over the angle off the axis
+NEWTON_STEPS = 8
+TABLE_RAD = np.radians(np.linspace(0.0, 89.9, 1000))
+
+
+@dataclass(frozen=True, slots=True)
+class Camera(ABC):
+    """Focal lengths and centre [px], picture size [px] and distortion coefficients."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    distortion: tuple[float, ...] = ()
+
+    @property
+    @abstractmethod
+    def max_angle(self) -> float:
+        """Largest angle off the axis [rad] up to which the radius in the picture grows."""
+
+    @abstractmethod
+    def project_jacobian(self, p_c: Float) -> Float:
+        """Derivative (..., 2, 3) of `project` by the camera points (..., 3)."""
+
+    @abstractmethod
+    def rays(self, uv: Float) -> Float:
+        """Unit vectors (..., 3) towards pixels (..., 2); NaN as in `normalized`."""
+
+    @abstractmethod
+    def normalized(self, uv: Float) -> Float:
+        """(x/z, y/z) of pixels (..., 2); NaN where no ray within max_angle meets the pixel."""
+
+    @abstractmethod
+    def _plane(self, p_c: Float) -> Float:
+        """Where points (..., 3) land in the picture, in focal lengths from the centre (..., 2)."""
+
+    @abstractmethod
+    def _terms(self, p_c: Float) -> Float:
+        """Derivative (..., 2, n) of `_plane` by every coefficient that the model has."""
+
+    @property
+    def is_pinhole(self) -> bool:
+        """`matrix` alone describes the camera."""
+        return False
+
+    @property
+    def matrix(self) -> Float:
+        """K (3, 3) px of the pinhole part."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    def project(self, p_c: Float) -> Float:
+        """Camera points (..., 3) -> pixels (..., 2); the caller masks what is beyond max_angle."""
+        q = self._plane(p_c)
+        return np.stack([self.fx * q[..., 0] + self.cx, self.fy * q[..., 1] + self.cy], -1)
+
+    def parameter_jacobian(self, p_c: Float) -> Float:
+        """Derivative (..., 2, P) of `project` by (fx, fy, cx, cy, distortion...)."""
+        q = self._plane(p_c)
+        J = np.zeros((*q.shape, 4 + len(self.distortion)))
+        J[..., 0, 0], J[..., 1, 1] = q[..., 0], q[..., 1]
+        J[..., 0, 2] = J[..., 1, 3] = 1
+        if self.distortion:
+            terms = self._terms(p_c)[..., : len(self.distortion)]
+            J[..., 4:] = np.array([[self.fx], [self.fy]]) * terms
+        return J
+
+    def rays_jacobian(self, uv: Float) -> Float:
+        """Derivative (..., 3, 2) of `rays` by the pixels (..., 2).
+
+        A point moved along its ray keeps its pixel, so the pseudo-inverse of `project_jacobian`
+        stays on the unit sphere.
+        """
+        return np.asarray(np.linalg.pinv(self.project_jacobian(self.rays(uv))))
+
+    def back_project(self, uv: Float, depth: Float) -> Float:
+        """Pixels (..., 2) and z-depths (...) -> camera points (..., 3) in the depth's unit."""
+        x, y = np.moveaxis(self.normalized(uv), -1, 0)
+        return np.stack([x * depth, y * depth, np.broadcast_to(depth, x.shape)], -1)
+
+    def scaled(self, sx: float, sy: float) -> Self:
+        """The camera of the picture resized by sx, sy as cv2.resize does."""
+        K = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1.0]]) @ self.matrix
+        size = round(self.width * sx), round(self.height * sy)
+        return type(self)(*_entries(K), *size, self.distortion)
+
+
+@dataclass(frozen=True, slots=True)
+class Perspective(Camera):
+    """Pinhole camera with OpenCV's distortion: the leading terms of (k1, k2, p1, p2, k3 ... k6)."""
+
+    @classmethod
+    def from_hfov(cls, hfov_deg: float, width: int, height: int) -> Perspective:
+        """Pinhole camera of a horizontal field of view, its centre in the middle."""
+        f = float(width / 2 / np.tan(np.radians(hfov_deg) / 2))
+        return cls(f, f, (width - 1) / 2, (height - 1) / 2, width, height)
+
+    @classmethod
+    def from_matrix(cls, K: Float, width: int, height: int) -> Perspective:
+        """Pinhole camera of K (3, 3) px; a skew is not kept."""
+        return cls(*_entries(K), width, height)
+
+    @property
+    def is_pinhole(self) -> bool:
+        return not any(self.distortion)
+
+    @property
+    def max_angle(self) -> float:
+        return _perspective_limit(self.distortion)
+
+    def project_jacobian(self, p_c: Float) -> Float:
+        x, y, z = p_c[..., 0], p_c[..., 1], _nonzero(p_c[..., 2])
+        J = np.zeros((*p_c.shape[:-1], 2, 3))
+        J[..., 0, 0], J[..., 0, 2] = self.fx / z, -(self.fx * x) / z**2
+        J[..., 1, 1], J[..., 1, 2] = self.fy / z, -(self.fy * y) / z**2
+        if self.is_pinhole:
+            return J
+        aspect = self.fx / self.fy
+        bend = self._distorted_jacobian(np.stack([x / z, y / z], -1))
+        return np.asarray(bend * np.array([[1, aspect], [1 / aspect, 1]]) @ J)
+
+    def rays(self, uv: Float) -> Float:
+        q = self.normalized(uv)
+        ray = np.concatenate([q, np.ones((*q.shape[:-1], 1))], -1)
+        return np.asarray(ray / np.linalg.norm(ray, axis=-1, keepdims=True))
+
+    def normalized(self, uv: Float) -> Float:
+        seen = np.stack([(uv[..., 0] - self.cx) / self.fx, (uv[..., 1] - self.cy) / self.fy], -1)
+        if self.is_pinhole:
+            return seen
+        r = np.tan(TABLE_RAD[self.max_angle > TABLE_RAD])
+        radius = np.linalg.norm(seen, axis=-1, keepdims=True)
+        q = seen * np.interp(radius, r * self._radial(r**2)[0], r) / np.maximum(radius, 1e-300)
+        with np.errstate(all="ignore"):
+            for _ in range(NEWTON_STEPS):
+                J, error = self._distorted_jacobian(q), self._distorted(q) - seen
+                a, b, c = J[..., 0, 0], J[..., 0, 1], J[..., 1, 1]
+                e, f = error[..., 0], error[..., 1]
+                q = q - np.stack([c * e - b * f, a * f - b * e], -1) / (a * c - b * b)[..., None]
+            met = np.abs(self._distorted(q) - seen) < 1e-9 * (1 + radius)
+            inside = np.linalg.norm(q, axis=-1) < np.tan(self.max_angle)
+        return np.where((met.all(-1) & inside)[..., None], q, np.nan)
+
+    def _plane(self, p_c: Float) -> Float:
+        q = p_c[..., :2] / _nonzero(p_c[..., 2:])
+        return np.asarray(q if self.is_pinhole else self._distorted(q))
+
+    def _terms(self, p_c: Float) -> Float:
+        q = p_c[..., :2] / _nonzero(p_c[..., 2:])
+        s = (q**2).sum(-1)
+        gain, _, denominator = self._radial(s)
+        k123 = np.stack([s, s**2, s**3], -1)[..., None, :] * q[..., None]
+        k123 /= denominator[..., None, None]
+        terms = np.empty((*q.shape, 8))
+        terms[..., [0, 1, 4]], terms[..., 5:] = k123, -gain[..., None, None] * k123
+        terms[..., 0, 2] = terms[..., 1, 3] = 2 * q[..., 0] * q[..., 1]
+        terms[..., 1, 2], terms[..., 0, 3] = s + 2 * q[..., 1] ** 2, s + 2 * q[..., 0] ** 2
+        return terms
+
+    def _distorted(self, q: Float) -> Float:
+        """Distorted points (..., 2) of points (..., 2) of the plane z = 1."""
+        p1, p2 = _padded(self.distortion)[2:4]
+        s, xy = (q**2).sum(-1, keepdims=True), 2 * q[..., :1] * q[..., 1:]
+        shift = np.array([p1, p2]) * xy + np.array([p2, p1]) * (s + 2 * q**2)
+        return np.asarray(q * self._radial(s)[0] + shift)
+
+    def _distorted_jacobian(self, q: Float) -> Float:
+        """Derivative (..., 2, 2), symmetric, of `_distorted`."""
+        p1, p2 = _padded(self.distortion)[2:4]
+        x, y = q[..., 0], q[..., 1]
+        gain, slope, _ = self._radial(x**2 + y**2)
+        J = np.empty((*q.shape, 2))
+        J[..., 0, 0] = gain + 2 * x**2 * slope + 2 * p1 * y + 6 * p2 * x
+        J[..., 1, 1] = gain + 2 * y**2 * slope + 6 * p1 * y + 2 * p2 * x
+        J[..., 0, 1] = J[..., 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        return J
+
+    def _radial(self, s: Float) -> tuple[Float, Float, Float]:
+        """The radial factor at squared radii s, its derivative by s, and its denominator."""
+        k1, k2, _, _, k3, k4, k5, k6 = _padded(self.distortion)
+        D = 1 + s * (k4 + s * (k5 + s * k6))
+        gain = (1 + s * (k1 + s * (k2 + s * k3))) / D
+        slope = k1 + s * (2 * k2 + s * 3 * k3) - gain * (k4 + s * (2 * k5 + s * 3 * k6))
+        return gain, slope / D, D
+
+
+def _entries(K: Float) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of K (3, 3)."""
+    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+
+
+def _padded(distortion: tuple[float, ...]) -> tuple[float, ...]:
+    return distortion + (0.0,) * (8 - len(distortion))
+
+
+def _nonzero(z: Float) -> Float:
+    return np.where(z == 0, 1e-12, z)
+
+
+@lru_cache
+def _perspective_limit(distortion: tuple[float, ...]) -> float:
+    """Angle where the distorted radius stops growing, or its denominator is zero [rad]."""
+    k1, k2, _, _, k3, k4, k5, k6 = _padded(distortion)
+    radius, D = Polynomial([0, 1, 0, k1, 0, k2, 0, k3]), Polynomial([1, 0, k4, 0, k5, 0, k6])
+    slope = radius.deriv() * D - radius * D.deriv()
+    return float(np.arctan(min(first_root(slope, np.inf), first_root(D, np.inf))))
+
+
+def first_root(polynomial: Polynomial, end: float) -> float:
+    """Smallest real root between 0 and `end`, or `end`."""
+    roots = polynomial.trim().roots()
+    return float(min([*roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)], end]))

@@ -1,0 +1,97 @@
+"""The angle model of wide lenses (cv2.fisheye; Kannala and Brandt, PAMI 2006)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from calm_edge.geometry.camera import NEWTON_STEPS, TABLE_RAD, Camera, Float, first_root
+
+MAX_FISHEYE_DEG = 160.0
+
+
+@dataclass(frozen=True, slots=True)
+class Fisheye(Camera):
+    """Lens whose radius in the picture is f (a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9) at angle a.
+
+    Raises ValueError where the picture is more than MAX_FISHEYE_DEG wide or high.
+    """
+
+    def __post_init__(self) -> None:
+        x, y = [-0.5, self.width - 0.5], [-0.5, self.height - 0.5]
+        edges = self.rays(np.array([*((u, self.cy) for u in x), *((self.cx, v) for v in y)]))
+        angle = np.fmin(np.arctan2(np.hypot(edges[:, 0], edges[:, 1]), edges[:, 2]), self.max_angle)
+        across = np.degrees(max(angle[:2].sum(), angle[2:].sum()))
+        if across > MAX_FISHEYE_DEG:
+            raise ValueError(
+                f"a fisheye lens of {across:.0f} degrees across: at most {MAX_FISHEYE_DEG:.0f} work"
+            )
+
+    @property
+    def max_angle(self) -> float:
+        return _fisheye_limit(self.distortion)
+
+    def project_jacobian(self, p_c: Float) -> Float:
+        rho, angle = _off_axis(p_c)
+        radius, slope = self._radius(angle)
+        square, gain = rho**2 + p_c[..., 2] ** 2, radius / rho
+        bend = (slope * p_c[..., 2] / square - gain) / rho**2
+        along = np.concatenate([bend[..., None] * p_c[..., :2], -(slope / square)[..., None]], -1)
+        J = p_c[..., :2, None] * along[..., None, :]
+        J[..., 0, 0] += gain
+        J[..., 1, 1] += gain
+        return np.asarray(np.array([[self.fx], [self.fy]]) * J)
+
+    def rays(self, uv: Float) -> Float:
+        q = (uv - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
+        r, angles = np.linalg.norm(q, axis=-1), TABLE_RAD[self.max_angle > TABLE_RAD]
+        angle = np.interp(r, self._radius(angles)[0], angles)
+        with np.errstate(all="ignore"):
+            for _ in range(NEWTON_STEPS):
+                radius, slope = self._radius(angle)
+                angle = angle - (radius - r) / slope
+            met = np.abs(self._radius(angle)[0] - r) < 1e-9
+            across = q * (np.sin(angle) / np.maximum(r, 1e-300))[..., None]
+        ray = np.concatenate([across, np.cos(angle)[..., None]], -1)
+        return np.where((met & (angle < self.max_angle))[..., None], ray, np.nan)
+
+    def normalized(self, uv: Float) -> Float:
+        ray = self.rays(uv)
+        return np.asarray(ray[..., :2] / ray[..., 2:])
+
+    def _plane(self, p_c: Float) -> Float:
+        rho, angle = _off_axis(p_c)
+        return np.asarray(p_c[..., :2] * (self._radius(angle)[0] / rho)[..., None])
+
+    def _terms(self, p_c: Float) -> Float:
+        rho, angle = _off_axis(p_c)
+        powers = angle[..., None] ** np.arange(3, 10, 2) / rho[..., None]
+        return np.asarray(p_c[..., :2, None] * powers[..., None, :])
+
+    def _radius(self, angle: Float) -> tuple[Float, Float]:
+        """Radius in the picture [focal lengths] at angles [rad], and its derivative."""
+        radius = _odd(self.distortion)
+        return radius(angle), radius.deriv()(angle)
+
+
+def _off_axis(p_c: Float) -> tuple[Float, Float]:
+    """Distance from the axis, never zero, and angle off it [rad] of points (..., 3)."""
+    z = p_c[..., 2]
+    rho = np.hypot(p_c[..., 0], p_c[..., 1])
+    rho = np.maximum(rho, 1e-9 * np.maximum(np.abs(z), 1e-9))
+    return rho, np.arctan2(rho, z)
+
+
+def _odd(distortion: tuple[float, ...]) -> Polynomial:
+    """The fisheye's radius as a polynomial of the angle."""
+    odd = np.zeros(2 * len(distortion) + 2)
+    odd[1::2] = (1.0, *distortion)
+    return Polynomial(odd)
+
+
+@lru_cache
+def _fisheye_limit(distortion: tuple[float, ...]) -> float:
+    return first_root(_odd(distortion).deriv(), np.pi / 2)
