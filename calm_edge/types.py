@@ -60,7 +60,7 @@ class KitBelief:
     """A Gaussian over what stays constant in one kit: the optics of both eyes, the rig, and how
     late the assistant's stamps are.
 
-    mean: (D,) information: (D, D). The layout is owned by `backbones/bundle/kit.py`.
+    mean: (D,) information: (D, D). Entries as in `kit/layout.py`.
     """
 
     mean: Float

@@ -159,7 +159,7 @@ def test_a_kit_file_that_is_none_is_one_line_and_left_as_it_is(
     arguments = ["record", "--sequence", str(drive), "--out", str(out), "--pace", "lockstep"]
     arguments += ["--set", f"backbone.name=scripted:{drive}"]
     assert main([*arguments, "--set", f"backbone.kit_file={kept}"]) == 1
-    assert "kit.json: is no kit file" in only_line(capsys)
+    assert "kit.json: not a kit file" in only_line(capsys)
     assert kept.read_text() == '{"precious": 1}' and not out.exists()
 
 

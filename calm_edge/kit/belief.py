@@ -1,4 +1,4 @@
-"""What windows teach of one kit adds up: products of Gaussians in information form."""
+"""Fusion of independent beliefs on one kit: products of Gaussians in information form."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import numpy as np
 
 from calm_edge.types import Float, KitBelief
 
-# Below this share of the best-known (scaled) direction, a direction counts as unknown.
+# Eigenvalues below this share of the largest, of the scaled information, count as zero.
 _UNKNOWN = 1e-12
 
 
 def product(beliefs: Iterable[KitBelief | None]) -> KitBelief | None:
-    """The product of independent beliefs: informations add, the mean solves; None of none.
+    """Multiply independent beliefs: informations add, and so do informations times means.
 
-    None among them knows nothing, and any may be singular. Along directions that none knows the
-    mean is the first one's.
-    Raises ValueError when they differ in layout.
+    None entries are skipped; None without any other. Informations may be singular: along
+    directions in which all are zero the first belief's mean stays. Raises ValueError when they
+    differ in size.
     """
     known = [belief for belief in beliefs if belief is not None]
     if not known:
         return None
     if len({belief.mean.shape for belief in known}) > 1:
-        raise ValueError("beliefs of different kits: their layouts differ")
+        raise ValueError("kit beliefs differ in their number of entries")
     first = known[0].mean
     informations = np.stack([belief.information for belief in known])
     offsets = np.stack([belief.mean for belief in known]) - first

@@ -1,4 +1,4 @@
-"""What one drive learned of a kit, kept in a file for the next drive of the same cameras."""
+"""The kit file: a drive's belief on its kit, kept for the next drive of the same cameras."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ FORMAT = "calm-edge kit"
 VERSION = 1
 PART = ".part"
 
-# How far the information may be from symmetric and positive, of its scaled size: rounding.
+# Rounding allowed in the symmetry and definiteness of the information, scaled to unit diagonal.
 _ROUNDING = 1e-6
 
 
 class KitFileError(CalmEdgeError):
-    """A kit file that cannot be read, understood or written."""
+    """A kit file that cannot be read, parsed or written."""
 
 
 def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) -> None:
-    """Writes the belief whole or not at all: after a power cut the old or the new file is there.
+    """Write the belief atomically: after a power cut the old or the new file is there.
 
     cameras: the capture address of each eye. sizes: (2, 2) width, height [px] of each eye.
     Raises KitFileError.
@@ -66,10 +66,10 @@ def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) ->
 
 @dataclass(frozen=True, slots=True)
 class KitFile:
-    """What a kit file holds. cameras, sizes: as of `save`, whatever the file says.
+    """Content of a kit file. cameras, sizes: as in `save`, not validated.
 
-    belief: as it was kept; None where another version, whose layout is not known here, kept it.
-    unknown: that layout, in words.
+    belief: as saved; None where another version of the program saved it in another layout, which
+    `unknown` then describes.
     """
 
     cameras: Any = None
@@ -79,9 +79,9 @@ class KitFile:
 
 
 def read(path: Path) -> KitFile | None:
-    """The file of whatever cameras, None where there is none yet.
+    """Read a kit file of any cameras; None where there is none yet.
 
-    Raises KitFileError on a damaged or foreign file, which must not be written over.
+    Raises KitFileError on a damaged file, or one of another kind, which must not be overwritten.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -96,7 +96,7 @@ def read(path: Path) -> KitFile | None:
     except (ValueError, RecursionError):
         raise _damaged(path, "not JSON") from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise KitFileError(f"{path}: is no kit file; name another one to keep the kit in")
+        raise KitFileError(f"{path}: not a kit file; set backbone.kit_file to another path")
     if content.get("version") != VERSION:
         return KitFile(unknown=f"version {content.get('version')!r}, this program reads {VERSION}")
     mean = _numbers(path, content, "mean", 1)
@@ -106,7 +106,7 @@ def read(path: Path) -> KitFile | None:
     if len(mean) != layout.SIZE:
         return KitFile(unknown=f"holds {len(mean)} entries of a kit, this program {layout.SIZE}")
     if not _is_information(information):
-        raise _damaged(path, "its information is not that of a Gaussian")
+        raise _damaged(path, "its information matrix is not positive semidefinite")
     belief = KitBelief(mean=mean, information=information)
     return KitFile(content.get("cameras"), content.get("sizes"), belief)
 
@@ -114,34 +114,36 @@ def read(path: Path) -> KitFile | None:
 def remembered(
     path: Path, kept: KitFile | None, cameras: tuple[str, str], sizes: Int
 ) -> tuple[KitBelief | None, str]:
-    """What the file `kept` of these cameras, faded since; else None and why, in words.
+    """The belief `kept` for these cameras with the drift since added; else None and the reason.
 
-    cameras, sizes: as of `save`. No file, other cameras, another size or another version's layout
-    are no error: that kit is yet to be learned.
+    cameras, sizes: as in `save`. No file, other cameras, another picture size or another version's
+    layout are no errors: that kit is learned from the start.
     """
     if kept is None:
-        return None, f"{path}: no earlier drive of this kit is known"
+        return None, f"{path}: no earlier drive of this kit"
     if kept.belief is None:
         return None, f"{path}: {kept.unknown}"
     if kept.cameras != list(cameras):
-        return None, f"{path}: of other cameras ({kept.cameras}, not {list(cameras)})"
+        return None, f"{path}: kept for other cameras ({kept.cameras}, not {list(cameras)})"
     wanted = np.asarray(sizes).tolist()
     if kept.sizes != wanted:
-        return None, f"{path}: of pictures of {kept.sizes} px, not {wanted}"
+        return None, f"{path}: kept for pictures of {kept.sizes} px, not {wanted}"
     return faded(kept.belief), ""
 
 
 def _damaged(path: Path, why: str) -> KitFileError:
-    return KitFileError(f"{path}: damaged, {why}; delete it and the next drive learns the kit anew")
+    return KitFileError(
+        f"{path}: damaged ({why}); delete it, and the next drive learns the kit again"
+    )
 
 
 def _numbers(path: Path, content: dict[str, Any], key: str, dimensions: int) -> Float:
     try:
         numbers = np.array(content.get(key), np.float64)
     except (ValueError, TypeError, OverflowError):
-        raise _damaged(path, f"{key} is not a table of numbers") from None
+        raise _damaged(path, f"{key} is not an array of numbers") from None
     if numbers.ndim != dimensions or not np.isfinite(numbers).all():
-        raise _damaged(path, f"{key} is not a table of numbers")
+        raise _damaged(path, f"{key} is not an array of numbers")
     return numbers
 
 

@@ -1,9 +1,10 @@
-"""The kit as a vector: the optics of both eyes and the rig between them, with a prior.
+"""Layout of the kit vector theta, its prior, and its drift between two drives.
 
-theta (15,): for each eye log(f / width), principal point offset from the image centre as a
-share of the width (x, y), one radial term (p_distorted = p (1 + k1 r^2)); then the rig T_p_a as
-a rotation vector [rad] and the assistant's centre in the primary camera [spacings]; then how much
-later than its stamp, against the primary's, an assistant's picture was exposed [s].
+theta (SIZE,): for each eye log(f / width), the principal point's offset from the image centre as a
+share of the width (x, y) and one radial term (p_distorted = p (1 + k1 r^2)); then the rig T_p_a as
+a rotation vector [rad] and the assistant's centre in the primary camera [spacings]; then the time
+offset: how much later than its stamp, on the primary's clock, an assistant's picture is exposed
+[s]. This file alone holds the index of a term; elsewhere terms are named.
 """
 
 from __future__ import annotations
@@ -13,53 +14,95 @@ import numpy as np
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import Float, KitBelief
 
-SIZE = 15
-OPTICS = (slice(0, 4), slice(4, 8))
-RIG = slice(8, 14)
-CENTRE = slice(11, 14)
-LATE = 14
-LOG_FOCAL = (0, 4)
+# Indices of each eye's optics (2, terms), and of single terms of both eyes.
+OPTICS = np.arange(8).reshape(2, 4)
+LOG_FOCAL = OPTICS[:, 0]
+PRINCIPAL_POINT = OPTICS[:, 1:3]
+RADIAL = OPTICS[:, 3]
+RIG_ROTATION = slice(OPTICS.size, OPTICS.size + 3)
+RIG_CENTRE = slice(RIG_ROTATION.stop, RIG_ROTATION.stop + 3)
+RIG = slice(RIG_ROTATION.start, RIG_CENTRE.stop)
+TIME_OFFSET = RIG.stop
+SIZE = TIME_OFFSET + 1
 
 # The prior's one-sigmas. A phone, dash or web camera sees 45 to 110 degrees: log f/W has its
 # middle near 73 degrees. A hint is a data sheet's number.
 DEFAULT_HFOV_DEG = 73.0
 LOG_FOCAL_SIGMA = 0.30
 HINTED_LOG_FOCAL_SIGMA = 0.01
-CENTRE_SIGMA = 0.02
+PRINCIPAL_POINT_SIGMA = 0.02
 RADIAL_SIGMA = 0.0003
 RIG_ROTATION_SIGMA_RAD = 0.5
 RIG_DIRECTION_SIGMA = 1.0
 SPACING_SIGMA = 1e-4
 EVIDENCE_SPACING_SIGMA = 0.05
 # Host clocks stamp what has arrived: two cameras of one kind differ by less than a frame. At
-# constant velocity lateness and the rig's forward offset are one, and this prior divides them.
-LATE_SIGMA_S = 0.01
+# constant velocity the time offset and the rig's forward offset are one unknown, which this
+# prior divides between them.
+TIME_OFFSET_SIGMA_S = 0.01
+
+# One sigma of what changes between two drives of a kit that nobody touched.
+# Log focal: temperature and refocusing, and what the pinhole model leaves out on another road.
+LOG_FOCAL_DRIFT = 0.015
+# A lens shifts in its mount by some pixels.
+PRINCIPAL_POINT_DRIFT = 0.003
+RADIAL_DRIFT = 0.0001
+# 0.3 degrees: doors, bumps in the road, a windscreen that warms.
+RIG_ROTATION_DRIFT_RAD = 0.005
+# 5 mm of cameras half a metre apart.
+RIG_CENTRE_DRIFT = 0.01
+# Clocks are set anew in each drive.
+TIME_OFFSET_DRIFT_S = 1.0
+
+
+def _vector(
+    log_focal: float,
+    principal_point: float,
+    radial: float,
+    rotation: float,
+    centre: float,
+    time_offset: float,
+) -> Float:
+    """(SIZE,) one number for each kind of term, the same for both eyes."""
+    out = np.empty(SIZE)
+    out[LOG_FOCAL], out[PRINCIPAL_POINT], out[RADIAL] = log_focal, principal_point, radial
+    out[RIG_ROTATION], out[RIG_CENTRE], out[TIME_OFFSET] = rotation, centre, time_offset
+    return out
 
 
 def prior(hfov_deg: tuple[float | None, float | None]) -> KitBelief:
-    """What is known of a kit before its first picture: a hint of the field of view at most."""
+    """Belief before the first picture; hfov_deg: horizontal fields of view, None where unknown."""
     mean = np.zeros(SIZE)
-    sigma = np.empty(SIZE)
-    for optics, hfov in zip(OPTICS, hfov_deg, strict=True):
+    sigma = _vector(
+        LOG_FOCAL_SIGMA, PRINCIPAL_POINT_SIGMA, RADIAL_SIGMA,
+        RIG_ROTATION_SIGMA_RAD, RIG_DIRECTION_SIGMA, TIME_OFFSET_SIGMA_S,
+    )  # fmt: skip
+    for index, hfov in zip(LOG_FOCAL, hfov_deg, strict=True):
         width_over_f = 2 * np.tan(np.radians(hfov or DEFAULT_HFOV_DEG) / 2)
-        mean[optics] = [-np.log(width_over_f), 0, 0, 0]
-        focal_sigma = HINTED_LOG_FOCAL_SIGMA if hfov else LOG_FOCAL_SIGMA
-        sigma[optics] = [focal_sigma, CENTRE_SIGMA, CENTRE_SIGMA, RADIAL_SIGMA]
-    sigma[8:11], sigma[CENTRE] = RIG_ROTATION_SIGMA_RAD, RIG_DIRECTION_SIGMA
-    sigma[LATE] = LATE_SIGMA_S
+        mean[index] = -np.log(width_over_f)
+        if hfov:
+            sigma[index] = HINTED_LOG_FOCAL_SIGMA
     return KitBelief(mean=mean, information=np.diag(sigma**-2.0))
+
+
+def drift_sigma() -> Float:
+    """(SIZE,) one sigma of each term's change between two drives."""
+    return _vector(
+        LOG_FOCAL_DRIFT, PRINCIPAL_POINT_DRIFT, RADIAL_DRIFT,
+        RIG_ROTATION_DRIFT_RAD, RIG_CENTRE_DRIFT, TIME_OFFSET_DRIFT_S,
+    )  # fmt: skip
 
 
 def camera_matrix(theta: Float, eye: int, width: int, height: int) -> Float:
     """K (3, 3) px of an eye of which the images are width x height."""
-    log_f, cx, cy, _ = theta[OPTICS[eye]]
-    f = np.exp(log_f) * width
-    return pinhole.matrix(f, f, (width - 1) / 2 + cx * width, (height - 1) / 2 + cy * width)
+    f = np.exp(theta[LOG_FOCAL[eye]]) * width
+    cx, cy = theta[PRINCIPAL_POINT[eye]] * width
+    return pinhole.matrix(f, f, (width - 1) / 2 + cx, (height - 1) / 2 + cy)
 
 
 def rig(theta: Float) -> Float:
     """T_p_a (4, 4), spacings."""
-    return se3.compose(se3.so3_exp(theta[8:11]), theta[CENTRE])
+    return se3.compose(se3.so3_exp(theta[RIG_ROTATION]), theta[RIG_CENTRE])
 
 
 def rig_vector(T_p_a: Float) -> Float:
@@ -68,10 +111,10 @@ def rig_vector(T_p_a: Float) -> Float:
     return np.concatenate([se3.so3_log(T_p_a[:3, :3]), t / np.linalg.norm(t)])
 
 
-def blurred(belief: KitBelief, late_s: float) -> KitBelief:
-    """The belief where the lateness of one window is off the kit's by late_s, one sigma."""
-    if late_s <= 0:
+def with_time_jitter(belief: KitBelief, sigma_s: float) -> KitBelief:
+    """Add sigma_s^2 to the variance of the time offset, in information form (Sherman-Morrison)."""
+    if sigma_s <= 0:
         return belief
-    column = belief.information[:, LATE]
-    known = column[LATE] + late_s**-2
+    column = belief.information[:, TIME_OFFSET]
+    known = column[TIME_OFFSET] + sigma_s**-2
     return KitBelief(belief.mean, belief.information - np.outer(column, column) / known)

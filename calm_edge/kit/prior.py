@@ -1,4 +1,4 @@
-"""What earlier drives of the same cameras taught, as long as this drive fits it."""
+"""The belief from earlier drives of the same cameras, used while this drive agrees with it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ TRUSTED_AFTER = 3
 
 
 class KitPrior:
-    """Owns the belief read from `backbone.kit_file`; without that key it keeps nothing.
+    """Owns the belief read from `backbone.kit_file`; without that key there is none.
 
-    Windows solved under a wrong belief fail, or agree with it: so it is compared with what
-    TRUSTED_AFTER sub-maps teach without it, and only then is it there as `belief`.
+    Windows solved under a wrong belief fail or reproduce it. So the first TRUSTED_AFTER sub-maps
+    are solved without it, and `belief` returns it once they agree.
 
-    The file is read at once, so that one which cannot be understood stops the drive at its start:
-    the constructor raises KitFileError.
+    The constructor reads the file, so that a damaged one stops the drive at its start; it raises
+    KitFileError.
     """
 
     def __init__(self, config: Config) -> None:
@@ -36,11 +36,11 @@ class KitPrior:
 
     @property
     def belief(self) -> KitBelief | None:
-        """What is remembered, once it is trusted."""
+        """The earlier drives' belief once it is trusted, else None."""
         return self._remembered if self._compared >= TRUSTED_AFTER else None
 
     def open(self, sizes: Int | None) -> None:
-        """Takes what was kept once the pictures' sizes (2, 2) are known, if it is of these."""
+        """Take the file's belief if it was kept for pictures of these sizes (2, 2) [px]."""
         if self._path is None or self._sizes is not None or sizes is None:
             return
         self._sizes = sizes
@@ -48,33 +48,34 @@ class KitPrior:
         if reason:
             log.info("kit memory: %s", reason)
 
-    def contradicted(self, taught: KitBelief | None) -> tuple[str, ...]:
-        """What moved since, in words, against what this drive `taught`; then all of it is dropped.
+    def contradicted(self, evidence: KitBelief | None) -> tuple[str, ...]:
+        """Compare with the evidence of this drive: one line for each part that has changed.
 
-        A kit that was touched in one place may have been touched in others.
+        On any change the whole belief is dropped: a kit that was touched in one place may have
+        been touched in others.
         """
-        if self._remembered is None or taught is None:
+        if self._remembered is None or evidence is None:
             return ()
-        compared = change.changes(self._remembered, taught)
+        compared = change.changes(self._remembered, evidence)
         moved = [change for change in compared if change.noticed]
         self._compared += 1
         if moved:
             self._remembered = None
         return tuple(
-            f"the kit has changed since its last drive: {change.text}; it is learned anew"
+            f"the kit has changed since its last drive: {change.text}; it is learned again"
             for change in moved
         )
 
-    def save(self, taught: KitBelief | None) -> None:
-        """Keeps what is now known for the next drive; a failure is logged and costs nothing.
+    def save(self, evidence: KitBelief | None) -> None:
+        """Write the belief of all drives for the next one; failures are logged.
 
-        Never over a file that is not understood.
+        A file that cannot be parsed is never overwritten.
         """
-        known = product([self._remembered, taught])
+        known = product([self._remembered, evidence])
         if self._path is None or self._sizes is None or known is None:
             return
         try:
-            # it may have been put there since the drive began
+            # it may have been replaced since the drive began
             file.read(self._path)
             file.save(self._path, self._cameras, self._sizes, known)
         except file.KitFileError as error:

@@ -55,5 +55,5 @@ def test_order_does_not_matter_where_the_sum_is_full():
 
 
 def test_layouts_must_agree():
-    with pytest.raises(ValueError, match="layouts"):
+    with pytest.raises(ValueError, match="number of entries"):
         product([belief([1, 2], [1, 0]), belief([1], [1])])

@@ -7,15 +7,34 @@ from calm_edge.geometry import pinhole, se3
 from calm_edge.kit import layout
 
 
+def test_names_cover_the_vector_once():
+    terms = [layout.LOG_FOCAL, layout.PRINCIPAL_POINT.ravel(), layout.RADIAL]
+    entries = np.r_[*terms, layout.RIG_ROTATION, layout.RIG_CENTRE, layout.TIME_OFFSET]
+    assert np.array_equal(np.sort(entries), np.arange(layout.SIZE))
+    assert np.array_equal(np.sort(np.concatenate(terms)), np.sort(layout.OPTICS.ravel()))
+    assert np.array_equal(np.r_[layout.RIG_ROTATION, layout.RIG_CENTRE], np.r_[layout.RIG])
+
+
+def test_drift_and_prior_are_set_for_every_term():
+    sigma = np.diag(layout.prior((None, None)).information) ** -0.5
+    drift = layout.drift_sigma()
+    for vector in (sigma, drift):
+        assert np.isfinite(vector).all() and (vector > 0).all()
+        assert np.array_equal(vector[layout.OPTICS[0]], vector[layout.OPTICS[1]])
+    # but for the clocks, a drive starts from what the last one learned
+    assert (drift < sigma)[: layout.TIME_OFFSET].all() and drift[layout.TIME_OFFSET] == 1.0
+
+
 def test_a_hint_sets_the_focal_of_its_eye_and_how_sure_it_is():
     belief = layout.prior((90.0, None))
     sigma = np.diag(belief.information) ** -0.5
-    assert np.exp(belief.mean[0]) == pytest.approx(0.5)
-    assert np.exp(belief.mean[4]) == pytest.approx(0.5 / np.tan(np.radians(73 / 2)))
-    assert sigma[0] == pytest.approx(0.01) and sigma[4] == pytest.approx(0.30)
+    expected = [0.5, 0.5 / np.tan(np.radians(73 / 2))]
+    assert np.exp(belief.mean[layout.LOG_FOCAL]) == pytest.approx(expected)
+    assert sigma[layout.LOG_FOCAL] == pytest.approx([0.01, 0.30])
     # a hint is of the focal only
-    assert np.array_equal(np.delete(belief.mean, [0, 4]), np.zeros(layout.SIZE - 2))
-    assert sigma[1] == sigma[5] and (sigma[layout.RIG] >= 0.5).all()
+    others = np.delete(belief.mean, layout.LOG_FOCAL)
+    assert np.array_equal(others, np.zeros(layout.SIZE - 2))
+    assert np.ptp(sigma[layout.PRINCIPAL_POINT]) == 0 and (sigma[layout.RIG] >= 0.5).all()
 
 
 def test_the_camera_matrix_of_a_hint_is_the_pinholes():
@@ -26,7 +45,7 @@ def test_the_camera_matrix_of_a_hint_is_the_pinholes():
 
 def test_the_principal_point_is_a_share_of_the_width_from_the_middle():
     theta = layout.prior((None, None)).mean
-    theta[[5, 6]] = 0.01, -0.02
+    theta[layout.PRINCIPAL_POINT[1]] = 0.01, -0.02
     K = layout.camera_matrix(theta, 1, 480, 200)
     assert K[:2, 2] == pytest.approx([239.5 + 4.8, 99.5 - 9.6])
     assert layout.camera_matrix(theta, 0, 480, 200)[:2, 2] == pytest.approx([239.5, 99.5])
@@ -49,15 +68,17 @@ def test_a_window_off_the_kits_lateness_blurs_that_and_nothing_else():
     belief = layout.prior((None, None))
     rng = np.random.default_rng(0)
     mixed = belief.information + 1e4 * np.cov(rng.normal(size=(layout.SIZE, 40)))
-    blurred = layout.blurred(replace(belief, information=mixed), 0.002)
+    blurred = layout.with_time_jitter(replace(belief, information=mixed), 0.002)
     more = np.linalg.inv(blurred.information) - np.linalg.inv(mixed)
     where = np.zeros((layout.SIZE, layout.SIZE))
-    where[layout.LATE, layout.LATE] = 1
+    where[layout.TIME_OFFSET, layout.TIME_OFFSET] = 1
     assert np.allclose(more, 0.002**2 * where, atol=1e-10)
     assert np.array_equal(blurred.mean, belief.mean)
     # evidence that is silent on some of the kit has no covariance
-    silent = replace(belief, information=np.diag(1e8 * (np.arange(layout.SIZE) == layout.LATE)))
-    assert layout.blurred(silent, 0.002).information[layout.LATE, layout.LATE] == pytest.approx(
-        1 / (1e-8 + 0.002**2)
+    silent = replace(
+        belief, information=np.diag(1e8 * (np.arange(layout.SIZE) == layout.TIME_OFFSET))
     )
-    assert layout.blurred(belief, 0.0) is belief
+    assert layout.with_time_jitter(silent, 0.002).information[
+        layout.TIME_OFFSET, layout.TIME_OFFSET
+    ] == pytest.approx(1 / (1e-8 + 0.002**2))
+    assert layout.with_time_jitter(belief, 0.0) is belief

@@ -106,8 +106,8 @@ class BundleBackbone:
         cv2.setRNGSeed(self._seed)
         belief = believed(hints)
         sigma = _sigma(belief)
-        rig_known = bool(sigma[8:11].max() < RIG_KNOWN_RAD)
-        known = rig_known and bool(sigma[list(layout.LOG_FOCAL)].max() < FOCAL_KNOWN)
+        rig_known = bool(sigma[layout.RIG_ROTATION].max() < RIG_KNOWN_RAD)
+        known = rig_known and bool(sigma[layout.LOG_FOCAL].max() < FOCAL_KNOWN)
         with _determined():
             m = window.measure(images, hints, belief.mean, rig_known, self._matching)
             ties = rig_ties(m)
@@ -144,10 +144,9 @@ def believed(hints: Hints) -> KitBelief:
     """The prior under the hints times what other windows taught."""
     joint = product([layout.prior(hints.hfov_deg), hints.kit])
     assert joint is not None
-    t = joint.mean[11:14]
-    length = np.linalg.norm(t)
+    length = np.linalg.norm(joint.mean[layout.RIG_CENTRE])
     if length > 1e-6:
-        joint.mean[11:14] = t / length
+        joint.mean[layout.RIG_CENTRE] /= length
     return joint
 
 
@@ -176,7 +175,7 @@ def _solve(
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
     for robust_scale, tolerance, read in passes:
         read_so = read(ties, start)
-        prior = layout.blurred(_sharpened(belief), stamps.common_sigma_s(read_so))
+        prior = layout.with_time_jitter(_sharpened(belief), stamps.common_sigma_s(read_so))
         solution = solve(start, m, read_so, prior, robust_scale=robust_scale, tolerance=tolerance)
         start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
@@ -195,7 +194,7 @@ def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool)
     failure: BackboneError | None = None
     for factor in FOCAL_GUESSES[:1] if known else FOCAL_GUESSES:
         theta = belief.mean.copy()
-        theta[list(layout.LOG_FOCAL)] += np.log(factor)
+        theta[layout.LOG_FOCAL] += np.log(factor)
         try:
             cost, state = _best_start(few, ties, belief, theta, known)
         except BackboneError as error:
@@ -243,10 +242,10 @@ def _prediction(
     evidence = None
     if np.median(solution.residual * m.sigma_px) < MAX_EVIDENCE_PX:
         evidence = kit_evidence(solution, m, ties, ROBUST_SCALES[-1], TEMPERING)
-        evidence = layout.blurred(evidence, stamps.common_sigma_s(ties) / TEMPERING**0.5)
+        evidence = layout.with_time_jitter(evidence, stamps.common_sigma_s(ties) / TEMPERING**0.5)
     joint = product([belief, evidence])
     assert joint is not None
-    sigma = np.hypot(_sigma(joint)[list(layout.LOG_FOCAL)], FOCAL_FLOOR)
+    sigma = np.hypot(_sigma(joint)[layout.LOG_FOCAL], FOCAL_FLOOR)
     K = np.stack([layout.camera_matrix(state.theta, eye, *m.size[eye]) for eye in (0, 1)])
     return Prediction(
         K=K[m.eye],
@@ -254,6 +253,6 @@ def _prediction(
         focal_log_sigma=sigma[m.eye],
         landmarks=window.to_landmarks(state, m),
         kit=evidence,
-        assistant_late_s=float(state.theta[layout.LATE]),
+        assistant_late_s=float(state.theta[layout.TIME_OFFSET]),
         stamps_off_s=ties.late_s if ties.late_s.any() else None,
     )

@@ -101,7 +101,7 @@ def _usable(X: Float) -> np.ndarray:
 def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: float) -> State:
     """Poses of all views, points and kit from scratch; raises BackboneError when it cannot.
 
-    theta: (15,) the best guess of the kit; its rig part is used only when `rig_known`, else
+    theta: the best guess of the kit; its rig part is used only when `rig_known`, else
     it is found here. seed_share: how far into the window the second view of the first pair lies.
     """
     rays = normalised(m, theta)
@@ -118,7 +118,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
         poses[view] = pose
         X = _triangulate_known(m, rays, poses, n_points)
     T_s_p = se3.inverse(np.stack([poses[int(v)] for v in primary]))
-    instants = m.t[assistant] + theta[layout.LATE]
+    instants = m.t[assistant] + theta[layout.TIME_OFFSET]
     at = se3.interpolate_at(m.t[primary], T_s_p, instants)  # the primary's, where they looked
     if rig_known:
         T_p_a = layout.rig(theta)

@@ -1,6 +1,7 @@
-"""The normal equations of one window, points eliminated in closed form, everything in numpy.
+"""Normal equations of one window, points eliminated by the Schur complement, in numpy.
 
-The reduced system has 6 unknowns a view and 15 for the kit, some 200 in all: dense is fastest.
+Bundle adjustment as in Triggs et al., Bundle Adjustment: A Modern Synthesis, 1999, section 6. The
+reduced system has 6 unknowns a view and those of the kit, some 200 in all: dense is fastest.
 """
 
 from __future__ import annotations
@@ -56,13 +57,13 @@ class Structure:
     views: tuple[slice, ...]
     by_point: Groups
     by_point_and_eye: Groups
-    rows: Int  # (C, 10) of each view's pose and optics in the reduced system
+    rows: Int  # (C, 6 + optics) of each view's pose and optics in the reduced system
     cross: Int
 
     @classmethod
     def of(cls, m: Measurements, n_points: int) -> Structure:
         bounds = np.searchsorted(m.view, np.arange(m.n_views + 1))
-        optics = 6 * m.n_views + 4 * m.eye[:, None] + np.arange(4)
+        optics = 6 * m.n_views + layout.OPTICS[m.eye]
         return cls(
             tuple(slice(first, last) for first, last in pairwise(bounds)),
             grouped(m.point),
@@ -116,12 +117,12 @@ def normal_equations(
 
     H, g = np.zeros((D, D)), np.zeros(D)
     joined = [
-        np.concatenate([camera[..., rows], r[None, :, rows]]).reshape(11, -1)
+        np.concatenate([camera[..., rows], r[None, :, rows]]).reshape(len(camera) + 1, -1)
         for rows in structure.views
     ]
     own = np.stack([J @ J.T for J in joined])
-    _scatter(H, structure.rows, own[:, :10, :10])
-    np.add.at(g, structure.rows, own[:, :10, 10])
+    _scatter(H, structure.rows, own[:, :-1, :-1])
+    np.add.at(g, structure.rows, own[:, :-1, -1])
 
     Hpp = np.tile(np.eye(3), (n_points, 1, 1))
     gp = np.zeros((n_points, 1, 3))
@@ -134,12 +135,12 @@ def normal_equations(
     root = np.linalg.inv(np.linalg.cholesky(Hpp)).transpose(0, 2, 1)
     gradient = np.ascontiguousarray((gp @ root)[:, 0].T)
 
-    blocks = np.einsum("iko,jko->ijo", camera, times(point, root, m.point))  # (10, 3, O)
+    blocks = np.einsum("iko,jko->ijo", camera, times(point, root, m.point))
     cross = np.zeros((D, 3, n_points))
     cross.reshape(-1)[structure.cross] = blocks[:6].reshape(18, -1)  # a view sees a point once
     pairs = structure.by_point_and_eye
-    optics = cross[6 * n_views : 6 * n_views + 8].reshape(2, 4, 3, n_points)
-    optics[pairs.keys % 2, ..., pairs.keys // 2] = pairs.sum(blocks[6:]).transpose(2, 0, 1)
+    optics = 6 * n_views + layout.OPTICS[pairs.keys % 2]
+    cross[optics, :, pairs.keys[:, None] // 2] = pairs.sum(blocks[6:]).transpose(2, 0, 1)
     flat = cross.reshape(D, -1)
     H -= flat @ flat.T
     g -= flat @ gradient.reshape(-1)
@@ -147,10 +148,11 @@ def normal_equations(
     if len(ties.alpha):
         residual, J = tie_jacobians(state, ties)
         views = np.stack([ties.before, ties.after, ties.assistant], 1)
+        kit = 6 * n_views + np.r_[layout.RIG, layout.TIME_OFFSET]
         tie_rows = np.concatenate(
             [
                 (6 * views[..., None] + np.arange(6)).reshape(-1, 18),
-                np.broadcast_to(6 * n_views + np.arange(8, layout.SIZE), (len(ties.alpha), 7)),
+                np.broadcast_to(kit, (len(ties.alpha), len(kit))),
             ],
             1,
         )

@@ -46,7 +46,7 @@ class Measurements:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """T_c_s: (C, 4, 4) spacings. points: (M, 4) unit homogeneous, sub-map frame. theta: (15,)."""
+    """T_c_s: (C, 4, 4) spacings. points: (M, 4) unit homogeneous, sub-map frame. theta: the kit."""
 
     T_c_s: Float
     points: Float
@@ -57,8 +57,8 @@ class State:
 class ReprojectionJacobians:
     """Of the projected pixel of each observation. predicted: (O, 2); in_front: (O,) bool.
 
-    camera: (10, 2, O), pose then optics. point: (3, 2, O) in the tangent of `tangent_basis`.
-    Observations come last: sums over them are then several times faster.
+    camera: (6 + optics, 2, O), by the pose, then by the terms of layout.OPTICS. point: (3, 2, O) in
+    the tangent of `tangent_basis`. Observations come last: sums over them are several times faster.
     """
 
     predicted: Float
@@ -92,10 +92,10 @@ def project(state: State, m: Measurements) -> tuple[Float, Float]:
     eye = m.eye[m.view]
     z = np.where(np.abs(q[:, 2]) < NEAREST, NEAREST, q[:, 2])
     xy = q[:, :2] / z[:, None]
-    optics, size = state.theta[:8].reshape(2, 4), m.size.astype(np.float64)
-    radial = 1 + optics[:, 3][eye] * (xy * xy).sum(1)
-    f = np.exp(optics[:, 0]) * size[:, 0]
-    centre = (size - 1) / 2 + optics[:, 1:3] * size[:, :1]
+    theta, size = state.theta, m.size.astype(np.float64)
+    radial = 1 + theta[layout.RADIAL][eye] * (xy * xy).sum(1)
+    f = np.exp(theta[layout.LOG_FOCAL]) * size[:, 0]
+    centre = (size - 1) / 2 + theta[layout.PRINCIPAL_POINT] * size[:, :1]
     return (f[eye] * radial)[:, None] * xy + centre[eye], q
 
 
@@ -103,9 +103,9 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
     """Pixels and analytic derivatives of all observations."""
     predicted, q = project(state, m)
     eye = m.eye[m.view]
-    optics = state.theta[:8].reshape(2, 4)
     width = m.size[:, 0].astype(np.float64)
-    f, k1 = (np.exp(optics[:, 0]) * width)[eye], optics[:, 3][eye]
+    f = (np.exp(state.theta[layout.LOG_FOCAL]) * width)[eye]
+    k1 = state.theta[layout.RADIAL][eye]
     X, Y, z = np.ascontiguousarray(q.T)
     z = np.where(np.abs(z) < NEAREST, NEAREST, z)
     x, y = X / z, Y / z
@@ -117,7 +117,7 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
     d_q[1, 1] = f * (radial + 2 * k1 * y * y) / z
     d_q[0, 1] = d_q[1, 0] = f * 2 * k1 * x * y / z
     d_q[2] = -x * d_q[0] - y * d_q[1]
-    camera = np.zeros((10, 2, n))
+    camera = np.zeros((6 + layout.OPTICS.shape[1], 2, n))
     camera[:3] = d_q * state.points[:, 3][m.point]
     camera[3] = Y * d_q[2] - q[:, 2] * d_q[1]
     camera[4] = q[:, 2] * d_q[0] - X * d_q[2]
@@ -216,12 +216,12 @@ def tie_residuals(
 
 
 def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
-    """Residuals (A, 6) and derivatives (A, 6, 25) by (before, after, assistant, rig, lateness).
+    """Residuals (A, 6) and derivatives (A, 6, 25) by (before, after, assistant, rig, time offset).
 
     Exact. With P = exp(share xi) T_before the primary at that instant, the error E = T_p_a^-1 P
     T_assistant^-1 answers to a step d of P, and P to steps of both its neighbours.
     """
-    rig, late = layout.rig(state.theta), float(state.theta[layout.LATE])
+    rig, late = layout.rig(state.theta), float(state.theta[layout.TIME_OFFSET])
     T_before, T_after, T_assistant = (
         state.T_c_s[v] for v in (ties.before, ties.after, ties.assistant)
     )
@@ -241,7 +241,7 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     J[..., :6], J[..., 6:12] = by_primary @ by_before, by_primary @ by_after
     J[..., 12:18] = -inverse_right
     # the rig is a rotation vector and a centre, stepped by sums
-    turn = state.theta[layout.RIG][:3]
+    turn = state.theta[layout.RIG_ROTATION]
     step = np.zeros((6, 6))
     step[:3, 3:], step[3:, :3] = rig[:3, :3].T, se3.so3_left_jacobian(-turn)
     J[..., 18:24] = -se3.right_jacobian_inverse(-error) @ step

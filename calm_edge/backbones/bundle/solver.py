@@ -55,7 +55,7 @@ def total_cost(
     T = state.T_c_s
     tie = tie_residuals(
         T[ties.before], T[ties.after], T[ties.assistant],
-        layout.rig(state.theta), float(state.theta[layout.LATE]), ties,
+        layout.rig(state.theta), float(state.theta[layout.TIME_OFFSET]), ties,
     )  # fmt: skip
     off = state.theta - prior.mean
     return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off)
@@ -73,7 +73,7 @@ def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, 
 def _add_spacing(H: Float, theta: Float, sigma: float) -> None:
     """The gauge, as a stiff spring on a direction `_step` rescales away: |t_p_a| stays 1."""
     row = np.zeros(layout.SIZE)
-    row[layout.CENTRE] = theta[layout.CENTRE] / sigma
+    row[layout.RIG_CENTRE] = theta[layout.RIG_CENTRE] / sigma
     H[-layout.SIZE :, -layout.SIZE :] += np.outer(row, row)
 
 
@@ -82,9 +82,9 @@ def _step(state: State, n_views: int, delta: Float, delta_points: Float) -> Stat
     poses = se3.exp(delta[: 6 * n_views].reshape(n_views, 6)) @ state.T_c_s
     points = move_points(state.points, tangent_basis(state.points), delta_points)
     theta = state.theta + delta[-layout.SIZE :]
-    spacing = np.linalg.norm(theta[layout.CENTRE])
+    spacing = np.linalg.norm(theta[layout.RIG_CENTRE])
     poses[:, :3, 3] /= spacing
-    theta[layout.CENTRE] /= spacing
+    theta[layout.RIG_CENTRE] /= spacing
     points[:, 3] *= spacing
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return State(poses, points, theta)

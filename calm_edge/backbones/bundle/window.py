@@ -48,7 +48,7 @@ def measure(
 ) -> Measurements:
     """Matches of all pictures (H, W, 3) as measurements; raises BackboneError when too few.
 
-    theta: (15,) kit, which guides the search across the eyes when `rig_known`. matching: a
+    theta: kit, which guides the search across the eyes when `rig_known`. matching: a
     network's; None is Lucas-Kanade.
     """
     primary, assistant = split_eyes(hints)

@@ -17,11 +17,11 @@ PERIOD_S = 0.3
 
 
 def theta_of(hfov_deg=(76.0, 66.0), rotation_deg=(1.0, -3.7, 1.2), radial=(0.0, 0.0)) -> Float:
-    """(15,) a kit with two focals and 4 degrees between its eyes."""
+    """A kit with two focals and 4 degrees between its eyes."""
     theta = layout.prior(hfov_deg).mean
-    theta[[3, 7]] = radial
-    theta[8:11] = np.radians(rotation_deg)
-    theta[11:14] = np.array([0.99, 0.03, 0.1]) / np.linalg.norm([0.99, 0.03, 0.1])
+    theta[layout.RADIAL] = radial
+    theta[layout.RIG_ROTATION] = np.radians(rotation_deg)
+    theta[layout.RIG_CENTRE] = np.array([0.99, 0.03, 0.1]) / np.linalg.norm([0.99, 0.03, 0.1])
     return theta
 
 
@@ -83,7 +83,7 @@ def window(
     view, point = (index.ravel() for index in np.indices((2 * n, n_points)))
     every = problem.Measurements(
         view, point, np.zeros((len(view), 2)), np.full(len(view), 0.5),
-        np.repeat([0, 1], n), np.concatenate([t, t + delay_s - theta[layout.LATE]]), SIZE,
+        np.repeat([0, 1], n), np.concatenate([t, t + delay_s - theta[layout.TIME_OFFSET]]), SIZE,
     )  # fmt: skip
     truth = problem.State(T_c_s, X, theta)
     uv, q = problem.project(truth, every)
@@ -105,7 +105,9 @@ def perturbed(truth: problem.State, *, seed: int = 1, pose: float = 0.02, focal:
     twist[0] = 0
     twist[:, 3:] /= 4
     points = truth.points + pose * truth.points[:, 3:] * rng.standard_normal(truth.points.shape)
-    theta = truth.theta + np.r_[focal, 0, 0, 0, -focal, 0, 0, 0, pose * rng.standard_normal(6), 0]
-    theta[layout.CENTRE] /= np.linalg.norm(theta[layout.CENTRE])
+    theta = truth.theta.copy()
+    theta[layout.LOG_FOCAL] += focal, -focal
+    theta[layout.RIG] += pose * rng.standard_normal(6)
+    theta[layout.RIG_CENTRE] /= np.linalg.norm(theta[layout.RIG_CENTRE])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return problem.State(se3.exp(twist) @ truth.T_c_s, points, theta)

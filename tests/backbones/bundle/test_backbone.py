@@ -150,7 +150,7 @@ def test_a_straight_drive_knows_its_shape_but_says_it_does_not_know_the_focal(
 def sharp(log_focal, sigma):
     """A belief on the two focals alone."""
     mean, information = np.zeros(layout.SIZE), np.zeros((layout.SIZE, layout.SIZE))
-    focals = list(layout.LOG_FOCAL)
+    focals = layout.LOG_FOCAL
     mean[focals], information[focals, focals] = log_focal, sigma**-2
     return KitBelief(mean, information)
 
@@ -266,6 +266,6 @@ def test_belief_is_the_prior_times_what_others_taught(solved):
     )
     prior = layout.prior((78.0, None))
     assert np.allclose(told.information, prior.information + solved.kit.information)
-    assert np.linalg.norm(told.mean[11:14]) == pytest.approx(1, abs=1e-12)
+    assert np.linalg.norm(told.mean[layout.RIG_CENTRE]) == pytest.approx(1, abs=1e-12)
     alone = bundle.believed(Hints(eyes=np.array([0, 1]), t_ns=np.zeros(2, int)))
     assert np.array_equal(alone.mean, layout.prior((None, None)).mean)

@@ -24,8 +24,8 @@ def rotation_deg(T, T_true):
 def guess_of(truth, factor):
     """The truth's optics with both focals off by a factor, and nothing of the rig."""
     theta = layout.prior((None, None)).mean
-    theta[:8] = truth.theta[:8]
-    theta[list(layout.LOG_FOCAL)] += np.log(factor)
+    theta[layout.OPTICS] = truth.theta[layout.OPTICS]
+    theta[layout.LOG_FOCAL] += np.log(factor)
     return theta
 
 
@@ -72,7 +72,7 @@ def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
     assert rotation_deg(state.T_c_s, truth.T_c_s).max() < 10
     assert np.abs(np.diff(rotation_deg(state.T_c_s, truth.T_c_s)[:N])).max() < 3
     assert rotation_deg(layout.rig(state.theta), layout.rig(truth.theta)) < 2
-    assert np.linalg.norm(state.theta[11:14]) == pytest.approx(1)
+    assert np.linalg.norm(state.theta[layout.RIG_CENTRE]) == pytest.approx(1)
     # lengths are in spacings, so the distance driven tells whether the spacing was found
     driven, true = (np.linalg.norm(se3.inverse(T[[0, N - 1]])[1, :3, 3] - se3.inverse(T[0])[:3, 3])
                     for T in (state.T_c_s, truth.T_c_s))  # fmt: skip
@@ -97,7 +97,7 @@ def test_a_known_rig_is_kept_and_gives_the_unit(exact):
 
 def test_an_assistant_on_the_other_side_than_believed_is_said(exact):
     theta = exact.truth.theta.copy()
-    theta[11:14] *= -1
+    theta[layout.RIG_CENTRE] *= -1
     with pytest.raises(BackboneError, match=r"^bundle: the assistant is not where the kit says$"):
         initialise.initial_state(exact.m, theta, rig_known=True, seed_share=0.5)
 

@@ -26,8 +26,7 @@ def test_eliminating_points_is_the_schur_complement_of_the_whole():
     J = np.zeros((len(m.uv), 2, D + 3 * points))
     for o, (view, point) in enumerate(zip(m.view, m.point, strict=True)):
         J[o, :, 6 * view : 6 * view + 6] = jac.camera[:6, :, o].T
-        optics = 6 * n + 4 * m.eye[view]
-        J[o, :, optics : optics + 4] = jac.camera[6:, :, o].T
+        J[o, :, 6 * n + layout.OPTICS[m.eye[view]]] = jac.camera[6:, :, o]
         J[o, :, D + 3 * point : D + 3 * point + 3] = jac.point[:, :, o].T
     J = (J * (np.sqrt(weight) / m.sigma_px)[:, None, None]).reshape(-1, D + 3 * points)
     r = ((jac.predicted - m.uv) * (np.sqrt(weight) / m.sigma_px)[:, None]).ravel()
@@ -36,7 +35,8 @@ def test_eliminating_points_is_the_schur_complement_of_the_whole():
     for a in range(len(ties.alpha)):
         for k, view in enumerate((ties.before[a], ties.after[a], ties.assistant[a])):
             whole[a, :, 6 * view : 6 * view + 6] = tie_J[a, :, 6 * k : 6 * k + 6]
-        whole[a, :, D - 7 : D] = tie_J[a, :, 18:]
+        whole[a, :, 6 * n :][:, layout.RIG] = tie_J[a, :, 18:24]
+        whole[a, :, 6 * n + layout.TIME_OFFSET] = tie_J[a, :, 24]
     whole = whole.reshape(-1, D + 3 * points)
     A = J.T @ J + whole.T @ whole
     b = J.T @ r + whole.T @ residual.ravel()

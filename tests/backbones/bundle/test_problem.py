@@ -17,7 +17,7 @@ def seen():
     """A window with radial terms, off-centre optics and some points at or beyond infinity."""
     made = window(turn(4), theta_of(radial=(0.06, -0.04)), n_points=60)
     state = perturbed(made.truth)
-    state.theta[[1, 2, 5, 6]] = 0.01, -0.02, 0.015, 0.005
+    state.theta[layout.PRINCIPAL_POINT] = [0.01, -0.02], [0.015, 0.005]
     far = np.argsort(np.abs(state.points[:, 3]))[:4]
     state.points[far, 3] = [0, 0, -1e-4, 1e-5]
     state.points[:] /= np.linalg.norm(state.points, axis=1, keepdims=True)
@@ -50,8 +50,13 @@ def test_pixels_by_pose(seen):
 def test_pixels_by_optics_with_radial_term(seen):
     m, state = seen
     basis = problem.tangent_basis(state.points)
-    both = lambda d: np.r_[d, d, np.zeros(7)]  # noqa: E731
-    numeric = central_difference(lambda d: replace(state, theta=state.theta + both(d)), m, 4)
+
+    def stepped(d):
+        theta = state.theta.copy()
+        theta[layout.OPTICS] += d
+        return replace(state, theta=theta)
+
+    numeric = central_difference(stepped, m, layout.OPTICS.shape[1])
     assert_jacobian(problem.reprojection(state, m, basis).camera[6:], numeric)
 
 
@@ -133,7 +138,9 @@ def test_a_point_behind_its_view_is_told():
 def residuals(state: State, ties):
     T = state.T_c_s
     views = T[ties.before], T[ties.after], T[ties.assistant]
-    return problem.tie_residuals(*views, layout.rig(state.theta), state.theta[layout.LATE], ties)
+    return problem.tie_residuals(
+        *views, layout.rig(state.theta), state.theta[layout.TIME_OFFSET], ties
+    )
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.017, 0.12, -0.05])
@@ -177,9 +184,10 @@ def test_tie_derivatives_predict_the_residual_of_a_step():
     assert np.allclose(residual, residuals(state, ties))
     rng = np.random.default_rng(2)
     by_view, by_rig = 1e-5 * rng.normal(size=(8, 6)), 1e-5 * rng.normal(size=7)
-    stepped = State(
-        se3.exp(by_view) @ state.T_c_s, state.points, state.theta + np.r_[np.zeros(8), by_rig]
-    )
+    theta = state.theta.copy()
+    theta[layout.RIG] += by_rig[:6]
+    theta[layout.TIME_OFFSET] += by_rig[6]
+    stepped = State(se3.exp(by_view) @ state.T_c_s, state.points, theta)
     step = np.concatenate(
         [by_view[ties.before], by_view[ties.after], by_view[ties.assistant],
          np.tile(by_rig, (4, 1))], 1,

@@ -14,7 +14,7 @@ from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, windo
 N = 8
 PRIOR = layout.prior((None, None))
 VAGUE = KitBelief(PRIOR.mean, 1e-3 * PRIOR.information)
-FOCALS = list(layout.LOG_FOCAL)
+FOCALS = layout.LOG_FOCAL
 
 
 def evidence(made, tempering=1.0):
@@ -39,7 +39,7 @@ def test_exact_pixels_give_back_the_truth():
     assert np.abs(state.theta - truth.theta)[FOCALS].max() < 1e-4
     assert np.abs(state.T_c_s - truth.T_c_s).max() < 1e-4
     assert np.array_equal(state.T_c_s[0], truth.T_c_s[0])
-    assert np.linalg.norm(state.theta[11:14]) == pytest.approx(1, abs=1e-12)
+    assert np.linalg.norm(state.theta[layout.RIG_CENTRE]) == pytest.approx(1, abs=1e-12)
     assert solution.residual.max() < 1e-2
 
 
@@ -85,7 +85,7 @@ def test_a_step_that_lengthens_the_rig_rescales_the_scene_instead():
     made = window(turn(3), theta_of(), n_points=25)
     n = made.m.n_views
     delta = np.zeros(6 * n + layout.SIZE)
-    delta[6 * n :][layout.CENTRE] = 0.25 * made.truth.theta[layout.CENTRE]
+    delta[6 * n :][layout.RIG_CENTRE] = 0.25 * made.truth.theta[layout.RIG_CENTRE]
     still = np.zeros((len(made.truth.points), 3))
     state = solver._step(made.truth, n, delta, still)
     assert np.allclose(state.theta, made.truth.theta)
@@ -152,7 +152,7 @@ def test_evidence_takes_the_last_step_to_the_optimum_itself():
     belief = solver.kit_evidence(solution, made.m, made.ties, 1e3, 1.0)
     off, was_off = (np.abs(theta - made.truth.theta) for theta in (belief.mean, start.theta))
     assert off[FOCALS].max() < 0.2 * was_off[FOCALS].max()
-    assert off[8:11].max() < 0.2 * was_off[8:11].max()
+    assert off[layout.RIG_ROTATION].max() < 0.2 * was_off[layout.RIG_ROTATION].max()
 
 
 def test_tempering_scales_the_information_and_not_the_mean(curved):
@@ -177,7 +177,7 @@ def changing_speed(n):
 
 def test_lateness_shows_where_the_speed_changes_and_not_at_constant_velocity():
     theta = theta_of()
-    theta[layout.LATE] = 0.02
+    theta[layout.TIME_OFFSET] = 0.02
     sigmas = []
     for T_s_p in (
         changing_speed(N),
@@ -187,6 +187,11 @@ def test_lateness_shows_where_the_speed_changes_and_not_at_constant_velocity():
         start = replace(made.truth, theta=theta_of())
         solution = solver.solve(start, made.m, made.ties, PRIOR)
         belief = product([PRIOR, solver.kit_evidence(solution, made.m, made.ties, 2.0, 1.0)])
-        sigmas.append(np.sqrt(np.linalg.inv(belief.information)[layout.LATE, layout.LATE]))
-        assert abs(belief.mean[layout.LATE] - 0.02) < 4 * sigmas[-1]
-    assert sigmas[0] < 0.3 * layout.LATE_SIGMA_S and sigmas[1] > 0.8 * layout.LATE_SIGMA_S
+        sigmas.append(
+            np.sqrt(np.linalg.inv(belief.information)[layout.TIME_OFFSET, layout.TIME_OFFSET])
+        )
+        assert abs(belief.mean[layout.TIME_OFFSET] - 0.02) < 4 * sigmas[-1]
+    assert (
+        sigmas[0] < 0.3 * layout.TIME_OFFSET_SIGMA_S
+        and sigmas[1] > 0.8 * layout.TIME_OFFSET_SIGMA_S
+    )

@@ -131,6 +131,6 @@ def test_derivatives_of_corrected_ties_predict_a_step():
     ties = stamps.corrected(made.ties, state)
     residual, J = problem.tie_jacobians(state, ties)
     later = state.theta.copy()
-    later[layout.LATE] += 1e-6
+    later[layout.TIME_OFFSET] += 1e-6
     change = problem.tie_jacobians(replace(state, theta=later), ties)[0] - residual
     assert np.allclose(J[..., -1] * 1e-6, change, atol=1e-3 * np.abs(change).max())
