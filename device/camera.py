@@ -1,4 +1,4 @@
-"""The contract of every camera driver, and the table that finds one by name."""
+"""Interface of camera drivers, and their registry by name."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ AUTO, AUTO_THEN_LOCK, LOCK = "auto", "auto-then-lock", "lock"
 
 @dataclass(frozen=True, slots=True)
 class CameraControls:
-    """What a camera may change by itself, each a number or a word.
+    """Requested mode or value of each automatic camera control.
 
-    `auto`: the camera's business. `auto-then-lock`: so for two seconds, then held. `lock`: held as
-    it stands when the camera is opened. A number is set and held: exposure_us in microseconds, gain
-    in the driver's unit (ISO for OAK), white_balance_k in kelvin, focus in the driver's unit.
-    A lost camera comes back with what it was held at. Raises CameraError for another word.
+    `auto`: the camera adjusts it. `auto-then-lock`: adjusted for two seconds, then locked. `lock`:
+    locked at its value when the camera is opened. A number is set and locked: exposure_us in
+    microseconds, gain in the driver's unit (ISO for OAK), white_balance_k in kelvin, focus in the
+    driver's unit. Locked values are restored after a reconnect. Raises CameraError for another
+    word.
     """
 
     exposure_us: int | str = AUTO
@@ -42,10 +43,10 @@ class CameraControls:
 
 @dataclass(frozen=True, slots=True)
 class CameraSpec:
-    """Which camera is which eye, and what is asked of it.
+    """Which device serves as which eye, and the requested image mode.
 
-    address: the driver's own way to name a device. width_px, height_px, rate_hz are requests:
-    the camera may settle on its nearest. stale_after_ms: silence after which it is stale.
+    address: in the syntax of the driver. width_px, height_px, rate_hz: requests; the camera
+    may choose its nearest mode. stale_after_ms: time without a frame after which it is stale.
     """
 
     eye: Eye
@@ -59,17 +60,18 @@ class CameraSpec:
 
     @property
     def name(self) -> str:
-        """How messages name it: `primary camera v4l2:usb-1`."""
+        """Name for messages, such as `primary camera v4l2:usb-1`."""
         return f"{self.eye.name.lower()} camera {self.driver}:{self.address}"
 
 
 @dataclass(frozen=True, slots=True)
 class CameraStats:
-    """Counts since start().
+    """Counters since start().
 
-    frames: handed over. drops: missing by their sequence number. clamped: stamps moved, being
-    in the future or not after their predecessor. reconnects: times a lost camera came back.
-    host_stamped: stamped when read, for want of a usable device stamp. corrupt: unusable buffers.
+    frames: delivered. drops: gaps in the sequence numbers. clamped: stamps corrected because
+    they were in the future or not after the preceding one. reconnects: of a lost camera.
+    host_stamped: frames stamped on arrival, having no usable device stamp. corrupt: buffers
+    that could not be used.
     """
 
     frames: int = 0
@@ -82,9 +84,11 @@ class CameraStats:
 
 @dataclass(frozen=True, slots=True)
 class FoundCamera:
-    """A camera that is there. address: as written into `capture.primary`. path: its place just
-    now. formats: format -> sizes and rates; controls: name -> value and range; both empty where
-    they were not asked for. note: why it cannot be used just now.
+    """A camera that is plugged in.
+
+    address: as written into `capture.primary`. path: its current device node. formats: format ->
+    sizes and rates; controls: name -> value and range; both empty unless requested. note: why it
+    cannot be used at present, else empty.
     """
 
     address: str
@@ -97,43 +101,43 @@ class FoundCamera:
 
 
 class Camera(Protocol):
-    """A source of frames, read and stopped by one thread."""
+    """A source of frames. One thread reads and stops it."""
 
     spec: CameraSpec
 
     def start(self) -> None:
-        """Opens the camera; raises CameraError. A second start is no change."""
+        """Open the camera; raises CameraError. Does nothing if already started."""
         ...
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next frame in order, stamps strictly increasing; None after timeout_s without one.
+        """Return the next frame, or None if there is none within timeout_s or after stop().
 
-        A camera that was unplugged gives None and is looked for again; after stop() None.
+        Stamps strictly increase. An unplugged camera yields None until it is found again.
         """
         ...
 
     def latest(self, max_age_ns: int) -> Frame | None:
-        """The newest frame there is, passing over older ones; None if older than max_age_ns."""
+        """Return the newest frame and discard older ones; None if older than max_age_ns."""
         ...
 
     def stop(self) -> None:
-        """Closes the camera; may be called again, and before start()."""
+        """Close the camera; may be called repeatedly, and before start()."""
         ...
 
     def stats(self) -> CameraStats:
-        """The counts so far."""
+        """Return the counters."""
         ...
 
     @property
     def settings(self) -> Mapping[str, int | float | str]:
-        """What the camera settled on, read back: format, size, rate, controls; empty before
-        start(), and of a replay.
+        """Format, size, rate and controls as read back from the camera; empty before start() and
+        for a replay.
         """
         ...
 
     @property
     def remarks(self) -> Sequence[str]:
-        """What the camera does not do as asked, a line each; grows, and no line comes twice."""
+        """Requests that the camera did not fulfil, one line each, without repetition."""
         ...
 
     @property
@@ -143,7 +147,7 @@ class Camera(Protocol):
 
     @property
     def exhausted(self) -> bool:
-        """True when no frame will ever come again: a replay that ended. Never, of a live one."""
+        """True once a replay has ended; always False for a live camera."""
         ...
 
 
@@ -153,7 +157,7 @@ DRIVERS: dict[str, tuple[str, str]] = {
     "v4l2": ("device.drivers.v4l2", "V4l2Camera"),
 }
 
-# driver -> what lists its cameras; a replay has none to list
+# driver -> function that lists its cameras; a replay has none to list
 DISCOVERERS: dict[str, tuple[str, str]] = {
     "v4l2": ("device.drivers.v4l2_nodes", "discover"),
     "oak": ("device.drivers.oak", "discover"),
@@ -161,34 +165,37 @@ DISCOVERERS: dict[str, tuple[str, str]] = {
 
 
 def parse_address(text: str) -> tuple[str, str]:
-    """`driver:address` -> (driver, address); raises CameraError for an unknown driver."""
+    """Split `driver:address`; raises CameraError for an unknown driver."""
     driver, _, address = text.partition(":")
     if driver not in DRIVERS:
-        raise CameraError(f"camera {text!r}: unknown driver {driver!r}; known: {_known()}")
+        raise CameraError(f"camera {text!r}: unknown driver {driver!r}; use one of {_known()}")
     return driver, address
 
 
 def open_camera(spec: CameraSpec, clock: Clock, **options: Any) -> Camera:
-    """The camera of a spec, not yet started; options go to its driver. Raises CameraError."""
+    """Create the camera of a spec without starting it; raises CameraError.
+
+    options: passed to the driver's constructor.
+    """
     if spec.driver not in DRIVERS:
-        raise CameraError(f"{spec.name}: unknown driver {spec.driver!r}; known: {_known()}")
+        raise CameraError(f"{spec.name}: unknown driver {spec.driver!r}; use one of {_known()}")
     module, name = DRIVERS[spec.driver]
     return cast(Camera, getattr(importlib.import_module(module), name)(spec, clock, **options))
 
 
 def discover(details: bool = True) -> tuple[list[FoundCamera], list[str]]:
-    """Every camera of every driver, and a line for each driver that could not look.
+    """List the cameras of every driver; also one error line for each driver that failed.
 
-    details: formats and controls too, which takes longer and opens each camera.
+    details: list formats and controls too, which takes longer and opens each camera.
     """
     found: list[FoundCamera] = []
-    troubles: list[str] = []
+    errors: list[str] = []
     for module, name in DISCOVERERS.values():
         try:
             found += getattr(importlib.import_module(module), name)(details=details)
         except CameraError as error:
-            troubles.append(str(error))
-    return found, troubles
+            errors.append(str(error))
+    return found, errors
 
 
 def _known() -> str:

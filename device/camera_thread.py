@@ -1,4 +1,4 @@
-"""One thread a camera: frames are collected when they come and handed over when asked."""
+"""A thread per camera that queues its frames until they are drained."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 
 
 class CameraState(StrEnum):
-    """failed: the thread ended on an error; finished: on the end of the frames."""
+    """State of a camera thread. FINISHED: a replay ended. FAILED: the thread ended on an error."""
 
     RUNNING = "running"
     FINISHED = "finished"
@@ -25,10 +25,10 @@ class CameraState(StrEnum):
 
 
 class CameraThread:
-    """Reads a live or paced camera into a bounded queue; its oldest frame gives way when full.
+    """Read a live or paced camera into a bounded queue that drops its oldest frame when full.
 
-    For frames as fast as asked (lockstep) read the camera itself: here they would overflow.
-    realtime_priority: see `realtime.request`; a refusal is logged and changes nothing else.
+    In lockstep read the camera directly: an unpaced replay would overflow the queue.
+    realtime_priority: as in `realtime.request`; if refused, a warning is logged.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class CameraThread:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Opens the camera here, so that CameraError reaches the caller, then starts to read."""
+        """Open the camera in the calling thread (raises CameraError), then start reading."""
         self.camera.start()
         self.state = CameraState.RUNNING
         name = f"camera-{self.camera.spec.eye.name.lower()}"
@@ -60,19 +60,19 @@ class CameraThread:
 
     @property
     def waiting(self) -> int:
-        """Frames collected and not yet drained."""
+        """Number of queued frames."""
         with self._lock:
             return len(self._queue)
 
     def drain(self) -> list[Frame]:
-        """Every frame since the last drain, in order."""
+        """Return all frames since the last call, in order."""
         with self._lock:
             frames = list(self._queue)
             self._queue.clear()
         return frames
 
     def stop(self) -> None:
-        """Ends the thread and closes the camera; frames already collected can still be drained."""
+        """End the thread and close the camera; queued frames can still be drained."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -93,11 +93,11 @@ class CameraThread:
                     self.state = CameraState.FINISHED
                     return
         except Exception as error:
-            # whatever one camera does, the other camera, the recording and the pose go on
-            named = isinstance(error, DeviceError)
-            self.error = str(error) if named else f"{self.camera.spec.name}: {error!r}"
+            # an error in one camera must not stop the other, the recording or the pose
+            expected = isinstance(error, DeviceError)
+            self.error = str(error) if expected else f"{self.camera.spec.name}: {error!r}"
             self.state = CameraState.FAILED
-            if not named:
+            if not expected:
                 log.exception("%s: the camera thread ended", self.camera.spec.name)
         finally:
             self.camera.stop()

@@ -1,4 +1,4 @@
-"""Time as an argument: a clock to read and sleep on, and the keeper of a fixed rate."""
+"""Clocks that can be read and slept on, and a fixed-rate loop timer."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ NS_PER_S = 1_000_000_000
 
 
 class Clock(Protocol):
-    """Host-monotonic nanoseconds."""
+    """A clock in host-monotonic nanoseconds, passed as an argument so that tests can replace it."""
 
     def now_ns(self) -> int:
-        """The time now."""
+        """Return the current time."""
         ...
 
     def sleep_until_ns(self, t_ns: int) -> None:
-        """Returns once now_ns() >= t_ns; at once when that is already so."""
+        """Sleep until now_ns() >= t_ns; return at once if that holds already."""
         ...
 
 
 class SystemClock:
-    """CLOCK_MONOTONIC, the clock the kernel stamps video buffers with."""
+    """CLOCK_MONOTONIC, the clock with which the kernel stamps video buffers."""
 
     def now_ns(self) -> int:
         return time.monotonic_ns()
@@ -35,7 +35,7 @@ class SystemClock:
 
 
 class ManualClock:
-    """A clock that only moves when someone sleeps on it or advances it."""
+    """A clock for tests: it advances only by sleep_until_ns() and advance()."""
 
     def __init__(self, now_ns: int = 0) -> None:
         self._now_ns = now_ns
@@ -47,13 +47,14 @@ class ManualClock:
         self._now_ns = max(self._now_ns, t_ns)
 
     def advance(self, duration_ns: int) -> None:
-        """Time passes: duration_ns >= 0."""
+        """Advance the clock by duration_ns >= 0."""
         self._now_ns += duration_ns
 
 
 class RateKeeper:
-    """A loop at `hz` on absolute deadlines: lateness never accumulates, and a stall is not
-    made up by a burst. Deadlines that passed during a stall are counted in `skipped`.
+    """Time a loop at `hz` by absolute deadlines, so that delays do not accumulate.
+
+    Deadlines that pass during a stall are counted in `skipped` and not made up for in a burst.
     """
 
     _WINDOW = 20
@@ -61,7 +62,7 @@ class RateKeeper:
 
     def __init__(self, clock: Clock, hz: float) -> None:
         if not hz > 0:
-            raise DeviceError(f"rate of {hz} Hz: must be above 0")
+            raise DeviceError(f"loop rate {hz} Hz: must be above 0")
         self.period_ns = round(NS_PER_S / hz)
         self.skipped = 0
         self._clock = clock
@@ -70,11 +71,11 @@ class RateKeeper:
 
     @property
     def lagging(self) -> bool:
-        """More than a tenth of the last 20 ticks did not fit into their period."""
+        """True if the loop body overran its period in more than 2 of the last 20 ticks."""
         return sum(self._late) > self._LATE_SHARE * self._WINDOW
 
     def wait(self) -> int:
-        """Sleeps to the next deadline; returns how many ns after it the caller wakes."""
+        """Sleep until the next deadline; return how many ns after it the call returned."""
         self._late.append(self._clock.now_ns() > self._deadline_ns)
         self._clock.sleep_until_ns(self._deadline_ns)
         lateness_ns = self._clock.now_ns() - self._deadline_ns

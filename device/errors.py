@@ -1,11 +1,11 @@
-"""What hardware can do to us. The text is one line: the device, the fault, the mend."""
+"""Errors of hardware. The text is one line that names the device, the fault and the remedy."""
 
 from __future__ import annotations
 
 
 class DeviceError(Exception):
-    """A device that cannot be used as asked."""
+    """A device cannot be used as requested."""
 
 
 class CameraError(DeviceError):
-    """A camera that cannot be found, opened or configured."""
+    """A camera cannot be found, opened or configured."""

@@ -1,4 +1,4 @@
-"""A picture and the moment it was taken: the one thing every camera driver produces."""
+"""A timestamped image: what every camera driver produces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 class Eye(IntEnum):
-    """Which of the two cameras: the primary carries the trajectory, the assistant the scale."""
+    """The two cameras: the primary carries the trajectory, the assistant the scale."""
 
     PRIMARY = 0
     ASSISTANT = 1
@@ -25,16 +25,16 @@ _GRAY = {
 
 
 class UnreadableImage(ValueError):
-    """The bytes of a frame are not a picture OpenCV can decode."""
+    """OpenCV cannot decode the bytes of a frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One picture of one eye.
+    """One image of one camera.
 
-    sequence: counts the driver's frames, gaps mean drops.
-    t_ns: host-monotonic nanoseconds, of the exposure as far as the driver knows it.
-    image: (H, W, 3) uint8 BGR, or the camera's own JPEG bytes, untouched.
+    sequence: the driver's frame counter; a gap is a dropped frame.
+    t_ns: host-monotonic nanoseconds; the time of exposure where the driver can tell it.
+    image: (H, W, 3) uint8 BGR, or JPEG bytes exactly as the camera sent them.
     """
 
     eye: Eye
@@ -43,12 +43,12 @@ class Frame:
     image: NDArray[np.uint8] | bytes
 
     def bgr(self) -> NDArray[np.uint8]:
-        """The picture as (H, W, 3) uint8 BGR; raises UnreadableImage."""
+        """Decode to (H, W, 3) uint8 BGR; raises UnreadableImage."""
         return self._decode(cv2.IMREAD_COLOR)
 
     def gray(self, reduction: int = 1) -> NDArray[np.uint8]:
-        """The picture as (H, W) uint8, at a half or an eighth of its size when `reduction` is 2
-        or 8, which JPEG gives cheaply; raises UnreadableImage.
+        """Decode to (H, W) uint8 grey, at 1 / `reduction` (1, 2 or 8) of the size; raises
+        UnreadableImage. A JPEG is decoded at the reduced size, which is cheaper.
         """
         decoded = self._decode(_GRAY[reduction if isinstance(self.image, bytes) else 1])
         if isinstance(self.image, bytes) or reduction == 1:

@@ -1,17 +1,17 @@
-"""Real-time scheduling of the calling thread: capture keeps its beat when the processor is full."""
+"""Real-time scheduling of the calling thread, so that capture keeps its rate under CPU load."""
 
 from __future__ import annotations
 
 import os
 
-# RESET_ON_FORK: what a capturing thread starts later is ordinary again
+# RESET_ON_FORK: threads and processes started later run at normal priority
 _POLICY = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
 
 def request(priority: int) -> str | None:
-    """SCHED_FIFO at `priority` (1 to 99) for this thread alone; 0 changes nothing.
+    """Request SCHED_FIFO at `priority` (1 to 99) for the calling thread; 0 requests nothing.
 
-    Returns None when it was granted or not asked for, else one line saying why not, with the mend.
+    Returns None on success, else one line with the reason and the remedy. See sched(7).
     """
     if priority == 0:
         return None
@@ -19,7 +19,7 @@ def request(priority: int) -> str | None:
         os.sched_setscheduler(0, _POLICY, os.sched_param(priority))
     except PermissionError:
         return (
-            f"real-time priority {priority} was not granted: capture runs at ordinary priority; "
+            f"real-time priority {priority} was not granted: capture runs at normal priority; "
             "raise LimitRTPRIO= of the unit, or set capture.realtime_priority = 0"
         )
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A serial port that never blocks, never raises, and comes back by itself."""
+"""Non-blocking serial port that reopens itself after a failure and never raises."""
 
 from __future__ import annotations
 
@@ -18,9 +18,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class SerialStats:
-    """Whole messages written and dropped; reconnects: times the port was opened again; read:
-    bytes that came in.
-    """
+    """written, dropped: whole messages. reconnects: of the port. read: bytes received."""
 
     written: int = 0
     dropped: int = 0
@@ -29,10 +27,10 @@ class SerialStats:
 
 
 class SerialPort:
-    """Whole messages out, bytes in, by a thread of its own.
+    """Send whole messages and receive bytes in a thread of its own.
 
-    buffer_bytes: what may wait for a slow reader; beyond it the oldest message is dropped, for
-    a fresh pose is worth more. retry_s: between attempts to open a port that is not there.
+    buffer_bytes: capacity of the send queue; when it is full the oldest message is dropped, since
+    a fresh pose is worth more. retry_s: time between attempts to open a missing port.
     """
 
     _POLL_S = 0.1
@@ -48,7 +46,7 @@ class SerialPort:
         self._retry_s = retry_s
         self._queue: deque[bytes] = deque()
         self._queued_bytes = 0
-        self._rest = memoryview(b"")
+        self._unsent = memoryview(b"")
         self._written = self._dropped = self._opened = self._read = 0
         self._lock = threading.Lock()
         self._wake_fd = -1
@@ -59,13 +57,13 @@ class SerialPort:
 
     @property
     def connected(self) -> bool:
-        """The port is open as far as the last write knows."""
+        """True while the port is open."""
         return self._port is not None
 
     def start(self, on_bytes: Callable[[bytes], object] | None = None) -> None:
-        """Starts to write and to read; the port need not be there yet.
+        """Start the thread; the port need not exist yet.
 
-        on_bytes: called on the port's thread with what comes in, as it comes; it may write.
+        on_bytes: called on the port's thread with received bytes; it may call write().
         """
         self._on_bytes = on_bytes
         self._wake_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -73,7 +71,7 @@ class SerialPort:
         self._thread.start()
 
     def write(self, message: bytes) -> bool:
-        """Takes a message for sending, at once; False when it can never be taken."""
+        """Queue a message without blocking; False if it exceeds the queue or after stop()."""
         with self._lock:
             if len(message) > self._buffer_bytes or self._stopping.is_set():
                 self._dropped += 1
@@ -87,8 +85,9 @@ class SerialPort:
         return True
 
     def stop(self) -> None:
-        """What waits is sent if the reader takes it; ends within a third of a second whatever it
-        does; may be called again.
+        """Send what is queued if the receiver accepts it, then close, within a third of a second.
+
+        May be called repeatedly.
         """
         with self._lock:
             self._stopping.set()
@@ -100,7 +99,7 @@ class SerialPort:
             self._wake_fd = -1
 
     def stats(self) -> SerialStats:
-        """The counts so far."""
+        """Return the counters."""
         with self._lock:
             reconnects = max(0, self._opened - 1)
             return SerialStats(self._written, self._dropped, reconnects, self._read)
@@ -117,25 +116,25 @@ class SerialPort:
                     continue
                 self._exchange()
             limit = time.monotonic() + self._POLL_S
-            while self._port is not None and self._more() and time.monotonic() < limit:
+            while self._port is not None and self._has_output() and time.monotonic() < limit:
                 self._exchange()
         finally:
             self._close()
 
-    def _more(self) -> bool:
-        """Whether there is something to send; takes the next message when one is out."""
+    def _has_output(self) -> bool:
+        """Whether there are bytes to send; dequeues the next message once the last one is sent."""
         with self._lock:
-            if not self._rest and self._queue:
+            if not self._unsent and self._queue:
                 message = self._queue.popleft()
                 self._queued_bytes -= len(message)
-                self._rest = memoryview(message)
-        return bool(self._rest)
+                self._unsent = memoryview(message)
+        return bool(self._unsent)
 
     def _exchange(self) -> None:
-        """Waits until something can be done and does it: some bytes out, some in."""
+        """Wait until the port is ready (or for a while), then write and read some bytes."""
         try:
             fd = self._port.fileno()
-            out = [fd] if self._more() else []
+            out = [fd] if self._has_output() else []
             readable, writable, _ = select.select([fd, self._wake_fd], out, [], self._POLL_S)
             if self._wake_fd in readable:
                 os.eventfd_read(self._wake_fd)
@@ -149,10 +148,10 @@ class SerialPort:
 
     def _write_some(self, fd: int) -> None:
         try:
-            self._rest = self._rest[os.write(fd, self._rest) :]
+            self._unsent = self._unsent[os.write(fd, self._unsent) :]
         except BlockingIOError:
             return
-        if not self._rest:
+        if not self._unsent:
             with self._lock:
                 self._written += 1
 
@@ -162,7 +161,7 @@ class SerialPort:
         except BlockingIOError:
             return
         if not data:
-            # readable, and nothing there: the other end hung up
+            # readable without data: the other end hung up
             raise OSError("hung up")
         with self._lock:
             self._read += len(data)
@@ -170,7 +169,7 @@ class SerialPort:
             self._on_bytes(data)
 
     def _open(self) -> bool:
-        # here, not above: only a process with a port needs pyserial
+        # imported here: only a process that uses a port needs pyserial
         import serial
 
         try:
@@ -185,21 +184,21 @@ class SerialPort:
 
     def _close(self) -> None:
         port, self._port = self._port, None
-        if self._rest:
-            # of no use without its beginning
-            self._rest = memoryview(b"")
+        if self._unsent:
+            # the rest of a message is useless without its beginning
+            self._unsent = memoryview(b"")
             with self._lock:
                 self._dropped += 1
         if port is not None:
-            # each may fail on a vanished device, and the descriptor must not stay open
-            for step in (self._let_go, type(port).close):
+            # either may fail on a vanished device, and the descriptor must still be closed
+            for step in (self._flush_or_discard, type(port).close):
                 try:
                     step(port)
                 except (OSError, termios.error) as error:
                     log.debug("%s: close: %s", self.path, error)
 
-    def _let_go(self, port: Any) -> None:
-        """Bytes a stalled reader never takes are thrown away: the kernel would wait 30 s."""
+    def _flush_or_discard(self, port: Any) -> None:
+        """Discard bytes that the receiver does not take in time: close() would wait 30 s for it."""
         limit = time.monotonic() + self._POLL_S
         while port.out_waiting and time.monotonic() < limit:
             time.sleep(0.005)
@@ -207,7 +206,7 @@ class SerialPort:
             port.reset_output_buffer()
 
     def _report(self, error: str) -> None:
-        """Keeps the fault, and logs it when it is news."""
+        """Store the error, and log it if it differs from the last one."""
         if error != self.error:
             log.warning("%s; trying again every %g s", error, self._retry_s)
         self.error = error

@@ -1,4 +1,4 @@
-"""What the service manager is told: ready, alive, what we are doing, stopping; and its journal."""
+"""Messages to systemd: sd_notify(3) state, watchdog pings, and log lines for the journal."""
 
 from __future__ import annotations
 
@@ -12,39 +12,42 @@ from typing import Protocol
 log = logging.getLogger(__name__)
 
 IDENTIFIER = "calm-edge"
-# of the watchdog's interval, between two pings: a manager with a hundred a second to read falls
-# behind, and notices a hang late
-FEED_SHARE = 0.1
+# least time between two pings, as a share of the watchdog's interval: at a hundred pings a second
+# systemd falls behind and detects a hang late
+PING_SHARE = 0.1
 
 
 class Notifier(Protocol):
-    """One method a message; none of them raises or blocks."""
+    """Sender of messages to the service manager; no method raises or blocks.
+
+    watchdog_s: longest time allowed between two pings; None without a watchdog.
+    """
 
     watchdog_s: float | None
 
     def ready(self) -> None:
-        """Start-up is complete."""
+        """Report that start-up is complete."""
         ...
 
     def watchdog(self) -> None:
-        """Still alive. Only from the loop that just produced a frame or a pose."""
+        """Send a watchdog ping. Call it only from the loop that just delivered a frame or pose."""
         ...
 
     def status(self, text: str, state: str = "") -> None:
-        """One line for `systemctl status`.
+        """Set the line shown by `systemctl status`.
 
-        state: a word such as RUNNING; when it is another than the last one, the line also goes
-        into the journal, with the field CALM_EDGE_STATE.
+        state: a word such as RUNNING; when it changes, the line is also written to the journal,
+        with the field CALM_EDGE_STATE.
         """
         ...
 
     def stopping(self) -> None:
-        """A wanted shutdown has begun."""
+        """Report that an intended shutdown has begun."""
         ...
 
 
 class NullNotifier:
-    """No service manager started us."""
+    """Notifier for a process that no service manager started: does nothing."""
 
     watchdog_s: float | None = None
 
@@ -62,9 +65,10 @@ class NullNotifier:
 
 
 class SystemdNotifier:
-    """Tells systemd. watchdog_s: it kills us after this long without a ping, None if it does not.
+    """Notifier for systemd.
 
-    notify: `systemd.daemon.notify`. journal: `systemd.journal.send`, where there is a journal.
+    notify: `systemd.daemon.notify`. watchdog_s: systemd kills the process after this long without
+    a ping. journal: `systemd.journal.send`, None where stderr is not the journal.
     """
 
     def __init__(
@@ -76,47 +80,47 @@ class SystemdNotifier:
         self.watchdog_s = watchdog_s
         self._notify, self._journal = notify, journal
         self._status = self._state = ""
-        self._fed_s = float("-inf")
+        self._last_ping_s = float("-inf")
 
     def ready(self) -> None:
-        self._tell("READY=1")
+        self._send("READY=1")
 
     def watchdog(self) -> None:
         now_s = time.monotonic()
-        if now_s - self._fed_s >= FEED_SHARE * (self.watchdog_s or 0.0):
-            self._fed_s = now_s
-            self._tell("WATCHDOG=1")
+        if now_s - self._last_ping_s >= PING_SHARE * (self.watchdog_s or 0.0):
+            self._last_ping_s = now_s
+            self._send("WATCHDOG=1")
 
     def status(self, text: str, state: str = "") -> None:
         line = " ".join(text.split())
         if line != self._status:
-            self._tell(f"STATUS={line}")
+            self._send(f"STATUS={line}")
             self._status = line
         if state and state != self._state:
             self._state = state
-            self._note(line, state)
+            self._write_journal(line, state)
 
     def stopping(self) -> None:
-        self._tell("STOPPING=1")
+        self._send("STOPPING=1")
 
-    def _tell(self, message: str) -> None:
+    def _send(self, message: str) -> None:
         try:
             self._notify(message)
         except OSError as error:
-            log.debug("service manager does not listen: %s", error)
+            log.debug("notification to systemd failed: %s", error)
 
-    def _note(self, line: str, state: str) -> None:
+    def _write_journal(self, line: str, state: str) -> None:
         if self._journal is None:
             return
         fields = {"CALM_EDGE_STATE": state, "SYSLOG_IDENTIFIER": IDENTIFIER}
         try:
             self._journal(line, PRIORITY=LOG_NOTICE, **fields)
         except OSError as error:
-            log.debug("the journal does not listen: %s", error)
+            log.debug("writing to the journal failed: %s", error)
 
 
 def _watchdog_s() -> float | None:
-    """WATCHDOG_USEC, when it is meant for this process."""
+    """Watchdog interval from WATCHDOG_USEC, if it is set for this process."""
     if os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return None
     try:
@@ -126,7 +130,7 @@ def _watchdog_s() -> float | None:
 
 
 def _stderr_is_the_journal() -> bool:
-    """JOURNAL_STREAM names the device and inode of the stream that systemd connected to us."""
+    """True if stderr is the stream whose device and inode systemd gave in JOURNAL_STREAM."""
     try:
         stream = os.fstat(2)
     except OSError:
@@ -135,7 +139,7 @@ def _stderr_is_the_journal() -> bool:
 
 
 def open_notifier() -> Notifier:
-    """The service manager that started this process, or a null object when there is none."""
+    """Return a notifier for the service manager that started this process, if there is one."""
     if not os.environ.get("NOTIFY_SOCKET"):
         return NullNotifier()
     try:
@@ -148,8 +152,9 @@ def open_notifier() -> Notifier:
 
 
 def log_handler() -> logging.Handler:
-    """Where log lines go: to the journal, with level, module and the field CALM_EDGE_LOGGER, when
-    it is what listens to our stderr; to stderr otherwise.
+    """Return a log handler for the journal if stderr is connected to it, else for stderr.
+
+    Journal entries carry level, module and the field CALM_EDGE_LOGGER.
     """
     if _stderr_is_the_journal():
         try:
@@ -157,11 +162,11 @@ def log_handler() -> logging.Handler:
         except ImportError:
             return logging.StreamHandler()
         handler: logging.Handler = journal.JournalHandler(SYSLOG_IDENTIFIER=IDENTIFIER)
-        handler.addFilter(_name_the_logger)
+        handler.addFilter(_add_logger_field)
         return handler
     return logging.StreamHandler()
 
 
-def _name_the_logger(record: logging.LogRecord) -> bool:
+def _add_logger_field(record: logging.LogRecord) -> bool:
     record.CALM_EDGE_LOGGER = record.name
     return True

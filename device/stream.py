@@ -1,4 +1,4 @@
-"""The state every frame stream has: order of stamps and sequences, counts, the newest frame."""
+"""State common to all frame streams: counters, stamp order and the newest frame."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ Count = Literal["reconnects", "host_stamped", "corrupt"]
 
 
 class Stream:
-    """Owner of what one driver has seen so far."""
+    """Counters and newest frame of one driver, which keep its stamps increasing."""
 
     def __init__(self) -> None:
         self.stats = CameraStats()
         self.newest: Frame | None = None
 
     def count(self, what: Count) -> None:
-        """One more of it."""
+        """Increment a counter."""
         self.stats = dataclasses.replace(self.stats, **{what: getattr(self.stats, what) + 1})
 
     def admit(self, frame: Frame, now_ns: int | None) -> Frame:
-        """The frame as it may leave the driver: later than its predecessor, not after now_ns.
+        """Count a frame and clamp its stamp to lie after the preceding one and not after now_ns.
 
-        Drivers do stamp into the future (virtual ones by 178 ms): such stamps are moved and
-        counted, never asserted. now_ns None: the stamps are not of a running clock.
+        Some drivers stamp into the future (virtual ones by 178 ms); `clamped` counts these.
+        now_ns: None where the stamps are not of a running clock.
         """
         t_ns = frame.t_ns if now_ns is None else min(frame.t_ns, now_ns)
         drops = 0
@@ -44,7 +44,7 @@ class Stream:
         return self.newest
 
     def fresh(self, now_ns: int, max_age_ns: int) -> Frame | None:
-        """The newest frame, or None when it is older than max_age_ns: the staleness rule."""
+        """Return the newest frame, or None if it is older than max_age_ns."""
         if self.newest is None or now_ns - self.newest.t_ns > max_age_ns:
             return None
         return self.newest

@@ -1,4 +1,4 @@
-"""How hot the machine is, and whether the kernel holds its processor back."""
+"""Temperature of the computer and thermal throttling of its processor, from sysfs."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _PROCESSOR = ("processor", "cpufreq", "cpu")
 
 @dataclass(frozen=True, slots=True)
 class Thermal:
-    """celsius: of the hottest zone, None where none can be read; zone: its name.
+    """celsius: of the hottest zone, None if none can be read. zone: its name.
 
-    throttled: a cooling device of the processor is at work.
+    throttled: a cooling device of the processor is active.
     """
 
     celsius: float | None = None
@@ -26,13 +26,13 @@ class Thermal:
 
 
 class ThermalReader:
-    """Reads `thermal_zone*` and `cooling_device*` under `root`; never raises."""
+    """Reader of `thermal_zone*` and `cooling_device*` under `root`; never raises."""
 
     def __init__(self, root: Path = SYS_THERMAL) -> None:
         self._root = root
 
     def read(self) -> Thermal:
-        """As it is now."""
+        """Read all zones and cooling devices once."""
         celsius, zone = max(self._zones(), default=(None, ""))
         return Thermal(celsius, zone, any(self._throttling()))
 
@@ -46,22 +46,25 @@ class ThermalReader:
     def _throttling(self) -> Iterator[bool]:
         for device in self._root.glob("cooling_device*"):
             kind = _text(device / "type").lower().removeprefix("thermal-")
-            # idle ones say 0 or -1; fans cool without slowing anything
+            # idle ones report 0 or -1; fans do not slow the processor and are left out
             yield kind.startswith(_PROCESSOR) and (_number(device / "cur_state") or 0) > 0
 
 
 class ThermalWatch:
-    """Reads by a thread of its own: some sensors take many milliseconds to answer."""
+    """Read periodically in a thread of its own: some sensors take many milliseconds to answer.
+
+    latest: the last reading.
+    """
 
     def __init__(self, reader: ThermalReader, period_s: float) -> None:
         self._reader, self._period_s = reader, period_s
         self._stopping = threading.Event()
-        # replaced whole, so that whoever reads it needs no lock
+        # replaced as a whole, so that readers need no lock
         self.latest = Thermal()
         threading.Thread(target=self._run, name="thermal", daemon=True).start()
 
     def stop(self) -> None:
-        """Ends the thread after the reading that is under way; does not wait for it."""
+        """Stop the thread after the current reading, without waiting for it."""
         self._stopping.set()
 
     def _run(self) -> None:

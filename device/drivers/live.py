@@ -1,4 +1,4 @@
-"""What every live camera does alike: order, counts, silence, locking, and a way back when lost."""
+"""Base class of live cameras: reading, reconnecting, delayed locking of controls, counters."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from device.stream import Stream
 log = logging.getLogger(__name__)
 
 _RETRY_NS = NS_PER_S
-# exposure and focus have found their values by then
+# time for automatic exposure and focus to converge before they are locked
 _SETTLE_NS = 2 * NS_PER_S
-# a camera that streams and sends nothing is opened anew: its firmware has hung
+# a streaming camera without frames for this long is reopened: its firmware has hung
 _SILENT_NS = 3 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
-    """What a driver fetched. sequence: as the device counts; it may begin anew when reopened.
+class RawFrame:
+    """Frame as read from the device.
 
-    t_ns: None without a usable stamp. image: as in Frame, None of an unusable buffer.
+    sequence: the device's counter, which may restart when the device is reopened. t_ns: None
+    without a usable stamp. image: as in Frame; None if the buffer was unusable.
     """
 
     sequence: int
@@ -39,9 +40,9 @@ class Taken:
 
 
 class LiveCamera(ABC):
-    """A Camera on a device that may be lost: it is looked for by its identity each second.
+    """A Camera on a device that may be unplugged; a lost one is searched for every second.
 
-    clock: CLOCK_MONOTONIC, which the stamps are told on.
+    clock: CLOCK_MONOTONIC, the clock of the stamps.
     """
 
     exhausted = False
@@ -53,7 +54,7 @@ class LiveCamera(ABC):
         self._is_open = False
         self._retry_ns = 0
         self._settle_ns: int | None = None
-        self._heard_ns = 0
+        self._last_frame_ns = 0
         self._sequence_offset = 0
         self._needs_offset = False
         self._remarks: tuple[str, ...] = ()
@@ -61,28 +62,28 @@ class LiveCamera(ABC):
 
     @abstractmethod
     def _open(self) -> None:
-        """Finds the device by its identity and starts it; raises CameraError."""
+        """Find the device by its identity and start streaming; raises CameraError."""
 
     @abstractmethod
     def _close(self) -> None:
-        """Lets go of the device; may be repeated."""
+        """Release the device; may be called repeatedly."""
 
     @abstractmethod
-    def _take(self, timeout_s: float) -> Taken | None:
-        """The next picture, None after timeout_s; raises CameraError when the device is lost."""
+    def _read_device(self, timeout_s: float) -> RawFrame | None:
+        """Return the next image, None after timeout_s; raises CameraError if the device is lost."""
 
     @abstractmethod
-    def _settle(self) -> bool:
-        """Locks what was to find its value first; whether there was anything to lock."""
+    def _lock_settled(self) -> bool:
+        """Lock the `auto-then-lock` controls; False if there are none to lock."""
 
     @property
     @abstractmethod
     def settings(self) -> Mapping[str, int | float | str]:
-        """What the device settled on, read back when it was last opened or locked."""
+        """Mode and controls as read back when the device was last opened or locked."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the device does not do as asked, since start()."""
+        """Requests that the device did not fulfil since start()."""
         return self._remarks
 
     @property
@@ -91,14 +92,14 @@ class LiveCamera(ABC):
         return self._is_open
 
     def start(self) -> None:
-        """Finds the device, opens it and starts the stream; raises CameraError."""
+        """Find and open the device and start streaming; raises CameraError."""
         if self._running:
             return
         self._connect()
         self._running = True
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next frame; while the device is gone it is looked for each second."""
+        """Return the next frame; while the device is lost, search for it every second."""
         limit_ns = self._clock.now_ns() + math.floor(timeout_s * NS_PER_S)
         while self._running:
             left_ns = max(0, limit_ns - self._clock.now_ns())
@@ -111,30 +112,30 @@ class LiveCamera(ABC):
         return None
 
     def latest(self, max_age_ns: int) -> Frame | None:
-        """The newest frame in the driver's buffers, or the last one read while it is fresh."""
+        """Return the newest buffered frame, or else the last one read if it is recent enough."""
         while self.read(0.0) is not None:
             pass
         return self._stream.fresh(self._clock.now_ns(), max_age_ns) if self._running else None
 
     def stop(self) -> None:
-        """Stops the stream and closes the device."""
+        """Stop streaming and close the device."""
         self._running = False
         self._disconnect()
 
     def stats(self) -> CameraStats:
-        """The counts so far."""
+        """Return the counters."""
         return self._stream.stats
 
     def _remark(self, line: str) -> None:
-        """Once, however often the camera comes back."""
+        """Add a remark, unless an earlier connection has added it already."""
         if line not in self._remarks:
             self._remarks += (line,)
 
     def _connect(self) -> None:
         self._open()
         self._is_open = self._needs_offset = True
-        self._heard_ns = self._clock.now_ns()
-        self._settle_ns = self._heard_ns + _SETTLE_NS
+        self._last_frame_ns = self._clock.now_ns()
+        self._settle_ns = self._last_frame_ns + _SETTLE_NS
         log.info("%s: %s", self.spec.name, self._described())
 
     def _described(self) -> str:
@@ -155,39 +156,39 @@ class LiveCamera(ABC):
             self._retry_ns = self._clock.now_ns() + _RETRY_NS
             return
         self._stream.count("reconnects")
-        log.info("%s: is back", self.spec.name)
+        log.info("%s: reconnected", self.spec.name)
 
     def _read_once(self, timeout_s: float) -> Frame | None:
         now_ns = self._clock.now_ns()
         try:
             if self._settle_ns is not None and now_ns >= self._settle_ns:
                 self._settle_ns = None
-                if self._settle():
+                if self._lock_settled():
                     log.info("%s: locked: %s", self.spec.name, self._described())
-            patience_s = (self._heard_ns + _SILENT_NS - now_ns) / NS_PER_S
-            taken = self._take(max(0.0, min(timeout_s, patience_s)))
+            left_s = (self._last_frame_ns + _SILENT_NS - now_ns) / NS_PER_S
+            raw = self._read_device(max(0.0, min(timeout_s, left_s)))
             now_ns = self._clock.now_ns()
-            if taken is None and now_ns - self._heard_ns >= _SILENT_NS:
-                raise CameraError(f"{self.spec.name}: silent for {_SILENT_NS / NS_PER_S:g} s")
+            if raw is None and now_ns - self._last_frame_ns >= _SILENT_NS:
+                raise CameraError(f"{self.spec.name}: no frame for {_SILENT_NS / NS_PER_S:g} s")
         except CameraError as error:
-            log.warning("%s; looking for it every second", error)
+            log.warning("%s; searching for it every second", error)
             self._disconnect()
             self._retry_ns = self._clock.now_ns() + _RETRY_NS
             return None
-        if taken is None:
+        if raw is None:
             return None
-        self._heard_ns = now_ns
-        if taken.image is None:
+        self._last_frame_ns = now_ns
+        if raw.image is None:
             self._stream.count("corrupt")
             return None
-        if taken.t_ns is None:
+        if raw.t_ns is None:
             self._stream.count("host_stamped")
-        t_ns = now_ns if taken.t_ns is None else taken.t_ns
-        frame = Frame(self.spec.eye, self._sequence(taken.sequence), t_ns, taken.image)
+        t_ns = now_ns if raw.t_ns is None else raw.t_ns
+        frame = Frame(self.spec.eye, self._sequence(raw.sequence), t_ns, raw.image)
         return self._stream.admit(frame, now_ns)
 
     def _sequence(self, sequence: int) -> int:
-        """Counts on after a reconnect, where the device begins at 0 again."""
+        """Continue the count after a reconnect, where the device restarts at 0."""
         if self._needs_offset:
             newest = self._stream.newest
             self._sequence_offset = newest.sequence + 1 - sequence if newest else 0

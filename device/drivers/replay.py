@@ -1,4 +1,4 @@
-"""Plays any frames as if a camera took them now: recordings, demos, tests, with faults to order."""
+"""Replay of recorded or generated frames as a camera, optionally with injected faults."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ Interval = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class ReplayFaults:
-    """What goes wrong during a replay. Times are ns after the epoch; intervals [from, to).
+    """Faults to inject. Times are ns after the replay's epoch; intervals [from, to).
 
-    drop: probability that a frame is lost. freeze: no frames, the camera stays connected.
-    jitter_ns: one sigma of noise on the stamps. disconnect: the camera is gone, then back.
+    drop: probability that a frame is lost. freeze: interval without frames while connected.
+    jitter_ns: standard deviation of the noise on the stamps. disconnect: interval in which the
+    camera is unplugged.
     """
 
     drop: float = 0.0
@@ -38,13 +39,14 @@ def _inside(interval: Interval | None, t_ns: int) -> bool:
 
 
 class ReplayCamera:
-    """Frames on a clock.
+    """A Camera that plays given frames.
 
-    frames: of the spec's eye, in order of time; read one by one as they are needed.
-    paced: each is handed over when it is due, its stamp moved so that epoch_ns, a stamp, falls
-    on origin_ns, a time of the clock. Not paced: as fast as asked, stamps as they are.
-    epoch_ns: the start of the timeline, by default the first frame. origin_ns: by default the
-    moment of start(). Two replays that are given the same two share one timeline.
+    frames: of the spec's eye, in order of time; iterated lazily.
+    paced: deliver each frame when it is due, its stamp shifted by origin_ns - epoch_ns. Not
+    paced: deliver as fast as read() is called, with the original stamps.
+    epoch_ns: the stamp at which the replay starts, by default the first frame's. origin_ns: the
+    time of `clock` to which it is mapped, by default that of start(). Replays with equal
+    epoch_ns and origin_ns are synchronous.
     """
 
     def __init__(
@@ -75,34 +77,34 @@ class ReplayCamera:
 
     @property
     def exhausted(self) -> bool:
-        """True once a read has found the end."""
+        """True once read() has reached the end of the frames."""
         return self._exhausted
 
     @property
     def settings(self) -> dict[str, int | float | str]:
-        """None: what was recorded is as it is."""
+        """Empty: a replay has no settings."""
         return {}
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """None: nothing was asked of it."""
+        """Empty: a replay fulfils no requests."""
         return ()
 
     @property
     def connected(self) -> bool:
-        """False inside the disconnect interval."""
+        """False in the disconnect interval."""
         if not (self._running and self._paced and self._origin_ns is not None):
             return self._running
         return not _inside(self._faults.disconnect, self._clock.now_ns() - self._origin_ns)
 
     def start(self) -> None:
-        """The origin of the timeline, unless it was given, is now."""
+        """Start the replay; the current time becomes origin_ns unless that was given."""
         if self._origin_ns is None:
             self._origin_ns = self._clock.now_ns()
         self._running = True
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next frame, waiting for it to be due; raises CameraError for another eye's frame."""
+        """Return the next frame once it is due; raises CameraError for the other eye's frame."""
         if not self._running:
             return None
         limit_ns = self._clock.now_ns() + math.floor(timeout_s * NS_PER_S)
@@ -124,7 +126,7 @@ class ReplayCamera:
         return self._stream.admit(frame, self._clock.now_ns() if self._paced else None)
 
     def latest(self, max_age_ns: int) -> Frame | None:
-        """The newest frame that is due. Not paced: the next one, whatever its age."""
+        """Return the newest frame that is due; if not paced, the next one regardless of age."""
         if not self._paced:
             return self.read(0.0)
         while self.read(0.0) is not None:
@@ -132,22 +134,23 @@ class ReplayCamera:
         return self._stream.fresh(self._clock.now_ns(), max_age_ns) if self._running else None
 
     def stop(self) -> None:
-        """The frames not yet read stay unread."""
+        """End the replay; the remaining frames are not read."""
         self._running = False
 
     def stats(self) -> CameraStats:
-        """The counts so far."""
+        """Return the counters."""
         return self._stream.stats
 
     def _next(self) -> Frame | None:
-        """The next frame the faults let through, on the timeline it is handed over in."""
+        """Next frame that passes the injected faults, with its stamp shifted and jittered."""
         faults = self._faults
         for frame in self._frames:
             if frame.eye is not self.spec.eye:
                 raise CameraError(
-                    f"{self.spec.name}: was given a frame of the {frame.eye.name.lower()} camera"
+                    f"{self.spec.name}: got a frame of the {frame.eye.name.lower()} camera; "
+                    "give each replay the frames of its own eye"
                 )
-            # both drawn for every frame, so that one fault does not reshuffle the other
+            # draw both for every frame, so that one fault does not change the other's sequence
             lost = self._random.random() < faults.drop
             jitter_ns = round(self._random.normal() * faults.jitter_ns)
             if self._epoch_ns is None:

@@ -1,10 +1,10 @@
-"""Cameras of Linux: the buffer's own stamp, sequence and JPEG bytes."""
+"""Video4Linux2 cameras, with the stamp, sequence number and JPEG bytes of the driver's buffers."""
 
 from __future__ import annotations
 
 from device.camera import CameraSpec
 from device.clock import Clock
-from device.drivers.live import LiveCamera, Taken
+from device.drivers.live import LiveCamera, RawFrame
 from device.drivers.v4l2_controls import ControlKeeper
 from device.drivers.v4l2_device import VideoDevice
 from device.drivers.v4l2_ioctl import LinuxVideoIO, PixelFormat, VideoIO
@@ -13,9 +13,10 @@ from device.drivers.v4l2_pixels import decode
 
 
 class V4l2Camera(LiveCamera):
-    """spec.address: BUS_INFO, serial=..., empty, or /dev/videoN, resolved once to its bus.
+    """A Video4Linux2 camera.
 
-    io: the operating system.
+    spec.address: BUS_INFO, serial=..., empty, or /dev/videoN, which is resolved to its bus on
+    opening. io: the system calls.
     """
 
     def __init__(self, spec: CameraSpec, clock: Clock, *, io: VideoIO | None = None) -> None:
@@ -28,12 +29,12 @@ class V4l2Camera(LiveCamera):
 
     @property
     def format(self) -> PixelFormat | None:
-        """What the camera settled on; None while it is not connected."""
+        """The negotiated pixel format and size; None while not connected."""
         return self._device.format if self._device else None
 
     @property
     def settings(self) -> dict[str, int | float | str]:
-        """Format, size, rate, node and controls."""
+        """Device, format, size, rate and controls as read back."""
         return self._settings | self._keeper.settings
 
     def _open(self) -> None:
@@ -42,21 +43,21 @@ class V4l2Camera(LiveCamera):
         self._identity = identity(self._identity, node)
         size = spec.width_px, spec.height_px
         device = VideoDevice(self._io, node, *size, spec.rate_hz, self._keeper)
-        self._device, got = device, device.format
+        self._device, form = device, device.format
         self._settings = {
             "name": node.card,
             "address": node.address,
             "serial": node.serial,
             "path": node.path,
-            "format": got.fourcc,
-            "width_px": got.width_px,
-            "height_px": got.height_px,
+            "format": form.fourcc,
+            "width_px": form.width_px,
+            "height_px": form.height_px,
             "rate_hz": round(device.rate_hz, 3),
         }
         if 0 < device.rate_hz < 0.99 * spec.rate_hz:
             self._remark(
-                f"{spec.name}: gives {device.rate_hz:g} Hz, not {spec.rate_hz:g}, as {got.fourcc} "
-                f"at {got.width_px}x{got.height_px}; a smaller size may be faster"
+                f"{spec.name}: gives {device.rate_hz:g} Hz, not {spec.rate_hz:g}, as {form.fourcc} "
+                f"at {form.width_px}x{form.height_px}; a smaller size may be faster"
             )
         for remark in self._keeper.remarks:
             self._remark(remark)
@@ -66,18 +67,18 @@ class V4l2Camera(LiveCamera):
         if device is not None:
             device.close()
 
-    def _settle(self) -> bool:
+    def _lock_settled(self) -> bool:
         if self._device is None or not self._keeper.pending:
             return False
         try:
-            self._device.settle()
+            self._device.lock_settled()
         except OSError as error:
             raise explain(self.spec.name, error) from None
         for remark in self._keeper.remarks:
             self._remark(remark)
         return True
 
-    def _take(self, timeout_s: float) -> Taken | None:
+    def _read_device(self, timeout_s: float) -> RawFrame | None:
         if self._device is None:
             return None
         try:
@@ -88,4 +89,4 @@ class V4l2Camera(LiveCamera):
             return None
         buffer, data = filled
         image = None if buffer.corrupt else decode(data, self._device.format)
-        return Taken(buffer.sequence, buffer.t_ns, image)
+        return RawFrame(buffer.sequence, buffer.t_ns, image)

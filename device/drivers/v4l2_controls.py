@@ -1,6 +1,6 @@
-"""Exposure, gain, white balance and focus of a V4L2 camera: set, locked, read back.
+"""Set, lock and read back exposure, gain, white balance and focus of a V4L2 camera.
 
-A focus that moves is a focal length that moves, so autofocus is refused unless it is asked for.
+Autofocus changes the focal length, so it is an error unless it is requested.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ANALOGUE_GAIN = 0x009E0903
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """One control of a camera, as the driver describes it; values in the driver's own units."""
+    """A V4L2 control as described by QUERYCTRL; values in the driver's units."""
 
     id: int
     name: str
@@ -50,15 +50,19 @@ class Control:
     flags: int
 
     def nearest(self, value: int) -> int:
-        """The value the control can take that is nearest."""
+        """Return the nearest value that the control accepts."""
         step = max(1, self.step)
         clipped = min(max(value, self.minimum), self.maximum)
         return self.minimum + round((clipped - self.minimum) / step) * step
 
 
 @dataclass(frozen=True, slots=True)
-class Knob:
-    """What a key of CameraControls is made of. unit: of the key in one of the control's."""
+class ControlGroup:
+    """The V4L2 controls behind one key of CameraControls.
+
+    switch: id of the automatic mode, with its values `on` (the first accepted) and `off`. values:
+    ids of the manual value, of which a camera has one. unit: units of the key per control unit.
+    """
 
     key: str
     switch: int
@@ -68,19 +72,19 @@ class Knob:
     unit: int = 1
 
 
-KNOBS = (
-    # aperture priority is what USB cameras call automatic
-    Knob("exposure_us", EXPOSURE_AUTO, (3, 0), 1, (EXPOSURE_ABSOLUTE,), unit=100),
-    Knob("gain", AUTOGAIN, (1,), 0, (GAIN, ANALOGUE_GAIN)),
-    Knob("white_balance_k", AUTO_WHITE_BALANCE, (1,), 0, (WHITE_BALANCE_TEMPERATURE,)),
-    Knob("focus", FOCUS_AUTO, (1,), 0, (FOCUS_ABSOLUTE,)),
+CONTROL_GROUPS = (
+    # 3, aperture priority, is the automatic exposure of USB cameras
+    ControlGroup("exposure_us", EXPOSURE_AUTO, (3, 0), 1, (EXPOSURE_ABSOLUTE,), unit=100),
+    ControlGroup("gain", AUTOGAIN, (1,), 0, (GAIN, ANALOGUE_GAIN)),
+    ControlGroup("white_balance_k", AUTO_WHITE_BALANCE, (1,), 0, (WHITE_BALANCE_TEMPERATURE,)),
+    ControlGroup("focus", FOCUS_AUTO, (1,), 0, (FOCUS_ABSOLUTE,)),
 )
 
 
 def list_controls(io: VideoIO, fd: int) -> Iterator[Control]:
-    """Every control that is not disabled; none where the driver has no controls at all."""
+    """List the controls that are not disabled; raises OSError."""
     last = 0
-    # a driver that never ends its list must not end us
+    # bounded, since a faulty driver may never end its list
     for _ in range(512):
         argument = bytearray(QUERY.pack(last | FLAG_NEXT, 0, b"", 0, 0, 0, 0, 0))
         try:
@@ -97,8 +101,8 @@ def list_controls(io: VideoIO, fd: int) -> Iterator[Control]:
             yield Control(number, text(name), least, most, step, default, flags)
 
 
-def get(io: VideoIO, fd: int, control: int) -> int | None:
-    """Its value; None where it has none that can be read. Raises OSError of a lost camera."""
+def get_control(io: VideoIO, fd: int, control: int) -> int | None:
+    """Read a control; None if it cannot be read. Raises OSError if the camera is lost."""
     argument = bytearray(CONTROL.pack(control, 0))
     try:
         io.ioctl(fd, G_CTRL, argument)
@@ -109,8 +113,8 @@ def get(io: VideoIO, fd: int, control: int) -> int | None:
     return int(CONTROL.unpack(argument)[1])
 
 
-def put(io: VideoIO, fd: int, control: int, value: int) -> bool:
-    """Whether the camera took the value; raises OSError of a lost camera."""
+def set_control(io: VideoIO, fd: int, control: int, value: int) -> bool:
+    """Write a control; False if the camera refuses it. Raises OSError if the camera is lost."""
     try:
         io.ioctl(fd, S_CTRL, bytearray(CONTROL.pack(control, value)))
     except OSError as error:
@@ -121,10 +125,10 @@ def put(io: VideoIO, fd: int, control: int, value: int) -> bool:
 
 
 class ControlKeeper:
-    """Owner of what one camera is set to; a camera that comes back gets what it was locked to.
+    """Apply the controls of one camera, and restore the locked values after a reconnect.
 
-    settings: key -> what was read back: `auto`, a number in the unit of the key, or `absent`.
-    remarks: what could not be done as asked, a line each.
+    settings: key -> what was read back: `auto`, a number in the unit of the key, `locked` if it
+    cannot be read, or `absent`. remarks: requests that were not fulfilled, one line each.
     """
 
     def __init__(self, name: str, wanted: CameraControls) -> None:
@@ -132,86 +136,87 @@ class ControlKeeper:
         self.remarks: list[str] = []
         self._name, self._wanted = name, wanted
         self._locked: dict[str, int] = {}
-        self._pending: list[Knob] = []
+        self._pending: list[ControlGroup] = []
         self._known: dict[int, Control] = {}
 
     @property
     def pending(self) -> bool:
-        """Something still has to be locked, once it has settled."""
+        """True if there are controls still to lock once they have converged."""
         return bool(self._pending)
 
     def apply(self, io: VideoIO, fd: int) -> None:
-        """Sets all of it; raises CameraError where the focus would move on its own."""
+        """Set all controls; raises CameraError if an unwanted autofocus cannot be switched off."""
         self._known = {c.id: c for c in list_controls(io, fd)}
         self._pending, self.remarks = [], []
         if EXPOSURE_AUTO_PRIORITY in self._known:
-            # else the camera drops to half its rate when it gets dark
-            put(io, fd, EXPOSURE_AUTO_PRIORITY, 0)
-        for knob in KNOBS:
-            wanted = getattr(self._wanted, knob.key)
-            has_switch, value = knob.switch in self._known, self._value_of(knob)
+            # otherwise the camera halves its frame rate in the dark
+            set_control(io, fd, EXPOSURE_AUTO_PRIORITY, 0)
+        for group in CONTROL_GROUPS:
+            wanted = getattr(self._wanted, group.key)
+            has_switch, value = group.switch in self._known, self._value_of(group)
             if not has_switch and value is None:
-                self.settings[knob.key] = "absent"
+                self.settings[group.key] = "absent"
                 if isinstance(wanted, int):
-                    self.remarks.append(f"{self._name}: has no {knob.key}, it stays as it is")
+                    self.remarks.append(f"{self._name}: has no {group.key} control; not set")
                 continue
-            if knob.key in self._locked:
-                self._fix(io, fd, knob, self._locked[knob.key])
+            if group.key in self._locked:
+                self._lock(io, fd, group, self._locked[group.key])
             elif wanted == LOCK:
-                self._fix(io, fd, knob, None)
+                self._lock(io, fd, group, None)
             elif isinstance(wanted, int):
-                self._fix(io, fd, knob, wanted)
+                self._lock(io, fd, group, wanted)
             elif has_switch:
-                if not any(put(io, fd, knob.switch, on) for on in knob.on):
-                    self.remarks.append(f"{self._name}: {knob.key} cannot be automatic")
-                self.settings[knob.key] = AUTO
+                if not any(set_control(io, fd, group.switch, on) for on in group.on):
+                    self.remarks.append(f"{self._name}: {group.key} cannot be automatic")
+                self.settings[group.key] = AUTO
                 if wanted == AUTO_THEN_LOCK:
-                    self._pending.append(knob)
+                    self._pending.append(group)
             else:
-                self._read_back(io, fd, knob)
+                self._read_back(io, fd, group)
 
-    def settle(self, io: VideoIO, fd: int) -> None:
-        """Locks what was to be locked once the camera had found its values."""
+    def lock_settled(self, io: VideoIO, fd: int) -> None:
+        """Lock the pending controls at their current values."""
         pending, self._pending = self._pending, []
-        for knob in pending:
-            self._fix(io, fd, knob, None)
+        for group in pending:
+            self._lock(io, fd, group, None)
 
-    def _fix(self, io: VideoIO, fd: int, knob: Knob, wanted: int | None) -> None:
-        """By hand from now on: at `wanted` in the key's unit, or where it stands."""
-        control = self._value_of(knob)
-        stands = None if control is None else get(io, fd, control.id)
-        if knob.switch in self._known and not self._switch_off(io, fd, knob):
-            if knob.key == "focus":
+    def _lock(self, io: VideoIO, fd: int, group: ControlGroup, wanted: int | None) -> None:
+        """Switch to manual, at `wanted` in the key's unit or at the current value if None."""
+        control = self._value_of(group)
+        current = None if control is None else get_control(io, fd, control.id)
+        if group.switch in self._known and not self._switch_off(io, fd, group):
+            if group.key == "focus":
                 raise CameraError(
-                    f"{self._name}: its autofocus cannot be switched off; a focus that moves is "
-                    'a focal length that moves; use another camera, or set capture.focus = "auto"'
+                    f"{self._name}: autofocus cannot be switched off, and it changes the focal "
+                    'length; use another camera, or accept it with capture.focus = "auto"'
                 )
-            self.remarks.append(f"{self._name}: {knob.key} cannot be locked, it stays automatic")
-            self.settings[knob.key] = AUTO
+            self.remarks.append(f"{self._name}: {group.key} cannot be locked, it stays automatic")
+            self.settings[group.key] = AUTO
             return
-        value = stands if wanted is None else round(wanted / knob.unit)
+        value = current if wanted is None else round(wanted / group.unit)
         if control is not None and value is not None and not control.flags & FLAG_READ_ONLY:
             nearest = control.nearest(value)
-            # some cameras jump to a default as the automatic goes off: set even what stands
-            if not put(io, fd, control.id, nearest):
-                self.remarks.append(f"{self._name}: {knob.key} was not accepted")
+            # some cameras reset the value when automatic is switched off: write even the current
+            if not set_control(io, fd, control.id, nearest):
+                self.remarks.append(f"{self._name}: {group.key} was not accepted")
             elif wanted is not None and nearest != value:
                 self.remarks.append(
-                    f"{self._name}: {knob.key} = {wanted} is outside of what the camera can "
-                    f"({control.minimum * knob.unit} to {control.maximum * knob.unit})"
+                    f"{self._name}: {group.key} = {wanted} is not a value the camera supports "
+                    f"({control.minimum * group.unit} to {control.maximum * group.unit})"
                 )
-        self._read_back(io, fd, knob)
-        now = self.settings.get(knob.key)
+        self._read_back(io, fd, group)
+        now = self.settings.get(group.key)
         if isinstance(now, int):
-            self._locked[knob.key] = now
+            self._locked[group.key] = now
 
-    def _switch_off(self, io: VideoIO, fd: int, knob: Knob) -> bool:
-        return put(io, fd, knob.switch, knob.off) and get(io, fd, knob.switch) == knob.off
+    def _switch_off(self, io: VideoIO, fd: int, group: ControlGroup) -> bool:
+        written = set_control(io, fd, group.switch, group.off)
+        return written and get_control(io, fd, group.switch) == group.off
 
-    def _read_back(self, io: VideoIO, fd: int, knob: Knob) -> None:
-        control = self._value_of(knob)
-        value = None if control is None else get(io, fd, control.id)
-        self.settings[knob.key] = "locked" if value is None else value * knob.unit
+    def _read_back(self, io: VideoIO, fd: int, group: ControlGroup) -> None:
+        control = self._value_of(group)
+        value = None if control is None else get_control(io, fd, control.id)
+        self.settings[group.key] = "locked" if value is None else value * group.unit
 
-    def _value_of(self, knob: Knob) -> Control | None:
-        return next((self._known[v] for v in knob.values if v in self._known), None)
+    def _value_of(self, group: ControlGroup) -> Control | None:
+        return next((self._known[v] for v in group.values if v in self._known), None)

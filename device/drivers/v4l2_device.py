@@ -1,4 +1,4 @@
-"""One open video node that streams; every refusal is explained."""
+"""An open and streaming V4L2 video node."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _BUFFERS = 4
 
 
 class VideoDevice:
-    """An open node that streams. Opening raises CameraError; all else OSError when it is lost.
+    """Open a video node, negotiate format and rate, and start streaming into mapped buffers.
 
-    keeper: sets the controls, before the first picture; None leaves them alone.
+    Opening raises CameraError; the methods raise OSError if the device is lost. keeper: sets the
+    controls before the first image; None leaves them unchanged.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class VideoDevice:
             raise
 
     def dequeue(self, timeout_s: float) -> tuple[v4l2.Buffer, bytes] | None:
-        """The next filled buffer and a copy of its bytes; None after timeout_s without one."""
+        """Return the next filled buffer and a copy of its bytes; None after timeout_s."""
         if not self._io.wait(self._fd, timeout_s):
             return None
         try:
@@ -64,13 +65,13 @@ class VideoDevice:
         v4l2.queue_buffer(self._io, self._fd, buffer.index)
         return buffer, data
 
-    def settle(self) -> None:
-        """Locks the controls that were to find their values first."""
+    def lock_settled(self) -> None:
+        """Lock the `auto-then-lock` controls at their current values."""
         if self._keeper is not None:
-            self._keeper.settle(self._io, self._fd)
+            self._keeper.lock_settled(self._io, self._fd)
 
     def close(self) -> None:
-        """Lets go of everything; a node that is gone has nothing left to refuse."""
+        """Stop streaming and close the node; errors of a lost device are ignored."""
         if not self._open:
             return
         self._open = False
@@ -81,7 +82,7 @@ class VideoDevice:
         self._buffers.clear()
         with contextlib.suppress(OSError):
             v4l2.request_buffers(self._io, self._fd, 0)
-        # a stale descriptor makes the camera come back under another number
+        # with a stale descriptor the camera would reconnect under another node number
         with contextlib.suppress(OSError):
             self._io.close(self._fd)
 
@@ -90,9 +91,9 @@ class VideoDevice:
         for fourcc in WANTED:
             if fourcc not in offered:
                 continue
-            got = v4l2.set_format(self._io, self._fd, fourcc, width_px, height_px)
-            if got.fourcc == fourcc:
-                return got
+            form = v4l2.set_format(self._io, self._fd, fourcc, width_px, height_px)
+            if form.fourcc == fourcc:
+                return form
         raise CameraError(
             f"{self._what}: offers {', '.join(offered) or 'no format'}; "
             f"use a camera with one of {', '.join(WANTED)}"
@@ -102,7 +103,7 @@ class VideoDevice:
         try:
             return v4l2.set_rate(self._io, self._fd, rate_hz)
         except OSError as error:
-            # a camera that has no choice of rate runs at its own
+            # a camera without selectable rates runs at its own
             if error.errno in (errno.EINVAL, errno.ENOTTY):
                 return 0.0
             raise

@@ -1,4 +1,4 @@
-"""What the system knows of a video node besides the driver: USB port, serial, who has it open."""
+"""USB port and serial number of a video node, and the processes that have it open."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ _SYS, _PROC = Path("/sys"), Path("/proc")
 
 @dataclass(frozen=True, slots=True)
 class NodeFacts:
-    """serial: of the USB device, empty without one. port: the device's place in the system, which
-    orders several nodes of one device whatever their numbers.
+    """serial: of the USB device, or empty. port: path of the device in sysfs.
+
+    Sorting by port orders the nodes of one device independently of their numbers.
     """
 
     serial: str = ""
@@ -19,13 +20,13 @@ class NodeFacts:
 
 
 def facts(path: str, sys: Path = _SYS) -> NodeFacts:
-    """Of a node by its path; all empty where the system does not tell."""
+    """Return the facts of a node such as `/dev/video0`; empty fields if sysfs has no entry."""
     try:
         device = (sys / "class/video4linux" / Path(path).name / "device").resolve(strict=True)
     except OSError:
         return NodeFacts()
     for folder in (device, *device.parents):
-        # the first USB device above; its hub has a serial too
+        # stop at the first USB device above: the hub behind it has a serial too
         if (folder / "idVendor").is_file():
             return NodeFacts(_line(folder / "serial"), str(device))
         if folder == sys:
@@ -34,7 +35,7 @@ def facts(path: str, sys: Path = _SYS) -> NodeFacts:
 
 
 def holders(path: str, proc: Path = _PROC) -> list[str]:
-    """`NAME (process 123)` of each process that has the node open, as far as we may look."""
+    """`NAME (process 123)` for each process that has the node open and may be inspected."""
     found = []
     for process in sorted(proc.glob("[0-9]*"), key=lambda p: p.name):
         try:
@@ -51,7 +52,7 @@ def _points_at(link: Path, path: str) -> bool:
     try:
         return str(link.readlink()) == path
     except OSError:
-        # a busy process closes files while they are looked through
+        # the process closed the file meanwhile
         return False
 
 

@@ -1,4 +1,4 @@
-"""The Video4Linux2 calls we use, as packed structs of 64-bit Linux (<linux/videodev2.h>)."""
+"""Video4Linux2 ioctl calls, with the packed structs of 64-bit Linux (<linux/videodev2.h>)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ BUF_FLAG_ERROR = 0x0040
 BUF_FLAG_TIMESTAMP_MASK = 0xE000
 BUF_FLAG_TIMESTAMP_MONOTONIC = 0x2000
 
-# trailing pad bytes stand for fields we leave at zero
+# trailing pad bytes stand for fields that stay zero
 CAPABILITY = struct.Struct("=16s32s32sIII12x")
 FMTDESC = struct.Struct("=III32sI16x")
 # the pix member of the union, which is 200 bytes long and aligned to 8
@@ -51,7 +51,7 @@ BUFFER = struct.Struct("=IIIII4xqq16xIII4xI12x")
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """What a node is. capabilities: of this node, where the driver tells nodes apart."""
+    """Answer of QUERYCAP. capabilities: of this node if the driver reports that, else of all."""
 
     driver: str
     card: str
@@ -60,7 +60,7 @@ class Capability:
 
     @property
     def captures(self) -> bool:
-        """A node that streams pictures; the metadata node beside it does not."""
+        """True if the node streams video; a metadata node does not."""
         wanted = CAP_VIDEO_CAPTURE | CAP_STREAMING
         return self.capabilities & wanted == wanted
 
@@ -77,7 +77,7 @@ class PixelFormat:
 
 @dataclass(frozen=True, slots=True)
 class Buffer:
-    """A filled buffer. t_ns: None when the driver has no monotonic stamp for it."""
+    """A filled buffer. t_ns: CLOCK_MONOTONIC, None if the driver gives no such stamp."""
 
     index: int
     sequence: int
@@ -87,7 +87,7 @@ class Buffer:
 
 
 class VideoIO(Protocol):
-    """The operating system under the driver; every call may raise OSError."""
+    """System calls used by the V4L2 driver; each may raise OSError. Tests replace them."""
 
     def nodes(self) -> list[str]:
         """Paths of the video nodes, in the order of their numbers."""
@@ -98,7 +98,7 @@ class VideoIO(Protocol):
     def close(self, fd: int) -> None: ...
 
     def ioctl(self, fd: int, request: int, argument: bytearray) -> None:
-        """Changes the argument in place."""
+        """Call ioctl(2); the argument is changed in place."""
         ...
 
     def map(self, fd: int, length: int, offset: int) -> mmap.mmap | bytearray: ...
@@ -106,20 +106,20 @@ class VideoIO(Protocol):
     def unmap(self, memory: mmap.mmap | bytearray) -> None: ...
 
     def wait(self, fd: int, timeout_s: float) -> bool:
-        """True once there is something to fetch, be it an error."""
+        """Wait until a buffer or an error can be fetched; False after timeout_s."""
         ...
 
     def facts(self, path: str) -> NodeFacts:
-        """What the system knows of a node."""
+        """Return serial number and port of a node."""
         ...
 
     def holders(self, path: str) -> list[str]:
-        """The processes that have a node open."""
+        """Return the processes that have a node open."""
         ...
 
 
 class LinuxVideoIO:
-    """The real one. folder: where the nodes are."""
+    """The system calls of Linux. folder: holds the video nodes."""
 
     def __init__(self, folder: Path = Path("/dev")) -> None:
         self._folder = folder
@@ -155,12 +155,12 @@ class LinuxVideoIO:
 
 
 def text(field: bytes) -> str:
-    """A C string of a fixed length."""
+    """Decode a zero-terminated C string."""
     return field.partition(b"\0")[0].decode(errors="replace")
 
 
 def code(fourcc: str) -> int:
-    """Four characters as the number the driver knows them by."""
+    """Encode a four-character code as its 32-bit number."""
     return int.from_bytes(fourcc.encode("latin-1"), "little")
 
 
@@ -175,13 +175,13 @@ def query_capability(io: VideoIO, fd: int) -> Capability:
 
 
 def formats(io: VideoIO, fd: int) -> Iterator[str]:
-    """The fourccs ENUM_FMT lists; raises OSError."""
+    """ENUM_FMT: the fourccs of the offered pixel formats; raises OSError."""
     for index in range(64):
         argument = bytearray(FMTDESC.pack(index, BUF_TYPE_VIDEO_CAPTURE, 0, b"", 0))
         try:
             io.ioctl(fd, ENUM_FMT, argument)
         except OSError as error:
-            # EINVAL is how the list ends
+            # EINVAL marks the end of the list
             if error.errno == errno.EINVAL:
                 return
             raise
@@ -190,7 +190,7 @@ def formats(io: VideoIO, fd: int) -> Iterator[str]:
 
 
 def set_format(io: VideoIO, fd: int, fourcc: str, width_px: int, height_px: int) -> PixelFormat:
-    """S_FMT: what the camera settled on may differ in everything; raises OSError."""
+    """S_FMT: request a format and return the one the camera chose; raises OSError."""
     argument = bytearray(
         FORMAT.pack(BUF_TYPE_VIDEO_CAPTURE, width_px, height_px, code(fourcc), FIELD_NONE, 0, 0)
     )
@@ -200,7 +200,7 @@ def set_format(io: VideoIO, fd: int, fourcc: str, width_px: int, height_px: int)
 
 
 def set_rate(io: VideoIO, fd: int, rate_hz: float) -> float:
-    """S_PARM: the rate in Hz the camera settled on, 0 if it does not say; raises OSError."""
+    """S_PARM: request a rate; return the one set in Hz, 0 if not reported; raises OSError."""
     per_frame = (1000, round(rate_hz * 1000))
     argument = bytearray(STREAMPARM.pack(BUF_TYPE_VIDEO_CAPTURE, 0, 0, *per_frame))
     io.ioctl(fd, S_PARM, argument)
@@ -209,7 +209,7 @@ def set_rate(io: VideoIO, fd: int, rate_hz: float) -> float:
 
 
 def request_buffers(io: VideoIO, fd: int, count: int) -> int:
-    """REQBUFS: how many there are now; 0 frees them; raises OSError."""
+    """REQBUFS: allocate buffers and return how many; count 0 frees them; raises OSError."""
     argument = bytearray(REQUESTBUFFERS.pack(count, BUF_TYPE_VIDEO_CAPTURE, MEMORY_MMAP))
     io.ioctl(fd, REQBUFS, argument)
     return int(REQUESTBUFFERS.unpack(argument)[0])
@@ -221,7 +221,7 @@ def _buffer_argument(index: int) -> bytearray:
 
 
 def map_buffer(io: VideoIO, fd: int, index: int) -> mmap.mmap | bytearray:
-    """QUERYBUF and mmap; raises OSError."""
+    """QUERYBUF and mmap(2): map a buffer into memory; raises OSError."""
     argument = _buffer_argument(index)
     io.ioctl(fd, QUERYBUF, argument)
     *_, offset, length = BUFFER.unpack(argument)
@@ -229,23 +229,23 @@ def map_buffer(io: VideoIO, fd: int, index: int) -> mmap.mmap | bytearray:
 
 
 def queue_buffer(io: VideoIO, fd: int, index: int) -> None:
-    """QBUF: the driver may fill it; raises OSError."""
+    """QBUF: return a buffer to the driver to be filled; raises OSError."""
     io.ioctl(fd, QBUF, _buffer_argument(index))
 
 
 def dequeue_buffer(io: VideoIO, fd: int) -> Buffer:
-    """DQBUF; raises OSError, BlockingIOError when none is filled."""
+    """DQBUF: take a filled buffer; raises BlockingIOError if there is none, else OSError."""
     argument = _buffer_argument(0)
     io.ioctl(fd, DQBUF, argument)
     index, _, used, flags, _, tv_sec, tv_usec, sequence, *_ = BUFFER.unpack(argument)
     monotonic = flags & BUF_FLAG_TIMESTAMP_MASK == BUF_FLAG_TIMESTAMP_MONOTONIC
     t_ns = tv_sec * 1_000_000_000 + tv_usec * 1000
-    # some drivers claim the clock and fill in nothing
+    # some drivers declare monotonic stamps but leave them zero
     stamp = t_ns if monotonic and t_ns > 0 else None
     return Buffer(index, sequence, used, stamp, bool(flags & BUF_FLAG_ERROR))
 
 
 def stream(io: VideoIO, fd: int, on: bool) -> None:
-    """STREAMON or STREAMOFF; raises OSError."""
+    """STREAMON or STREAMOFF: start or stop streaming; raises OSError."""
     argument = bytearray(struct.pack("=i", BUF_TYPE_VIDEO_CAPTURE))
     io.ioctl(fd, STREAMON if on else STREAMOFF, argument)

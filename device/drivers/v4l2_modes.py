@@ -1,4 +1,4 @@
-"""What sizes and rates a V4L2 camera offers, and which rate to take."""
+"""List the image sizes and frame rates of a V4L2 camera, and choose a rate."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ DISCRETE = 1
 FRAMESIZE = struct.Struct("=III6I8x")
 # index pixel_format width height type | numerator denominator, or min max step of them
 FRAMEINTERVAL = struct.Struct("=IIIII6I8x")
-# drivers count in hundreds of ns: 29.97 Hz is as good as 30
+# relative tolerance: drivers count in units of 100 ns, and 29.97 Hz serves for 30
 _SLACK = 0.99
 
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A size and the rates offered at it; both ends where the camera takes any between."""
+    """An image size and its frame rates; a continuous range is given by its two ends."""
 
     fourcc: str
     width_px: int
@@ -30,8 +30,8 @@ class Mode:
     rates_hz: tuple[float, ...]
 
 
-def _asked(io: v4l2.VideoIO, fd: int, request: int, argument: bytearray) -> bool:
-    """False at the end of a list, and where a driver keeps none."""
+def _enumerate(io: v4l2.VideoIO, fd: int, request: int, argument: bytearray) -> bool:
+    """Fetch a list entry; False at the end of the list or if the driver does not support it."""
     try:
         io.ioctl(fd, request, argument)
     except OSError as error:
@@ -42,16 +42,16 @@ def _asked(io: v4l2.VideoIO, fd: int, request: int, argument: bytearray) -> bool
 
 
 def sizes(io: v4l2.VideoIO, fd: int, fourcc: str) -> Iterator[tuple[int, int]]:
-    """(width, height) in px; the smallest and the largest where it takes any between."""
+    """List (width, height) in px; only the smallest and the largest of a continuous range."""
     for index in range(64):
         argument = bytearray(FRAMESIZE.pack(index, v4l2.code(fourcc), 0, *[0] * 6))
-        if not _asked(io, fd, ENUM_FRAMESIZES, argument):
+        if not _enumerate(io, fd, ENUM_FRAMESIZES, argument):
             return
         _, _, kind, *numbers = FRAMESIZE.unpack(argument)
         if kind == DISCRETE:
             yield numbers[0], numbers[1]
             continue
-        # smallest, largest and step of the width, then of the height
+        # minimum, maximum and step of the width, then of the height
         yield numbers[0], numbers[3]
         yield numbers[1], numbers[4]
         return
@@ -60,30 +60,31 @@ def sizes(io: v4l2.VideoIO, fd: int, fourcc: str) -> Iterator[tuple[int, int]]:
 def rates(
     io: v4l2.VideoIO, fd: int, form: v4l2.PixelFormat, asked_hz: float = 0.0
 ) -> tuple[float, ...]:
-    """Hz, the slowest first; empty if it does not say. Where it takes any between two ends: both
-    ends, and asked_hz if it lies there.
+    """List the rates in Hz for a format, ascending; empty if the driver reports none.
+
+    Of a continuous range: its two ends, and asked_hz if it lies between them.
     """
     found: set[float] = set()
     for index in range(64):
         size = form.width_px, form.height_px
         fields = (index, v4l2.code(form.fourcc), *size, 0, *[0] * 6)
         argument = bytearray(FRAMEINTERVAL.pack(*fields))
-        if not _asked(io, fd, ENUM_FRAMEINTERVALS, argument):
+        if not _enumerate(io, fd, ENUM_FRAMEINTERVALS, argument):
             break
         _, _, _, _, kind, *fractions = FRAMEINTERVAL.unpack(argument)
         pairs = [fractions[0:2]] if kind == DISCRETE else [fractions[0:2], fractions[2:4]]
         found.update(round(over / per, 3) for per, over in pairs if per)
         if kind != DISCRETE:
-            # anything between is granted: what is asked for counts as offered
+            # any rate in the range is granted, so count the requested one as offered
             found.update(hz for hz in (asked_hz,) if hz and min(found) < hz < max(found))
             break
     return tuple(sorted(found))
 
 
 def choose_rate(offered: Sequence[float], asked_hz: float) -> float:
-    """The slowest that is not slower than asked, else the fastest there is.
+    """Choose the slowest rate of at least asked_hz, else the fastest offered.
 
-    The driver's own choice is the nearest interval, which may be half of what was asked.
+    Left to itself a driver takes the nearest interval, which may be half the requested rate.
     """
     enough = [rate for rate in offered if rate >= _SLACK * asked_hz]
     if not offered:
@@ -92,7 +93,7 @@ def choose_rate(offered: Sequence[float], asked_hz: float) -> float:
 
 
 def list_modes(io: v4l2.VideoIO, fd: int) -> Iterator[Mode]:
-    """Every format and size; raises OSError."""
+    """List all formats, sizes and rates; raises OSError."""
     for fourcc in v4l2.formats(io, fd):
         for width, height in sizes(io, fd, fourcc):
             form = v4l2.PixelFormat(fourcc, width, height, 0)

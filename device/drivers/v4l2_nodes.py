@@ -1,4 +1,4 @@
-"""Which video nodes are cameras, and the right one: by port or serial, never by number."""
+"""List the V4L2 cameras, and find one by USB port or serial number (node numbers may change)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from device.camera import FoundCamera
 from device.drivers import v4l2_ioctl as v4l2
-from device.drivers.v4l2_controls import get, list_controls
+from device.drivers.v4l2_controls import get_control, list_controls
 from device.drivers.v4l2_modes import list_modes
 from device.errors import CameraError
 from device.frame import Eye
@@ -18,7 +18,7 @@ _DENIED = (
     "permission denied; add the user to the group video and log in again, "
     "or install deploy/99-calm-edge.rules"
 )
-_MENDS = {
+_REMEDIES = {
     errno.EACCES: _DENIED,
     errno.EPERM: _DENIED,
     errno.EBUSY: "in use by another program; close it",
@@ -32,19 +32,21 @@ SERIAL = "serial="
 
 
 def explain(what: str, error: OSError, holders: Sequence[str] = ()) -> CameraError:
-    """One line for an OSError at a camera, with the mend where we know one.
+    """Convert an OSError of a camera to a CameraError, with a remedy for the usual ones.
 
-    holders: who has it open, named when that is the trouble.
+    holders: processes that have the device open, named if the error is EBUSY.
     """
     if error.errno == errno.EBUSY and holders:
         return CameraError(f"{what}: in use by {', '.join(holders)}; close it")
-    return CameraError(f"{what}: {_MENDS.get(error.errno or 0, error.strerror or str(error))}")
+    return CameraError(f"{what}: {_REMEDIES.get(error.errno or 0, error.strerror or str(error))}")
 
 
 @dataclass(frozen=True, slots=True)
 class VideoNode:
-    """A node that captures. address: its identity, `BUS_INFO`, or `BUS_INFO#1` for the second
-    capturing node on the same bus. serial: of the USB device, empty where it has none.
+    """A capturing node. serial: of the USB device, or empty.
+
+    address: its permanent identity, `BUS_INFO`, or `BUS_INFO#1` for the second capturing node on
+    the same bus.
     """
 
     path: str
@@ -55,7 +57,10 @@ class VideoNode:
 
 
 def list_devices(io: v4l2.VideoIO | None = None) -> list[VideoNode]:
-    """Every camera that can be opened, by node number; raises CameraError if none may be."""
+    """List the cameras that can be opened, by node number.
+
+    Raises CameraError if there are none for lack of permission.
+    """
     io = io or v4l2.LinuxVideoIO()
     found: list[tuple[str, int, str, v4l2.Capability, str]] = []
     denied: CameraError | None = None
@@ -77,7 +82,7 @@ def list_devices(io: v4l2.VideoIO | None = None) -> list[VideoNode]:
         raise denied
     nodes: dict[int, VideoNode] = {}
     on_bus: Counter[str] = Counter()
-    # by port: two sensors of one device keep their places when nodes are numbered anew
+    # by port: two sensors of one device keep their order when the nodes are renumbered
     for _, number, path, capability, serial in sorted(found, key=lambda f: f[:2]):
         nth = on_bus[capability.bus_info]
         on_bus[capability.bus_info] += 1
@@ -87,8 +92,10 @@ def list_devices(io: v4l2.VideoIO | None = None) -> list[VideoNode]:
 
 
 def find(address: str, eye: Eye, io: v4l2.VideoIO) -> VideoNode:
-    """The node of an address: a bus, `serial=...`, a /dev/videoN, or empty: cameras sorted by
-    bus, the primary takes the first and the assistant the second. Raises CameraError.
+    """Find the node of an address: a bus, `serial=...` or /dev/videoN; raises CameraError.
+
+    An empty address means the first camera in the order of buses for the primary and the second
+    for the assistant.
     """
     nodes = list_devices(io)
     name = f"{eye.name.lower()} camera v4l2:{address}"
@@ -110,16 +117,16 @@ def find(address: str, eye: Eye, io: v4l2.VideoIO) -> VideoNode:
     for node in nodes:
         if address in (node.address, node.path):
             return node
-    raise CameraError(f"{name}: not there; found: {known}")
+    raise CameraError(f"{name}: not found; plugged in: {known}")
 
 
 def identity(address: str, node: VideoNode) -> str:
-    """What a camera is looked for by when it is lost: its serial if it was asked for by that."""
+    """Address by which to find a lost camera again: the serial if it was given, else the bus."""
     return address if address.startswith(SERIAL) else node.address
 
 
 def discover(io: v4l2.VideoIO | None = None, details: bool = True) -> list[FoundCamera]:
-    """Every camera; details: formats and controls too, for which each is opened once more."""
+    """List all V4L2 cameras. details: with formats and controls, for which each is opened."""
     io = io or v4l2.LinuxVideoIO()
     found = []
     for node in list_devices(io):
@@ -148,7 +155,7 @@ def _details(io: v4l2.VideoIO, path: str) -> tuple[dict[str, list[str]], dict[st
             formats.setdefault(mode.fourcc, []).append(size)
         controls = {}
         for control in list_controls(io, fd):
-            value = get(io, fd, control.id)
+            value = get_control(io, fd, control.id)
             if value is not None:
                 controls[control.name] = f"{value} ({control.minimum} to {control.maximum})"
         return formats, controls

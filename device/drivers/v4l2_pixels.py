@@ -1,4 +1,4 @@
-"""Buffers as pictures: a JPEG stays the camera's own bytes, all else becomes BGR by OpenCV."""
+"""Decode V4L2 buffers: JPEG bytes stay as they are, other pixel formats become BGR by OpenCV."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _SEMI_PLANAR = {"NV12": cv2.COLOR_YUV2BGR_NV12, "NV21": cv2.COLOR_YUV2BGR_NV21}
 _PLANAR = {"YU12": cv2.COLOR_YUV2BGR_I420, "YV12": cv2.COLOR_YUV2BGR_YV12}
 _TRIPLES = {"BGR3": None, "RGB3": cv2.COLOR_RGB2BGR}
 _GRAYS = {"GREY": cv2.COLOR_GRAY2BGR}
-# in the order they are asked for: the untouched bytes fit through USB and go to disk as they are
+# in order of preference: JPEG needs least USB bandwidth and is recorded without re-encoding
 WANTED = (*JPEGS, *_PAIRS, *_SEMI_PLANAR, *_PLANAR, *_TRIPLES, *_GRAYS)
 
 
 def decode(data: bytes, form: PixelFormat) -> NDArray[np.uint8] | bytes | None:
-    """The bytes of a JPEG as they are, or (H, W, 3) uint8 BGR; None if they are not a picture."""
+    """Return JPEG bytes unchanged, or (H, W, 3) uint8 BGR; None for an invalid buffer."""
     if form.fourcc in JPEGS:
         return data if data.startswith(_JPEG_START) else None
     width, height = form.width_px, form.height_px
@@ -47,7 +47,7 @@ def decode(data: bytes, form: PixelFormat) -> NDArray[np.uint8] | bytes | None:
 def _rows(
     data: bytes, n: int, length: int, stride: int, start: int = 0
 ) -> NDArray[np.uint8] | None:
-    """(n, length) of rows that lie `stride` bytes apart, without their padding."""
+    """Extract (n, length) bytes from rows `stride` bytes apart; None if data is too short."""
     stride = stride or length
     if stride < length or len(data) < start + stride * n:
         return None
@@ -56,7 +56,7 @@ def _rows(
 
 
 def _planar(data: bytes, form: PixelFormat) -> NDArray[np.uint8] | None:
-    """Three planes, those of colour at half the size and half the stride."""
+    """Decode a planar format, whose two chroma planes have half the size and stride."""
     width, height = form.width_px, form.height_px
     stride = form.stride_bytes or width
     luma = _rows(data, height, width, stride)

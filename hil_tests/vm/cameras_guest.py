@@ -12,7 +12,7 @@ from device.camera import CameraControls, CameraSpec
 from device.camera_thread import CameraThread
 from device.clock import SystemClock
 from device.drivers.v4l2 import V4l2Camera
-from device.drivers.v4l2_controls import put
+from device.drivers.v4l2_controls import set_control
 from device.drivers.v4l2_ioctl import LinuxVideoIO
 from device.drivers.v4l2_nodes import list_devices
 from device.errors import CameraError
@@ -73,7 +73,7 @@ class Eyes:
         io = LinuxVideoIO()
         fd = io.open(str(self.cameras[eye].settings["path"]))
         try:
-            return put(io, fd, control, value)
+            return set_control(io, fd, control, value)
         finally:
             io.close(fd)
 

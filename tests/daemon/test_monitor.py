@@ -160,10 +160,10 @@ def test_the_cameras_settings_are_noted_at_once_and_when_they_change(scene: Scen
 
 
 def test_what_a_camera_does_not_do_as_asked_is_said_once(scene: Scene) -> None:
-    scene.cameras[1].camera.remarks = ("assistant camera y: has no gain, it stays as it is",)
+    scene.cameras[1].camera.remarks = ("assistant camera y: has no gain control; not set",)
     scene.look()
     scene.look()
-    assert scene.said == ["assistant camera y: has no gain, it stays as it is"]
+    assert scene.said == ["assistant camera y: has no gain control; not set"]
 
 
 def test_what_is_missing_is_named(scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""An OAK device without the device: depthai's own messages, in queues on a manual clock."""
+"""A fake OAK device: depthai's own messages, in queues driven by a manual clock."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from device.camera import CameraControls
 from device.clock import ManualClock
 from device.drivers.oak import load
-from device.drivers.oak_rig import Wanted
+from device.drivers.oak_pipeline import SocketRequest
 from device.errors import CameraError
 
 
 def encoded(sequence: int, t_ns: int, data: bytes) -> Any:
-    """An EncodedFrame, as the device's JPEG encoder sends it."""
+    """A depthai.EncodedFrame as sent by the device's JPEG encoder."""
     message = load().EncodedFrame()
     message.setData(np.frombuffer(data, np.uint8))
     message.setSequenceNum(sequence)
@@ -26,7 +26,7 @@ def encoded(sequence: int, t_ns: int, data: bytes) -> Any:
 
 
 class FakeQueue:
-    """Messages, each there from its moment on; `closed` as depthai's does when all is over."""
+    """Queue of (due time, message); once `closed`, get() raises as depthai's does."""
 
     def __init__(self, clock: ManualClock) -> None:
         self._clock = clock
@@ -63,15 +63,15 @@ class FakePipeline:
 
 
 class FakeOak:
-    """A device by its id; `film` fills a socket's queue, now and after a rebuild."""
+    """A device with an id. `film` adds messages to a socket's queue, also before it is built."""
 
     def __init__(self, clock: ManualClock, device: str = "OAK1") -> None:
         self.clock, self.device = clock, device
         self.present = True
-        self.built: list[tuple[FakePipeline, list[Wanted]]] = []
+        self.built: list[tuple[FakePipeline, list[SocketRequest]]] = []
         self._filmed: dict[str, list[tuple[int, Any]]] = {}
 
-    def factory(self, device: str, wanted: Sequence[Wanted]) -> FakePipeline:
+    def factory(self, device: str, wanted: Sequence[SocketRequest]) -> FakePipeline:
         if not self.present or device not in ("", self.device):
             raise CameraError("no OAK device found")
         queues = {each.socket: FakeQueue(self.clock) for each in wanted}
@@ -83,11 +83,11 @@ class FakeOak:
 
     @property
     def pipeline(self) -> FakePipeline:
-        """The newest."""
+        """The pipeline built last."""
         return self.built[-1][0]
 
     def film(self, socket: str, due_ns: int, message: Any) -> None:
-        """A message of a socket; before a build it waits for it."""
+        """Add a message to a socket, or keep it until the next pipeline is built."""
         if self.built and self.pipeline.alive():
             self.pipeline.queues[socket].messages.append((due_ns, message))
         else:

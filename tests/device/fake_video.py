@@ -1,5 +1,7 @@
-"""A kernel with video nodes, for the v4l2 driver: offsets as printed by a C program that includes
-<linux/videodev2.h>, on purpose not taken from the driver's own structs.
+"""A fake kernel with video nodes for the V4L2 driver.
+
+Struct offsets are those printed by a C program that includes <linux/videodev2.h>, independent of
+the driver's own structs.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ ERROR = 0x40
 
 @dataclass
 class Shot:
-    """A picture the camera will take: due on the clock, stamped, with buffer flags."""
+    """A buffer that the camera will fill when it is due, with its stamp and buffer flags."""
 
     due_ns: int
     sequence: int
@@ -33,7 +35,7 @@ class Shot:
 
 @dataclass
 class Knob:
-    """A control of a fake camera. stuck: takes values and keeps its own."""
+    """A control of a fake camera. stuck: accepts writes without changing its value."""
 
     name: str
     value: int
@@ -71,7 +73,7 @@ class FakeCamera:
     streaming: bool = False
 
     def film(self, start_ns: int, n: int, period_ns: int, sequence: int = 0) -> None:
-        """n JPEGs from start_ns on, stamped when they are due."""
+        """Schedule n JPEGs from start_ns on, each stamped with its due time."""
         for k in range(n):
             t_ns = start_ns + k * period_ns
             self.shots.append(Shot(t_ns, sequence + k, JPEG % (sequence + k), t_ns))
@@ -263,12 +265,12 @@ class FakeVideoIO:
 
 
 def system(**cameras: FakeCamera) -> FakeVideoIO:
-    """A machine whose /dev has these nodes."""
+    """A system whose /dev holds these nodes."""
     return FakeVideoIO(ManualClock(), {f"/dev/{name}": c for name, c in cameras.items()})
 
 
 def yuyv(rgb_gray: int, width: int, height: int, stride: int) -> bytes:
-    """A gray picture with padded rows, studio range as YUYV."""
+    """A uniform grey YUYV image (limited range) with padded rows."""
     rows = np.full((height, stride), 77, np.uint8)
     rows[:, 0 : 2 * width : 2] = round(16 + rgb_gray * 219 / 255)
     rows[:, 1 : 2 * width : 2] = 128

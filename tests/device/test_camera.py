@@ -9,21 +9,21 @@ from device.errors import CameraError
 from device.frame import Eye
 
 
-def test_open_camera_hands_the_options_to_the_driver() -> None:
+def test_open_camera_passes_options_to_the_driver() -> None:
     camera = open_camera(CameraSpec(Eye.PRIMARY, "replay"), ManualClock(), frames=[])
     assert isinstance(camera, ReplayCamera)
 
 
-def test_unknown_driver_is_one_line_with_the_known_ones() -> None:
+def test_unknown_driver_error_lists_the_drivers() -> None:
     with pytest.raises(CameraError) as caught:
         open_camera(CameraSpec(Eye.ASSISTANT, "webcam", "0"), ManualClock())
     text = str(caught.value)
     assert "\n" not in text and "assistant" in text and "'webcam'" in text
     assert all(name in text for name in DRIVERS)
-    with pytest.raises(CameraError, match="known: oak, replay, v4l2"):
+    with pytest.raises(CameraError, match="use one of oak, replay, v4l2"):
         parse_address("webcam:0")
 
 
-def test_an_address_keeps_its_own_colons() -> None:
+def test_colons_within_an_address_are_kept() -> None:
     assert parse_address("v4l2:usb-0000:00:14.0-1") == ("v4l2", "usb-0000:00:14.0-1")
     assert parse_address("v4l2:") == ("v4l2", "")

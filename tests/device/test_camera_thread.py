@@ -53,7 +53,7 @@ def test_overflow_keeps_the_newest_and_is_counted() -> None:
     assert thread.overflow == 6
 
 
-def test_an_error_becomes_state_and_frames_before_it_stay(
+def test_an_error_sets_the_failed_state_and_keeps_queued_frames(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     def broken() -> Iterator[Frame]:
@@ -70,7 +70,7 @@ def test_an_error_becomes_state_and_frames_before_it_stay(
     assert not thread.camera.connected
 
 
-def test_a_camera_that_is_not_there_is_said_to_the_caller() -> None:
+def test_start_raises_if_the_camera_is_missing() -> None:
     clock = ManualClock()
     spec = CameraSpec(Eye.PRIMARY, "v4l2", "usb-1")
     thread = CameraThread(V4l2Camera(spec, clock, io=FakeVideoIO(clock, {})))
@@ -79,7 +79,7 @@ def test_a_camera_that_is_not_there_is_said_to_the_caller() -> None:
     assert thread.state is CameraState.STOPPED
 
 
-def test_stop_is_quick_closes_the_camera_and_may_be_repeated() -> None:
+def test_stop_is_quick_and_idempotent_and_closes_the_camera() -> None:
     thread = threaded(frames(3, period_ns=10**12), SystemClock(), capacity=4)
     thread.start()
     until(lambda: len(thread.drain()) == 1)
@@ -91,7 +91,7 @@ def test_stop_is_quick_closes_the_camera_and_may_be_repeated() -> None:
     assert not thread.camera.connected
 
 
-def test_a_refused_priority_is_said_and_frames_come_all_the_same(
+def test_a_refused_priority_is_logged_and_frames_still_come(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("device.realtime.request", lambda priority: f"{priority} not granted")

@@ -32,7 +32,7 @@ def test_rate_keeper_stays_on_its_grid_when_ticks_are_late() -> None:
         clock.advance(work_ms * MS)
         keeper.wait()
         woke.append((clock.now_ns() - 1000) / MS)
-    # the second tick starts at 10, works till 22: late by 2, and the third is back on the grid
+    # the second tick starts at 10 and works until 22, 2 late; the third is on the grid again
     assert woke == [10, 22, 30, 40, 50]
     assert keeper.skipped == 0
 
@@ -47,7 +47,7 @@ def test_rate_keeper_skips_instead_of_bursting_after_a_stall() -> None:
     assert clock.now_ns() == 60 * MS
 
 
-def test_rate_keeper_returns_lateness_of_an_overslept_clock() -> None:
+def test_rate_keeper_returns_how_late_it_woke() -> None:
     class Sluggish(ManualClock):
         def sleep_until_ns(self, t_ns: int) -> None:
             super().sleep_until_ns(t_ns + 300)
@@ -55,7 +55,7 @@ def test_rate_keeper_returns_lateness_of_an_overslept_clock() -> None:
     assert RateKeeper(Sluggish(), 10).wait() == 300
 
 
-def test_lagging_needs_more_than_one_hiccup_and_passes() -> None:
+def test_lagging_takes_several_late_ticks_and_clears() -> None:
     clock = ManualClock()
     keeper = RateKeeper(clock, 100)
 

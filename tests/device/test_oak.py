@@ -17,7 +17,7 @@ from device.camera import CameraControls, CameraSpec
 from device.clock import ManualClock, SystemClock
 from device.drivers import oak
 from device.drivers.oak import DevicePipeline, OakCamera, parse
-from device.drivers.oak_rig import Queue, Wanted
+from device.drivers.oak_pipeline import Queue, SocketRequest
 from device.errors import CameraError
 from device.frame import Eye
 from tests.device.fake_oak import FakeOak, encoded
@@ -28,7 +28,7 @@ MS = 1_000_000
 
 
 class Bench:
-    """Both eyes on the sockets of one device at 10 s."""
+    """Both cameras on sockets of one fake device; the clock starts at 10 s."""
 
     def __init__(self, **controls: int | str) -> None:
         self.clock = ManualClock(10 * S)
@@ -70,7 +70,7 @@ def test_addresses(address: str, eye: Eye, parsed: tuple[str, str, bool]) -> Non
 
 
 @pytest.mark.parametrize("address", ["X/left", "X/CAM_Z", "X/CAM_A/CAM_B", "X/CAM_A/row", "X/"])
-def test_a_wrong_address_says_what_is_expected(address: str) -> None:
+def test_the_error_for_a_wrong_address_gives_the_syntax(address: str) -> None:
     with pytest.raises(CameraError, match=r"oak:.*: expected oak:ID/CAM_A"):
         parse(CameraSpec(Eye.PRIMARY, "oak", address))
 
@@ -91,12 +91,12 @@ def test_two_sockets_of_one_device_share_one_pipeline() -> None:
     assert bench.oak.pipeline.closed
 
 
-def test_two_devices_have_a_pipeline_each() -> None:
+def test_each_device_has_its_own_pipeline() -> None:
     clock = ManualClock(10 * S)
     oaks = FakeOak(clock, "A"), FakeOak(clock, "B")
     factories = {"A": oaks[0].factory, "B": oaks[1].factory}
 
-    def factory(device: str, wanted: Sequence[Wanted]) -> Any:
+    def factory(device: str, wanted: Sequence[SocketRequest]) -> Any:
         return factories[device](device, wanted)
 
     cameras = [
@@ -112,7 +112,7 @@ def test_two_devices_have_a_pipeline_each() -> None:
 
 
 @pytest.mark.parametrize("how", ["queue closed", "pipeline dead"])
-def test_a_lost_device_is_rebuilt_and_both_eyes_come_back(how: str) -> None:
+def test_a_lost_device_is_reopened_and_both_cameras_reconnect(how: str) -> None:
     bench = Bench()
     bench.start()
     for socket in ("CAM_B", "CAM_C"):
@@ -126,7 +126,7 @@ def test_a_lost_device_is_rebuilt_and_both_eyes_come_back(how: str) -> None:
     assert bench.primary.read(0.5) is None and bench.assistant.read(0.5) is None
     assert not bench.primary.connected and not bench.assistant.connected
     bench.oak.present = True
-    # the device counts anew
+    # the device restarts its frame counter
     for k in range(2):
         for socket in ("CAM_B", "CAM_C"):
             bench.film(socket, k, 12 * S + 500 * MS + k * 100 * MS)
@@ -137,14 +137,14 @@ def test_a_lost_device_is_rebuilt_and_both_eyes_come_back(how: str) -> None:
         assert (camera.stats().reconnects, camera.stats().drops) == (1, 0)
 
 
-def test_a_silent_device_is_rebuilt() -> None:
+def test_a_silent_device_is_reopened() -> None:
     bench = Bench()
     bench.start()
     assert bench.primary.read(5.0) is None
     assert len(bench.oak.built) >= 2 and bench.oak.built[0][0].closed
 
 
-def test_stamps_of_an_unsynchronised_device_are_the_hosts() -> None:
+def test_frames_of_an_unsynchronised_device_are_stamped_by_the_host() -> None:
     bench = Bench()
     bench.clock.advance(3600 * S)
     bench.start()
@@ -155,7 +155,7 @@ def test_stamps_of_an_unsynchronised_device_are_the_hosts() -> None:
     assert bench.primary.stats().host_stamped == 1
 
 
-def test_what_is_no_jpeg_is_corrupt() -> None:
+def test_data_that_is_not_jpeg_counts_as_corrupt() -> None:
     bench = Bench()
     bench.start()
     bench.film("CAM_B", 0, 10 * S, data=b"nothing")
@@ -163,7 +163,7 @@ def test_what_is_no_jpeg_is_corrupt() -> None:
     assert bench.primary.stats().corrupt == 1
 
 
-def test_raw_pictures_are_bgr_whatever_their_type() -> None:
+def test_raw_images_of_every_type_become_bgr() -> None:
     dai = oak.load()
     gray = np.full((48, 64), 90, np.uint8)
     for pixels, kind in (
@@ -173,12 +173,12 @@ def test_raw_pictures_are_bgr_whatever_their_type() -> None:
     ):
         message = dai.ImgFrame()
         message.setCvFrame(pixels, kind)
-        image = oak.picture(message)
+        image = oak.image_of(message)
         assert isinstance(image, np.ndarray) and image.shape == (48, 64, 3)
         assert np.abs(image.astype(int) - 90).max() <= 2
 
 
-def test_a_frame_that_tells_no_exposure_locks_none() -> None:
+def test_exposure_is_not_locked_if_frames_do_not_report_it() -> None:
     bench = Bench(exposure_us="auto-then-lock", focus="lock")
     bench.start()
     for k in range(25):
@@ -190,9 +190,11 @@ def test_a_frame_that_tells_no_exposure_locks_none() -> None:
     assert not [c for _, c in bench.oak.pipeline.sent if isinstance(c.exposure_us, int)]
 
 
-def test_what_was_found_is_held_and_kept_over_a_rebuild(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = {"exposure_us": 8000, "gain": 200, "white_balance_k": 5000, "focus": 120}
-    monkeypatch.setattr(oak, "read_back", lambda message: told)
+def test_locked_values_are_kept_when_the_pipeline_is_rebuilt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    values = {"exposure_us": 8000, "gain": 200, "white_balance_k": 5000, "focus": 120}
+    monkeypatch.setattr(oak, "control_values", lambda message: values)
     bench = Bench(exposure_us="auto-then-lock", focus="auto-then-lock")
     bench.start()
     for k in range(25):
@@ -210,13 +212,13 @@ def test_what_was_found_is_held_and_kept_over_a_rebuild(monkeypatch: pytest.Monk
     assert bench.oak.built[-1][1][0].controls == held
 
 
-def test_exposure_without_gain_is_refused() -> None:
+def test_exposure_without_gain_raises() -> None:
     with pytest.raises(CameraError, match="give both as numbers"):
         Bench(exposure_us=8000)
 
 
 class Recorded:
-    """Stands for a node of a pipeline; only what the library's own node has may be used."""
+    """Records calls to a pipeline node; fails on attributes that depthai's own node lacks."""
 
     def __init__(self, real: Any, calls: list[tuple[Any, ...]]) -> None:
         self._real, self._calls = real, calls
@@ -260,12 +262,12 @@ class RecordedDevice:
         return "14442C"
 
 
-def test_the_graph_of_a_device_uses_nodes_as_the_library_has_them() -> None:
+def test_device_pipeline_matches_the_api_of_depthai() -> None:
     dai, pipeline = oak.load(), RecordedPipeline()
     held = CameraControls(8000, 200, 5000, 120)
     wanted = [
-        Wanted("CAM_B", 1280, 720, 10.0, False, held),
-        Wanted("CAM_C", 640, 480, 10.0, True, CameraControls()),
+        SocketRequest("CAM_B", 1280, 720, 10.0, False, held),
+        SocketRequest("CAM_C", 640, 480, 10.0, True, CameraControls()),
     ]
     built = DevicePipeline(dai, RecordedDevice(), pipeline, wanted)
     assert pipeline.started and set(built.queues) == {"CAM_B", "CAM_C"}
@@ -281,12 +283,12 @@ def test_the_graph_of_a_device_uses_nodes_as_the_library_has_them() -> None:
     ]
     assert pipeline.calls[0][2] == (dai.CameraBoardSocket.CAM_B,)
     assert pipeline.calls[2][3]["profile"] == dai.VideoEncoderProperties.Profile.MJPEG
-    # a queue that blocks would stall the device when we are late
+    # a blocking queue would stall the device whenever the host is late
     assert pipeline.calls[3][2] == (8, False)
 
 
 class HostNode:
-    """A pipeline that runs here: the driver's own loop on depthai's own queues and clock."""
+    """A depthai pipeline that runs on the host, with depthai's own queues and clock."""
 
     device = "host"
 
@@ -306,16 +308,16 @@ class HostNode:
 
 
 def on_host(make: Any) -> OakCamera:
-    """A camera whose pipeline, made by `make`, has no device in it."""
+    """A camera whose pipeline, created by `make`, uses no device."""
 
-    def factory(device: str, wanted: Sequence[Wanted]) -> HostNode:
+    def factory(device: str, wanted: Sequence[SocketRequest]) -> HostNode:
         pipeline = oak.load().Pipeline(False)
         return HostNode(pipeline, make(pipeline).out.createOutputQueue(maxSize=64, blocking=False))
 
     return OakCamera(CameraSpec(Eye.PRIMARY, "oak"), SystemClock(), factory=factory)
 
 
-def test_a_host_node_gives_jpegs_stamps_and_drops_through_depthais_queues() -> None:
+def test_jpegs_stamps_and_drops_pass_through_the_queues_of_depthai() -> None:
     dai = oak.load()
 
     class Source(dai.node.ThreadedHostNode):  # type: ignore[misc,name-defined]
@@ -333,17 +335,17 @@ def test_a_host_node_gives_jpegs_stamps_and_drops_through_depthais_queues() -> N
     camera = on_host(lambda pipeline: pipeline.create(Source))
     camera.start()
     frames = [camera.read(20.0) for _ in range(4)]
-    # depthai's stop holds the interpreter while it waits for a node written in Python
+    # depthai's stop() holds the interpreter lock while it waits for a node written in Python
     assert done.wait(20.0)
     camera.stop()
     assert [f and f.sequence for f in frames] == [0, 1, 4, 5]
     assert [f and f.image for f in frames] == [JPEG % k for k in (0, 1, 4, 5)]
-    # depthai keeps microseconds
+    # depthai rounds stamps to microseconds
     assert all(f and before_ns - 1000 <= f.t_ns <= time.monotonic_ns() for f in frames)
     assert (camera.stats().drops, camera.stats().host_stamped) == (2, 0)
 
 
-def test_a_video_replayed_by_depthai_comes_out_as_bgr_and_its_end_is_a_lost_device(
+def test_depthai_video_replay_gives_bgr_and_ends_as_a_lost_device(
     tmp_path: Path,
 ) -> None:
     dai, file = oak.load(), tmp_path / "drive.avi"
@@ -370,11 +372,11 @@ def test_a_video_replayed_by_depthai_comes_out_as_bgr_and_its_end_is_a_lost_devi
     assert all(f is not None and f.bgr().shape == (48, 64, 3) for f in frames)
 
 
-def test_depthais_clock_is_the_hosts_monotonic_one() -> None:
+def test_the_clock_of_depthai_is_host_monotonic() -> None:
     dai = oak.load()
     before_ns = time.monotonic_ns()
-    told_ns = dai.Clock.now() // timedelta(microseconds=1) * 1000
-    assert before_ns - 1000 <= told_ns <= time.monotonic_ns()
+    clock_ns = dai.Clock.now() // timedelta(microseconds=1) * 1000
+    assert before_ns - 1000 <= clock_ns <= time.monotonic_ns()
 
 
 LOADED = """
@@ -394,11 +396,11 @@ assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 """
 
 
-def test_an_absent_device_is_one_line_and_nothing_is_sent_home() -> None:
+def test_a_missing_device_gives_one_line_and_no_telemetry() -> None:
     done = subprocess.run(
         [sys.executable, "-c", LOADED], capture_output=True, text=True, check=True, timeout=60
     )
     (line,) = done.stdout.splitlines()
     assert line.startswith("primary camera oak:NOSUCHDEVICE: ")
-    assert "no OAK device found" in line or "not there; found" in line
+    assert "no OAK device found" in line or "not found; plugged in" in line
     assert "Traceback" not in done.stderr

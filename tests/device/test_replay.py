@@ -37,7 +37,7 @@ def play(
     return camera, read
 
 
-def test_unpaced_frames_are_the_recorded_ones_and_no_time_passes() -> None:
+def test_unpaced_frames_are_unchanged_and_take_no_time() -> None:
     clock = ManualClock(3)
     frames = recording(5)
     camera = ReplayCamera(CameraSpec(Eye.PRIMARY, "replay"), clock, frames=frames, paced=False)
@@ -48,7 +48,7 @@ def test_unpaced_frames_are_the_recorded_ones_and_no_time_passes() -> None:
     assert camera.read(1.0) is None and camera.exhausted
 
 
-def test_unpaced_latest_takes_one_frame_not_the_whole_drive() -> None:
+def test_unpaced_latest_reads_a_single_frame() -> None:
     camera = ReplayCamera(
         CameraSpec(Eye.PRIMARY, "replay"), ManualClock(), frames=recording(3), paced=False
     )
@@ -75,7 +75,7 @@ def test_two_replays_share_one_timeline() -> None:
     assert stamps == [2000 + t for t in (0, PERIOD_NS, 17_000_000, PERIOD_NS + 17_000_000)]
 
 
-def test_without_an_epoch_the_first_frame_plays_at_once() -> None:
+def test_without_an_epoch_the_first_frame_is_due_at_once() -> None:
     clock = ManualClock(77)
     camera = ReplayCamera(CameraSpec(Eye.PRIMARY, "replay"), clock, frames=recording(1))
     camera.start()
@@ -83,7 +83,7 @@ def test_without_an_epoch_the_first_frame_plays_at_once() -> None:
     assert frame is not None and frame.t_ns == 77
 
 
-def test_frames_are_pulled_one_by_one() -> None:
+def test_frames_are_iterated_lazily() -> None:
     pulled = 0
 
     def lazy() -> object:
@@ -103,7 +103,7 @@ def test_frames_are_pulled_one_by_one() -> None:
     assert pulled == 2
 
 
-def test_drop_is_seeded_counted_and_near_its_probability() -> None:
+def test_drops_are_reproducible_counted_and_at_the_set_rate() -> None:
     camera, first = play(recording(1000), ReplayFaults(drop=0.3, seed=4))
     _, again = play(recording(1000), ReplayFaults(drop=0.3, seed=4))
     _, other = play(recording(1000), ReplayFaults(drop=0.3, seed=5))
@@ -120,7 +120,7 @@ def test_the_eyes_do_not_drop_the_same_frames() -> None:
 
 
 @pytest.mark.parametrize("paced", [False, True])
-def test_freeze_is_silence_without_a_reconnect(paced: bool) -> None:
+def test_a_freeze_stops_frames_without_a_reconnect(paced: bool) -> None:
     camera, frames = play(
         recording(10), ReplayFaults(freeze=(2 * PERIOD_NS, 5 * PERIOD_NS)), paced=paced
     )
@@ -153,7 +153,7 @@ def test_connected_is_false_while_the_camera_is_gone() -> None:
     assert seen.count(False) == 2
 
 
-def test_jitter_moves_stamps_keeps_order_and_never_leads_the_clock() -> None:
+def test_jittered_stamps_stay_ordered_and_not_in_the_future() -> None:
     camera, frames = play(recording(200), ReplayFaults(jitter_ns=PERIOD_NS / 2), paced=True)
     stamps = [f.t_ns for f in frames]
     assert len(frames) == 200
@@ -164,7 +164,7 @@ def test_jitter_moves_stamps_keeps_order_and_never_leads_the_clock() -> None:
     assert 0.3 * PERIOD_NS < spread < 0.7 * PERIOD_NS
 
 
-def test_a_frame_of_the_other_eye_is_refused() -> None:
+def test_a_frame_of_the_other_eye_raises() -> None:
     camera = ReplayCamera(
         CameraSpec(Eye.PRIMARY, "replay"), ManualClock(), frames=recording(1, Eye.ASSISTANT)
     )

@@ -12,7 +12,7 @@ from device.serial_port import SerialPort
 
 
 class Line:
-    """A pty behind a stable name, as udev would give it."""
+    """A pseudo-terminal behind a stable name, as created by udev."""
 
     def __init__(self, name: Path) -> None:
         self.name = name
@@ -63,7 +63,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def open_files() -> list[str]:
-    """What this process holds open."""
+    """Paths that this process has open."""
     names = []
     for link in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
@@ -80,7 +80,9 @@ def test_bytes_arrive_unchanged_and_in_order(line: Line, port: SerialPort) -> No
     assert port.connected and port.error is None
 
 
-def test_a_stalled_reader_costs_whole_messages_and_no_time(line: Line, port: SerialPort) -> None:
+def test_a_stalled_receiver_drops_whole_messages_without_blocking(
+    line: Line, port: SerialPort
+) -> None:
     sent = [b"<%05d" % k + b"." * 90 + b">" for k in range(1000)]
     began = time.monotonic()
     for message in sent:
@@ -98,16 +100,16 @@ def test_a_stalled_reader_costs_whole_messages_and_no_time(line: Line, port: Ser
     until(drained)
     arrived = [received[k : k + 97] for k in range(0, len(received), 97)]
     assert set(arrived) <= set(sent) and arrived == sorted(arrived)
-    # the oldest gave way: as many of the newest arrive as the buffer holds
+    # the oldest were dropped: the newest arrive, as many as the queue holds
     assert arrived[-10:] == sent[-10:]
 
 
-def test_a_message_larger_than_the_buffer_is_refused(port: SerialPort) -> None:
+def test_a_message_larger_than_the_queue_is_rejected(port: SerialPort) -> None:
     assert not port.write(b"x" * 1001)
     assert port.stats().dropped == 1
 
 
-def test_a_vanished_port_is_opened_again(line: Line, port: SerialPort) -> None:
+def test_a_vanished_port_is_reopened(line: Line, port: SerialPort) -> None:
     port.write(b"before")
     until(lambda: port.stats().written == 1)
     tty = os.ttyname(line.slave)
@@ -128,7 +130,7 @@ def test_a_vanished_port_is_opened_again(line: Line, port: SerialPort) -> None:
 
 
 @pytest.mark.parametrize(("name", "baud"), [("missing", 115_200), ("tty", -5)])
-def test_what_cannot_be_opened_is_an_error_text_and_no_exception(
+def test_a_port_that_cannot_be_opened_sets_error_without_raising(
     line: Line, name: str, baud: int
 ) -> None:
     port = SerialPort(str(line.name.with_name(name)), baud, retry_s=0.02)
@@ -139,7 +141,7 @@ def test_what_cannot_be_opened_is_an_error_text_and_no_exception(
     port.stop()
 
 
-def test_stop_is_quick_although_the_reader_sleeps(line: Line, port: SerialPort) -> None:
+def test_stop_is_quick_with_a_stalled_receiver(line: Line, port: SerialPort) -> None:
     for _ in range(300):
         port.write(b"x" * 900)
         time.sleep(0.0005)
@@ -151,14 +153,14 @@ def test_stop_is_quick_although_the_reader_sleeps(line: Line, port: SerialPort) 
     assert not port.write(b"late")
 
 
-def test_what_was_written_before_stop_can_still_be_read(line: Line, port: SerialPort) -> None:
+def test_stop_sends_what_was_written_before(line: Line, port: SerialPort) -> None:
     port.write(b"last words")
     until(lambda: port.stats().written == 1)
     port.stop()
     assert line.read() == b"last words"
 
 
-def test_what_comes_in_is_handed_over_at_once_and_may_be_answered(line: Line) -> None:
+def test_received_bytes_are_passed_on_at_once_and_can_be_answered(line: Line) -> None:
     port = SerialPort(str(line.name), 115_200, retry_s=0.02)
     heard: list[bytes] = []
 
@@ -169,7 +171,7 @@ def test_what_comes_in_is_handed_over_at_once_and_may_be_answered(line: Line) ->
     port.start(answer)
     try:
         until(lambda: port.connected)
-        # nothing is to be sent: only what comes in can wake it
+        # nothing is queued for sending: only received bytes can wake the thread
         os.write(line.master, b"\x00\x03\x11\x13\xff\r\n")
         received = b""
 
@@ -185,7 +187,7 @@ def test_what_comes_in_is_handed_over_at_once_and_may_be_answered(line: Line) ->
     assert port.stats().read == 7
 
 
-def test_a_chatterer_that_never_reads_costs_no_time_and_no_memory(line: Line) -> None:
+def test_a_sender_that_never_reads_neither_blocks_nor_fills_memory(line: Line) -> None:
     port = SerialPort(str(line.name), 115_200, buffer_bytes=1000, retry_s=0.02)
     port.start(lambda data: port.write(data[:200]))
     try:
@@ -200,7 +202,7 @@ def test_a_chatterer_that_never_reads_costs_no_time_and_no_memory(line: Line) ->
         port.stop()
 
 
-def test_a_port_that_vanishes_is_noticed_without_a_word_to_send(line: Line) -> None:
+def test_a_vanished_port_is_noticed_with_nothing_to_send(line: Line) -> None:
     port = SerialPort(str(line.name), 115_200, retry_s=0.02)
     port.start()
     try:
@@ -214,7 +216,7 @@ def test_a_port_that_vanishes_is_noticed_without_a_word_to_send(line: Line) -> N
         port.stop()
 
 
-def test_last_words_leave_before_the_end(line: Line, port: SerialPort) -> None:
+def test_stop_sends_a_message_queued_just_before(line: Line, port: SerialPort) -> None:
     until(lambda: port.connected)
     for k in range(9):
         port.write(b"%d" % k * 100)

@@ -26,7 +26,7 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.
         yield receiver
 
 
-def test_the_manager_hears_every_message(manager: socket.socket) -> None:
+def test_every_message_reaches_the_service_manager(manager: socket.socket) -> None:
     notifier = open_notifier()
     notifier.ready()
     notifier.watchdog()
@@ -37,7 +37,7 @@ def test_the_manager_hears_every_message(manager: socket.socket) -> None:
     assert notifier.watchdog_s is None
 
 
-def test_an_unchanged_status_is_said_once(manager: socket.socket) -> None:
+def test_an_unchanged_status_is_sent_once(manager: socket.socket) -> None:
     notifier = open_notifier()
     notifier.status("live")
     notifier.status("live")
@@ -45,7 +45,7 @@ def test_an_unchanged_status_is_said_once(manager: socket.socket) -> None:
     assert [manager.recv(1000), manager.recv(1000)] == [b"STATUS=live", b"STATUS=lost"]
 
 
-def test_the_watchdog_interval_is_ours_only_with_our_pid(
+def test_the_watchdog_interval_applies_only_with_our_pid(
     manager: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "2500000")
@@ -55,7 +55,7 @@ def test_the_watchdog_interval_is_ours_only_with_our_pid(
     assert open_notifier().watchdog_s is None
 
 
-def test_a_manager_that_went_away_is_no_error(manager: socket.socket, tmp_path: Path) -> None:
+def test_a_service_manager_that_is_gone_is_no_error(manager: socket.socket, tmp_path: Path) -> None:
     notifier = open_notifier()
     assert isinstance(notifier, SystemdNotifier)
     manager.close()
@@ -63,7 +63,7 @@ def test_a_manager_that_went_away_is_no_error(manager: socket.socket, tmp_path: 
     notifier.watchdog()
 
 
-def test_without_a_manager_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_service_manager_nothing_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     notifier = open_notifier()
     assert isinstance(notifier, NullNotifier)
@@ -73,7 +73,7 @@ def test_without_a_manager_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> N
     notifier.stopping()
 
 
-def test_a_missing_systemd_python_is_said_once_and_tolerated(
+def test_missing_systemd_python_is_logged_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", "/nowhere")
@@ -82,7 +82,7 @@ def test_a_missing_systemd_python_is_said_once_and_tolerated(
     assert "systemd-python is not installed" in caplog.text
 
 
-def test_a_new_state_goes_into_the_journal_once() -> None:
+def test_a_state_change_is_written_to_the_journal_once() -> None:
     entries: list[tuple[str, dict[str, object]]] = []
     notifier = SystemdNotifier(lambda _: None, None, lambda text, **f: entries.append((text, f)))
     notifier.status("RUNNING: 3 frames", "RUNNING")
@@ -95,14 +95,14 @@ def test_a_new_state_goes_into_the_journal_once() -> None:
     assert {f["SYSLOG_IDENTIFIER"] for _, f in entries} == {"calm-edge"}
 
 
-def test_a_journal_that_went_away_is_no_error() -> None:
+def test_a_journal_that_is_gone_is_no_error() -> None:
     def gone(*_: object, **__: object) -> None:
         raise OSError
 
     SystemdNotifier(lambda _: None, None, gone).status("x", "RUNNING")
 
 
-def test_log_lines_go_to_the_journal_only_when_it_holds_our_stderr(
+def test_log_lines_go_to_the_journal_only_if_stderr_does(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     journal = pytest.importorskip("systemd.journal")
@@ -120,12 +120,12 @@ def test_log_lines_go_to_the_journal_only_when_it_holds_our_stderr(
     assert sent[0]["SYSLOG_IDENTIFIER"] == "calm-edge"
 
 
-def test_the_watchdog_is_not_fed_faster_than_it_is_hungry(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_watchdog_pings_are_rate_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = [100.0]
     monkeypatch.setattr("device.service.time", SimpleNamespace(monotonic=lambda: now_s[0]))
-    told: list[float] = []
-    notifier = SystemdNotifier(lambda _: told.append(now_s[0]), 5.0)
+    sent: list[float] = []
+    notifier = SystemdNotifier(lambda _: sent.append(now_s[0]), 5.0)
     for tick in range(200):
         now_s[0] = 100.0 + tick * 0.01
         notifier.watchdog()
-    assert told == pytest.approx([100.0, 100.5, 101.0, 101.5])
+    assert sent == pytest.approx([100.0, 100.5, 101.0, 101.5])

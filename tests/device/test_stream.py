@@ -8,7 +8,7 @@ def frame(sequence: int, t_ns: int) -> Frame:
     return Frame(Eye.PRIMARY, sequence, t_ns, b"")
 
 
-def test_stamps_in_the_future_or_backwards_are_moved_and_counted() -> None:
+def test_stamps_in_the_future_or_out_of_order_are_clamped_and_counted() -> None:
     stream = Stream()
     stamps = [
         stream.admit(frame(k, t), now).t_ns
@@ -19,14 +19,14 @@ def test_stamps_in_the_future_or_backwards_are_moved_and_counted() -> None:
     assert stream.stats.frames == 4
 
 
-def test_recorded_stamps_know_no_now_but_keep_their_order() -> None:
+def test_recorded_stamps_are_only_clamped_to_their_order() -> None:
     stream = Stream()
     assert stream.admit(frame(0, 10**15), None).t_ns == 10**15
     assert stream.admit(frame(1, 10**15), None).t_ns == 10**15 + 1
     assert stream.stats.clamped == 1
 
 
-def test_an_untouched_frame_is_passed_on_as_it_is() -> None:
+def test_a_frame_with_a_valid_stamp_is_passed_unchanged() -> None:
     given = frame(0, 5)
     assert Stream().admit(given, 6) is given
 
@@ -38,7 +38,7 @@ def test_gaps_in_the_sequence_are_drops() -> None:
     assert stream.stats.drops == 2
 
 
-def test_staleness_includes_its_limit() -> None:
+def test_a_frame_exactly_at_the_age_limit_is_fresh() -> None:
     stream = Stream()
     assert stream.fresh(0, 100) is None
     newest = stream.admit(frame(0, 50), 50)
@@ -46,7 +46,7 @@ def test_staleness_includes_its_limit() -> None:
     assert stream.fresh(151, 100) is None
 
 
-def test_counts_one_kind_at_a_time() -> None:
+def test_each_counter_is_separate() -> None:
     stream = Stream()
     stream.count("reconnects")
     stream.count("reconnects")

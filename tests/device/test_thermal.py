@@ -1,4 +1,4 @@
-"""The thermal reader on fake trees."""
+"""The thermal reader on fake sysfs trees."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def entry(root: Path, name: str, **files: str) -> None:
         (folder / file).write_text(text + "\n")
 
 
-def test_the_hottest_plausible_zone_counts(tmp_path: Path) -> None:
+def test_the_hottest_plausible_zone_is_reported(tmp_path: Path) -> None:
     entry(tmp_path, "thermal_zone0", type="cpu-thermal", temp="61234")
     entry(tmp_path, "thermal_zone1", type="gpu", temp="70500")
     entry(tmp_path, "thermal_zone2", type="unconnected", temp="-274000")
@@ -40,18 +40,18 @@ def test_the_hottest_plausible_zone_counts(tmp_path: Path) -> None:
         ("Processor", "?", False),
     ],
 )
-def test_only_what_slows_the_processor_is_throttling(
+def test_only_processor_cooling_counts_as_throttling(
     tmp_path: Path, kind: str, level: str, throttled: bool
 ) -> None:
     entry(tmp_path, "cooling_device0", type=kind, cur_state=level)
     assert ThermalReader(tmp_path).read() == Thermal(None, "", throttled)
 
 
-def test_a_machine_without_sensors_is_neither_hot_nor_cold(tmp_path: Path) -> None:
+def test_without_sensors_there_is_no_temperature(tmp_path: Path) -> None:
     assert ThermalReader(tmp_path / "none").read() == Thermal()
 
 
-def test_a_watch_follows_and_waits_for_no_slow_sensor(tmp_path: Path) -> None:
+def test_thermal_watch_updates_without_blocking_on_a_slow_sensor(tmp_path: Path) -> None:
     class Slow(ThermalReader):
         def read(self) -> Thermal:
             assert go.wait(10)

@@ -37,7 +37,7 @@ class Bench:
         self.camera.start()
 
     def shoot(self, sequence: int, **changes: object) -> None:
-        """A picture due and stamped now, unless told otherwise."""
+        """Add a JPEG buffer due now, with the fields in `changes` replaced."""
         now_ns = self.clock.now_ns()
         shot = Shot(now_ns, sequence, JPEG % sequence, now_ns, MONOTONIC)
         for name, value in changes.items():
@@ -50,7 +50,7 @@ class Bench:
         return frame
 
     def replug(self, path: str) -> FakeCamera:
-        """The same camera comes back on another node, its driver counting from 0."""
+        """Reconnect the camera at another node; its driver counts from 0 again."""
         self.device = FakeCamera("usb-1", controls=webcam())
         self.io.cameras = {"/dev/video0": FakeCamera("usb-7"), path: self.device}
         return self.device
@@ -62,7 +62,7 @@ def test_jpeg_bytes_are_untouched() -> None:
     assert bench.read().image == JPEG % 0
 
 
-def test_yuyv_is_converted_once_and_row_padding_is_left_out() -> None:
+def test_yuyv_becomes_bgr_without_row_padding() -> None:
     bench = Bench(fourccs=("YUYV",), stride=20)
     bench.shoot(0, data=yuyv(200, 8, 4, 20))
     image = bench.read().image
@@ -85,7 +85,7 @@ def test_yuyv_columns_and_colours_keep_their_places() -> None:
     assert image[:, 4:, 2].min() > 240 and image[:, 4:, :2].max() < 16
 
 
-def test_the_stamp_is_the_buffers_own() -> None:
+def test_the_stamp_is_that_of_the_buffer() -> None:
     bench = Bench()
     bench.shoot(0, stamp_ns=10 * S - 30 * MS)
     assert bench.read().t_ns == 10 * S - 30 * MS
@@ -93,7 +93,7 @@ def test_the_stamp_is_the_buffers_own() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"flags": 0}, {"flags": COPY}, {"stamp_ns": 0}])
-def test_without_a_monotonic_stamp_the_host_stamps_and_counts(changes: dict[str, int]) -> None:
+def test_without_a_monotonic_stamp_the_host_stamps_the_frame(changes: dict[str, int]) -> None:
     bench = Bench()
     bench.shoot(0, **{"stamp_ns": 123 * MS} | changes)
     assert bench.read().t_ns == 10 * S
@@ -143,7 +143,7 @@ def test_a_lost_camera_is_found_again_by_its_bus(lose: Callable[[Bench], None]) 
     assert bench.clock.now_ns() == 10 * S + 500 * MS
     assert not bench.camera.connected and not bench.io.open_fds
 
-    # another camera has taken the old node number meanwhile
+    # meanwhile another camera has taken the old node number
     bench.replug("/dev/video4").film(12 * S, 3, 100 * MS)
     frames = [bench.camera.read(3.0) for _ in range(3)]
     assert [f and f.sequence for f in frames] == [6, 7, 8]
@@ -153,7 +153,7 @@ def test_a_lost_camera_is_found_again_by_its_bus(lose: Callable[[Bench], None]) 
     assert bench.camera.connected
 
 
-def test_a_missing_camera_is_tried_once_a_second_and_never_raises() -> None:
+def test_a_missing_camera_is_searched_every_second_without_raising() -> None:
     bench = Bench()
     attempts: list[int] = []
     bench.device.gone = True
@@ -169,7 +169,7 @@ def test_a_missing_camera_is_tried_once_a_second_and_never_raises() -> None:
     assert bench.camera.stats().reconnects == 0
 
 
-def test_a_camera_that_came_back_denied_is_tried_again() -> None:
+def test_a_camera_without_permission_is_retried() -> None:
     bench = Bench()
     bench.device.gone = True
     bench.camera.read(0.1)
@@ -180,14 +180,14 @@ def test_a_camera_that_came_back_denied_is_tried_again() -> None:
     assert bench.camera.read(2.0) is not None
 
 
-def test_start_without_the_camera_says_so() -> None:
+def test_start_without_the_camera_raises() -> None:
     clock = ManualClock()
     io = FakeVideoIO(clock, {})
-    with pytest.raises(CameraError, match="primary camera v4l2:usb-3: not there"):
+    with pytest.raises(CameraError, match="primary camera v4l2:usb-3: not found"):
         V4l2Camera(CameraSpec(Eye.PRIMARY, "v4l2", "usb-3"), clock, io=io).start()
 
 
-def test_format_is_what_the_camera_settled_on() -> None:
+def test_format_is_the_one_the_camera_chose() -> None:
     bench = Bench(size=(640, 480))
     form = bench.camera.format
     assert form is not None and (form.width_px, form.height_px) == (640, 480)
@@ -195,7 +195,7 @@ def test_format_is_what_the_camera_settled_on() -> None:
     assert bench.camera.format is None
 
 
-def test_a_camera_that_streams_and_is_silent_is_opened_anew() -> None:
+def test_a_streaming_camera_without_frames_is_reopened() -> None:
     bench = Bench()
     bench.shoot(0)
     bench.read()
@@ -207,7 +207,7 @@ def test_a_camera_that_streams_and_is_silent_is_opened_anew() -> None:
     assert len(bench.io.open_fds) == 1
 
 
-def test_a_slow_camera_is_not_taken_for_a_silent_one() -> None:
+def test_a_slow_camera_is_not_reopened() -> None:
     bench = Bench()
     bench.device.film(12 * S, 3, 2900 * MS)
     for _ in range(3):
@@ -226,7 +226,7 @@ def test_a_camera_named_by_its_serial_may_come_back_on_another_port() -> None:
     assert frame is not None and bench.camera.settings["address"] == "usb-3"
 
 
-def test_settings_tell_what_was_read_back() -> None:
+def test_settings_are_read_back() -> None:
     bench = Bench(wanted=CameraControls(exposure_us=8000), controls=webcam(), serial="A7")
     assert bench.camera.settings == {
         "name": "Fake",
@@ -244,7 +244,7 @@ def test_settings_tell_what_was_read_back() -> None:
     }
 
 
-def test_exposure_is_locked_after_two_seconds_and_survives_an_unplug() -> None:
+def test_exposure_is_locked_after_two_seconds_and_after_a_reconnect() -> None:
     wanted = CameraControls(exposure_us="auto-then-lock")
     bench = Bench(wanted=wanted, controls=webcam())
     bench.device.film(10 * S, 25, 100 * MS)
@@ -265,7 +265,7 @@ def test_exposure_is_locked_after_two_seconds_and_survives_an_unplug() -> None:
     assert (controls[EXPOSURE_AUTO].value, controls[EXPOSURE].value) == (1, 40)
 
 
-def test_what_a_camera_cannot_do_is_said_once() -> None:
+def test_unfulfilled_requests_are_remarked_once() -> None:
     slow = {"intervals": ((1, 5),)}
     bench = Bench(wanted=CameraControls(gain=9), **slow)  # type: ignore[arg-type]
     bench.device.gone = True

@@ -13,7 +13,7 @@ FOCUS, FOCUS_AUTO = 0x009A090A, 0x009A090C
 
 
 def webcam(**changes: Knob) -> dict[int, Knob]:
-    """The controls of a usual USB camera, all automatic."""
+    """The controls of a typical USB camera, all automatic."""
     knobs = {
         WHITE_AUTO: Knob("White Balance, Automatic", 1, 0, 1),
         GAIN: Knob("Gain", 64, 0, 255),
@@ -37,7 +37,7 @@ def applied(
     return keeper, io, fd, knobs
 
 
-def test_by_default_only_the_focus_is_held_where_it_stands() -> None:
+def test_by_default_only_focus_is_locked() -> None:
     keeper, _, _, knobs = applied(webcam())
     assert knobs[FOCUS_AUTO].value == 0 and knobs[FOCUS].value == 30
     assert knobs[EXPOSURE_AUTO].value == 3 and knobs[WHITE_AUTO].value == 1
@@ -50,11 +50,11 @@ def test_by_default_only_the_focus_is_held_where_it_stands() -> None:
     assert not keeper.remarks and not keeper.pending
 
 
-def test_a_dark_scene_may_not_halve_the_rate() -> None:
+def test_exposure_may_not_lower_the_frame_rate() -> None:
     assert applied(webcam())[3][PRIORITY].value == 0
 
 
-def test_numbers_are_set_held_and_read_back_in_their_units() -> None:
+def test_numbers_are_set_locked_and_read_back_in_their_units() -> None:
     wanted = {"exposure_us": 8000, "gain": 20, "white_balance_k": 5000, "focus": 0}
     keeper, _, _, knobs = applied(webcam(), **wanted)
     assert knobs[EXPOSURE_AUTO].value == 1 and knobs[EXPOSURE].value == 80
@@ -64,29 +64,29 @@ def test_numbers_are_set_held_and_read_back_in_their_units() -> None:
     assert not keeper.remarks
 
 
-def test_a_number_out_of_range_is_brought_into_it_and_said() -> None:
+def test_a_number_out_of_range_is_clipped_and_remarked() -> None:
     keeper, _, _, knobs = applied(webcam(), exposure_us=10_000_000, white_balance_k=2804)
     assert knobs[EXPOSURE].value == 2047 and knobs[WHITE].value == 2800
     assert keeper.settings["exposure_us"] == 204_700
     assert "exposure_us = 10000000" in keeper.remarks[0] and "300 to 204700" in keeper.remarks[0]
 
 
-def test_auto_then_lock_locks_what_was_found() -> None:
+def test_auto_then_lock_locks_the_converged_value() -> None:
     keeper, io, fd, knobs = applied(webcam(), exposure_us="auto-then-lock", focus="auto-then-lock")
     assert knobs[EXPOSURE_AUTO].value == 3 and knobs[FOCUS_AUTO].value == 1
     assert keeper.pending
-    # the camera finds its values meanwhile
+    # meanwhile the camera's exposure converges
     knobs[EXPOSURE].value, knobs[FOCUS].value = 40, 15
-    keeper.settle(io, fd)
+    keeper.lock_settled(io, fd)
     assert not keeper.pending
     assert knobs[EXPOSURE_AUTO].value == 1 and knobs[FOCUS_AUTO].value == 0
     assert keeper.settings["exposure_us"] == 4000 and keeper.settings["focus"] == 15
 
 
-def test_a_camera_that_comes_back_gets_what_it_was_locked_to() -> None:
+def test_locked_values_are_restored_after_a_reconnect() -> None:
     keeper, io, fd, knobs = applied(webcam(), exposure_us="auto-then-lock")
     knobs[EXPOSURE].value = 40
-    keeper.settle(io, fd)
+    keeper.lock_settled(io, fd)
     io.cameras["/dev/video0"].controls = fresh = webcam(FOCUS=Knob("Focus", 200, 0, 250, 5))
     keeper.apply(io, fd)
     assert not keeper.pending
@@ -94,7 +94,7 @@ def test_a_camera_that_comes_back_gets_what_it_was_locked_to() -> None:
     assert fresh[FOCUS_AUTO].value == 0 and fresh[FOCUS].value == 30
 
 
-def test_an_autofocus_that_cannot_be_switched_off_is_refused_unless_told() -> None:
+def test_an_autofocus_that_cannot_be_switched_off_raises_unless_requested() -> None:
     stuck = {"FOCUS_AUTO": Knob("Focus, Automatic Continuous", 1, 0, 1, stuck=True)}
     with pytest.raises(CameraError, match=r'autofocus cannot .* capture.focus = "auto"'):
         applied(webcam(**stuck))
@@ -103,32 +103,32 @@ def test_an_autofocus_that_cannot_be_switched_off_is_refused_unless_told() -> No
     assert applied(webcam(**stuck), focus="auto")[0].settings["focus"] == "auto"
 
 
-def test_an_exposure_that_cannot_be_locked_is_said_and_no_error() -> None:
+def test_an_exposure_that_cannot_be_locked_is_remarked() -> None:
     stuck = Knob("Auto Exposure", 3, 0, 3, stuck=True)
     keeper, _, _, _ = applied(webcam(EXPOSURE_AUTO=stuck), exposure_us=8000)
     assert keeper.settings["exposure_us"] == "auto"
     assert keeper.remarks == ["primary camera: exposure_us cannot be locked, it stays automatic"]
 
 
-def test_a_camera_without_controls_is_no_error_and_said_only_where_a_value_was_asked() -> None:
+def test_a_missing_control_is_remarked_only_if_a_value_was_requested() -> None:
     keeper, _, _, _ = applied({}, exposure_us=8000)
     assert set(keeper.settings.values()) == {"absent"}
-    assert keeper.remarks == ["primary camera: has no exposure_us, it stays as it is"]
+    assert keeper.remarks == ["primary camera: has no exposure_us control; not set"]
 
 
-def test_exposure_of_cameras_that_call_it_fully_automatic() -> None:
-    # aperture priority, 3, is out of its range
+def test_automatic_exposure_without_aperture_priority() -> None:
+    # aperture priority (3) is out of the control's range
     knob = Knob("Auto Exposure", 1, 0, 1)
     assert applied(webcam(EXPOSURE_AUTO=knob), exposure_us="auto")[3][EXPOSURE_AUTO].value == 0
 
 
-def test_a_read_only_value_is_left_alone() -> None:
+def test_a_read_only_value_is_not_written() -> None:
     knob = Knob("Focus, Absolute", 30, 0, 250, 5, flags=4)
     keeper, _, _, _ = applied(webcam(FOCUS=knob), focus=100)
     assert knob.value == 30 and keeper.settings["focus"] == 30
 
 
-def test_a_driver_that_never_ends_its_list_does_not_end_us() -> None:
+def test_an_endless_control_list_is_cut_off() -> None:
     io = system(video0=FakeCamera("usb-1", controls={7: Knob("Odd", 1)}))
     fd = io.open("/dev/video0")
     real = io.ioctl
@@ -142,6 +142,6 @@ def test_a_driver_that_never_ends_its_list_does_not_end_us() -> None:
 
 
 @pytest.mark.parametrize("word", ["manual", "AUTO", ""])
-def test_an_unknown_word_is_refused_with_the_known_ones(word: str) -> None:
+def test_an_unknown_mode_raises_with_the_valid_ones(word: str) -> None:
     with pytest.raises(CameraError, match=r"capture.gain = .*auto, auto-then-lock, lock"):
         CameraControls(gain=word)

@@ -7,7 +7,7 @@ from device.drivers.v4l2_identity import NodeFacts, facts, holders
 
 
 def usb_device(sys: Path, port: str, node: str, serial: str | None) -> None:
-    """A camera as sysfs shows it: the node's device is an interface of the USB device."""
+    """A camera as in sysfs, where the node's device is an interface of the USB device."""
     device = sys / "devices/pci0000:00/0000:00:14.0/usb1" / port
     interface = device / f"{port}:1.0"
     interface.mkdir(parents=True)
@@ -20,16 +20,16 @@ def usb_device(sys: Path, port: str, node: str, serial: str | None) -> None:
     (listed / "device").symlink_to(interface)
 
 
-def test_the_serial_is_the_usb_devices_own(tmp_path: Path) -> None:
+def test_the_serial_is_that_of_the_usb_device(tmp_path: Path) -> None:
     usb_device(tmp_path, "1-1", "video0", "E822E13F")
     usb_device(tmp_path, "1-2", "video2", None)
     first, second = facts("/dev/video0", tmp_path), facts("/dev/video2", tmp_path)
     assert first.serial == "E822E13F" and first.port.endswith("usb1/1-1/1-1:1.0")
-    # not the hub's, which has one
+    # not that of the hub, which has one too
     assert second.serial == "" and second.port.endswith("1-2:1.0")
 
 
-def test_a_camera_that_is_no_usb_device_has_a_port_and_no_serial(tmp_path: Path) -> None:
+def test_a_camera_that_is_not_usb_has_no_serial(tmp_path: Path) -> None:
     (tmp_path / "devices/platform/vivid.0").mkdir(parents=True)
     node = tmp_path / "class/video4linux/video0"
     node.mkdir(parents=True)
@@ -38,11 +38,11 @@ def test_a_camera_that_is_no_usb_device_has_a_port_and_no_serial(tmp_path: Path)
     assert got.serial == "" and got.port.endswith("platform/vivid.0")
 
 
-def test_an_unknown_node_has_no_facts(tmp_path: Path) -> None:
+def test_an_unknown_node_has_empty_facts(tmp_path: Path) -> None:
     assert facts("/dev/video7", tmp_path) == NodeFacts()
 
 
-def test_whoever_has_the_node_open_is_named(tmp_path: Path) -> None:
+def test_processes_with_the_node_open_are_named(tmp_path: Path) -> None:
     for number, name, target in (
         (7, "cheese", "/dev/video0"),
         (8, "bash", "/dev/video1"),
@@ -57,13 +57,13 @@ def test_whoever_has_the_node_open_is_named(tmp_path: Path) -> None:
     assert holders("/dev/video0", tmp_path) == ["cheese (process 7)", "obs (process 9)"]
 
 
-def test_a_process_that_may_not_be_looked_into_is_passed_over(tmp_path: Path) -> None:
+def test_processes_without_access_are_skipped(tmp_path: Path) -> None:
     (tmp_path / "11").mkdir()
     (tmp_path / "11/fd").write_text("not a folder, so it cannot be listed")
     assert holders("/dev/video0", tmp_path) == []
 
 
-def test_this_very_process_is_found(tmp_path: Path) -> None:
+def test_the_own_process_is_found(tmp_path: Path) -> None:
     node = tmp_path / "video0"
     node.write_bytes(b"")
     with node.open("rb"):

@@ -1,4 +1,4 @@
-"""The packed structs against the kernel's own header, compiled."""
+"""The packed structs against a C program that includes the kernel's header."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ EXPECTED = {
     "V4L2_CID_FOCUS_ABSOLUTE": controls.FOCUS_ABSOLUTE,
     "V4L2_CID_FOCUS_AUTO": controls.FOCUS_AUTO,
     "V4L2_CID_ANALOGUE_GAIN": controls.ANALOGUE_GAIN,
-    "V4L2_EXPOSURE_MANUAL": controls.KNOBS[0].off,
-    "V4L2_EXPOSURE_APERTURE_PRIORITY": controls.KNOBS[0].on[0],
-    "V4L2_EXPOSURE_AUTO": controls.KNOBS[0].on[1],
+    "V4L2_EXPOSURE_MANUAL": controls.CONTROL_GROUPS[0].off,
+    "V4L2_EXPOSURE_APERTURE_PRIORITY": controls.CONTROL_GROUPS[0].on[0],
+    "V4L2_EXPOSURE_AUTO": controls.CONTROL_GROUPS[0].on[1],
     "VIDIOC_QUERYCAP": v4l2.QUERYCAP,
     "VIDIOC_ENUM_FMT": v4l2.ENUM_FMT,
     "VIDIOC_S_FMT": v4l2.S_FMT,
@@ -70,7 +70,7 @@ EXPECTED = {
     "V4L2_BUF_FLAG_TIMESTAMP_MASK": v4l2.BUF_FLAG_TIMESTAMP_MASK,
     "V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC": v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC,
 }
-# the fields we read or write, each given a value that names it
+# the fields that the driver reads or writes, each with a distinct value
 FILLED = {
     "struct v4l2_capability": (
         v4l2.CAPABILITY,
@@ -160,7 +160,7 @@ FILLED = {
 
 
 def compiled(tmp_path: Path, body: str) -> list[str]:
-    """Lines that a C program with the header prints."""
+    """Compile a C program that includes the header and return the lines it prints."""
     source, program = tmp_path / "probe.c", tmp_path / "probe"
     source.write_text(
         "#include <linux/videodev2.h>\n#include <stdio.h>\n#include <string.h>\n"
@@ -176,13 +176,13 @@ needs_header = pytest.mark.skipif(
 
 
 @needs_header
-def test_sizes_and_numbers_are_the_headers(tmp_path: Path) -> None:
+def test_sizes_and_numbers_match_the_header(tmp_path: Path) -> None:
     body = "\n".join(f'printf("%lu\\n", (unsigned long)({name}));' for name in EXPECTED)
     assert dict(zip(EXPECTED, map(int, compiled(tmp_path, body)), strict=True)) == EXPECTED
 
 
 @needs_header
-def test_fields_lie_where_the_header_puts_them(tmp_path: Path) -> None:
+def test_field_offsets_match_the_header(tmp_path: Path) -> None:
     body = "\n".join(
         f"{{ {kind} s; memset(&s, 0, sizeof s);\n"
         + "".join(f"s{name} = {value};\n" for name, (_, value) in fields.items())
@@ -197,14 +197,14 @@ def test_fields_lie_where_the_header_puts_them(tmp_path: Path) -> None:
         }
 
 
-def test_nodes_are_sorted_by_number_and_nothing_else_is_one(tmp_path: Path) -> None:
+def test_only_video_nodes_are_listed_sorted_by_number(tmp_path: Path) -> None:
     for name in ("video10", "video2", "video0", "video-codec", "video", "vbi0"):
         (tmp_path / name).touch()
     nodes = v4l2.LinuxVideoIO(tmp_path).nodes()
     assert [Path(node).name for node in nodes] == ["video0", "video2", "video10"]
 
 
-def test_a_mapped_buffer_is_read_at_its_offset(tmp_path: Path) -> None:
+def test_a_buffer_is_mapped_at_its_offset(tmp_path: Path) -> None:
     (tmp_path / "video0").write_bytes(b"a" * 8192 + b"buffer 2" + bytes(4088))
     io = v4l2.LinuxVideoIO(tmp_path)
     fd = io.open(io.nodes()[0])
@@ -216,7 +216,7 @@ def test_a_mapped_buffer_is_read_at_its_offset(tmp_path: Path) -> None:
         memory[0]
 
 
-def test_wait_ends_when_something_comes_or_the_time_is_over() -> None:
+def test_wait_ends_on_data_or_timeout() -> None:
     reader, writer = os.pipe()
     io = v4l2.LinuxVideoIO()
     assert not io.wait(reader, 0.01)
@@ -226,7 +226,7 @@ def test_wait_ends_when_something_comes_or_the_time_is_over() -> None:
     os.close(writer)
 
 
-def test_a_node_that_is_no_camera_is_an_os_error() -> None:
+def test_a_node_that_is_not_a_camera_raises_oserror() -> None:
     reader, writer = os.pipe()
     with pytest.raises(OSError):
         v4l2.query_capability(v4l2.LinuxVideoIO(), reader)

@@ -12,7 +12,7 @@ from tests.device.fake_video import FakeCamera, Knob, system
 METADATA_CAPS = 0x04A00000
 
 
-def test_list_knows_cameras_from_metadata_nodes() -> None:
+def test_metadata_nodes_are_not_listed() -> None:
     io = system(
         video0=FakeCamera("usb-1", card="Left"),
         video1=FakeCamera("usb-1", device_caps=METADATA_CAPS),
@@ -27,7 +27,7 @@ def test_list_knows_cameras_from_metadata_nodes() -> None:
     assert not io.open_fds
 
 
-def test_an_old_driver_without_device_caps_is_judged_by_its_capabilities() -> None:
+def test_without_device_caps_the_capabilities_are_used() -> None:
     assert list_devices(system(video0=FakeCamera("a", capabilities=0x04000001, device_caps=0)))
     assert not list_devices(system(video0=FakeCamera("a", capabilities=0x04000002)))
 
@@ -46,15 +46,17 @@ def test_permission_denied_names_the_group_unless_a_camera_is_usable() -> None:
     assert len(list_devices(system(video0=denied, video1=FakeCamera("usb-2")))) == 1
 
 
-def test_an_empty_address_takes_cameras_by_bus_whatever_their_numbers() -> None:
+def test_an_empty_address_takes_cameras_in_order_of_bus() -> None:
     io = system(video0=FakeCamera("usb-2"), video1=FakeCamera("usb-1"))
     assert find("", Eye.PRIMARY, io).address == "usb-1"
     assert find("", Eye.ASSISTANT, io).address == "usb-2"
 
 
-def test_a_missing_camera_is_one_line_with_what_is_there() -> None:
+def test_the_error_for_a_missing_camera_lists_those_found() -> None:
     io = system(video0=FakeCamera("usb-1"))
-    with pytest.raises(CameraError, match=r"assistant camera v4l2:usb-9: not there; found: usb-1"):
+    with pytest.raises(
+        CameraError, match=r"assistant camera v4l2:usb-9: not found; plugged in: usb-1"
+    ):
         find("usb-9", Eye.ASSISTANT, io)
     with pytest.raises(CameraError, match=r"assistant camera .*1 found .*plug in camera 2"):
         find("", Eye.ASSISTANT, io)
@@ -62,7 +64,7 @@ def test_a_missing_camera_is_one_line_with_what_is_there() -> None:
         find("usb-9", Eye.PRIMARY, system())
 
 
-def test_two_sensors_keep_their_addresses_when_their_nodes_change_places() -> None:
+def test_two_sensors_keep_their_addresses_when_node_numbers_swap() -> None:
     colour = FakeCamera("usb-1", card="Colour", port="1-1:1.0")
     infrared = FakeCamera("usb-1", card="IR", port="1-1:1.2")
     for io in (system(video0=colour, video2=infrared), system(video0=infrared, video2=colour)):
@@ -70,26 +72,26 @@ def test_two_sensors_keep_their_addresses_when_their_nodes_change_places() -> No
         assert find("usb-1#1", Eye.PRIMARY, io).card == "IR"
 
 
-def test_a_camera_is_found_by_its_serial_on_whatever_port() -> None:
+def test_a_camera_is_found_by_its_serial_on_any_port() -> None:
     io = system(video0=FakeCamera("usb-1", serial="A7"), video3=FakeCamera("usb-9", serial="B2"))
     node = find("serial=B2", Eye.PRIMARY, io)
     assert (node.path, node.address, node.serial) == ("/dev/video3", "usb-9", "B2")
     assert identity("serial=B2", node) == "serial=B2"
     assert identity("/dev/video3", node) == identity("", node) == "usb-9"
-    with pytest.raises(CameraError, match=r"v4l2:serial=C: not there; found: usb-1, usb-9"):
+    with pytest.raises(CameraError, match=r"v4l2:serial=C: not found; plugged in: usb-1, usb-9"):
         find("serial=C", Eye.PRIMARY, io)
 
 
-def test_a_serial_that_two_cameras_share_names_neither() -> None:
+def test_a_serial_of_two_cameras_is_ambiguous() -> None:
     io = system(video0=FakeCamera("usb-1", serial="001"), video1=FakeCamera("usb-2", serial="001"))
     with pytest.raises(CameraError, match=r"2 cameras have this serial; .*ports: usb-1, usb-2"):
         find("serial=001", Eye.PRIMARY, io)
     nameless = system(video0=FakeCamera("usb-1"), video1=FakeCamera("usb-2"))
-    with pytest.raises(CameraError, match="not there"):
+    with pytest.raises(CameraError, match="not found"):
         find("serial=", Eye.PRIMARY, nameless)
 
 
-def test_discover_tells_formats_rates_and_controls() -> None:
+def test_discover_lists_formats_rates_and_controls() -> None:
     camera = FakeCamera(
         "usb-1",
         card="Left",
@@ -108,20 +110,20 @@ def test_discover_tells_formats_rates_and_controls() -> None:
     assert not found.note and not io.open_fds
 
 
-def test_discover_without_details_asks_for_none() -> None:
+def test_discover_without_details_queries_none() -> None:
     camera = FakeCamera("usb-1", sizes=((640, 480),), fails={0x02: errno.EIO, 0x24: errno.EIO})
     (found,) = discover(system(video0=camera), details=False)
     assert not found.formats and not found.controls and not found.note
 
 
-def test_a_camera_that_cannot_be_asked_is_listed_with_the_reason() -> None:
+def test_a_camera_that_cannot_be_queried_is_listed_with_the_reason() -> None:
     busy = FakeCamera("usb-1", fails={0x02: errno.EBUSY}, held_by=["cheese (process 9)"])
     first, second = discover(system(video0=busy, video1=FakeCamera("usb-2")))
     assert first.note == "/dev/video0: in use by cheese (process 9); close it"
     assert not second.note
 
 
-def test_a_size_range_is_told_by_its_ends() -> None:
+def test_a_size_range_is_listed_by_its_ends() -> None:
     camera = FakeCamera(
         "usb-1",
         fourccs=("YUYV",),

@@ -13,13 +13,13 @@ WIDTH, HEIGHT = 32, 16
 
 @pytest.fixture(scope="module")
 def picture() -> NDArray[np.uint8]:
-    """BGR patches of 8 px, so that formats with less colour than light keep them apart."""
+    """BGR patches of 8 px, large enough for formats with subsampled chroma."""
     colours = np.random.default_rng(3).integers(40, 216, (HEIGHT // 8, WIDTH // 8, 3))
     return colours.repeat(8, 0).repeat(8, 1).astype(np.uint8)
 
 
 def encoded(fourcc: str, bgr: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
-    """The planes of the picture as a camera would send them, each (rows, bytes)."""
+    """The planes of the image as sent by a camera, each (rows, bytes)."""
     if fourcc in ("BGR3", "RGB3"):
         return [(bgr if fourcc == "BGR3" else bgr[..., ::-1]).reshape(HEIGHT, -1)]
     if fourcc == "GREY":
@@ -43,7 +43,7 @@ def encoded(fourcc: str, bgr: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
 
 
 def padded(planes: list[NDArray[np.uint8]], pad: int) -> tuple[bytes, int]:
-    """The planes with rows `pad` bytes longer (shorter rows by their share), and the stride."""
+    """The planes with `pad` bytes of row padding (chroma in proportion), and the stride."""
     full = planes[0].shape[1]
     rows = [np.pad(p, ((0, 0), (0, pad * p.shape[1] // full)), constant_values=99) for p in planes]
     return b"".join(r.tobytes() for r in rows), full + pad
@@ -51,7 +51,7 @@ def padded(planes: list[NDArray[np.uint8]], pad: int) -> tuple[bytes, int]:
 
 @pytest.mark.parametrize("pad", [0, 16])
 @pytest.mark.parametrize("fourcc", [f for f in WANTED if f not in JPEGS])
-def test_every_format_gives_the_same_picture(
+def test_every_format_decodes_to_the_same_image(
     fourcc: str, pad: int, picture: NDArray[np.uint8]
 ) -> None:
     data, stride = padded(encoded(fourcc, picture), pad)
@@ -66,14 +66,14 @@ def test_every_format_gives_the_same_picture(
 
 
 @pytest.mark.parametrize("fourcc", [f for f in WANTED if f not in JPEGS])
-def test_a_buffer_that_is_too_short_is_no_picture(fourcc: str, picture: NDArray[np.uint8]) -> None:
+def test_a_buffer_that_is_too_short_is_invalid(fourcc: str, picture: NDArray[np.uint8]) -> None:
     data, stride = padded(encoded(fourcc, picture), 0)
     assert decode(data[:-1], PixelFormat(fourcc, WIDTH, HEIGHT, stride)) is None
     assert decode(data, PixelFormat(fourcc, WIDTH, HEIGHT, stride - 1)) is None
 
 
 @pytest.mark.parametrize("fourcc", JPEGS)
-def test_a_jpeg_is_the_cameras_own_bytes(fourcc: str) -> None:
+def test_jpeg_bytes_are_unchanged(fourcc: str) -> None:
     data = b"\xff\xd8 anything \xff\xd9 and padding\0\0"
     assert decode(data, PixelFormat(fourcc, WIDTH, HEIGHT, 0)) is data
     assert decode(b"", PixelFormat(fourcc, WIDTH, HEIGHT, 0)) is None
