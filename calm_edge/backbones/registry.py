@@ -21,7 +21,7 @@ BACKBONES = {
 
 
 def open_backbone(config: Config) -> Backbone:
-    """Open `backbone.name`: `name`, `name:argument`, or a folder of `models/`.
+    """Open `backbone.name`: `name`, `name:argument`, or the name of a model.
 
     Raises BackboneError.
     """
@@ -42,7 +42,7 @@ def open_backbone(config: Config) -> Backbone:
 
 
 def _kind_of_model(name: str) -> str:
-    """The backbone that runs a folder of `models/`; raises BackboneError where there is none."""
+    """Return which backbone runs a model; raises BackboneError for an unknown name."""
     from calm_edge.backbones.onnx.model_folder import find_model, model_names, read_manifest
 
     if name not in model_names():

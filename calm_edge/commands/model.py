@@ -20,9 +20,9 @@ LIMIT_S = 30.0
 def configure(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    actions.add_parser("list", help="the folders of models/ and what was found of each here")
+    actions.add_parser("list", help="list the models and what `check` found of each here")
     check = actions.add_parser("check", help="test a model folder on this machine, or refuse it")
-    check.add_argument("name", metavar="NAME", help="a folder of models/, or any folder's path")
+    check.add_argument("name", metavar="NAME", help="a model's name, or the path of its folder")
     check.add_argument("--json", action="store_true", help="the report as JSON on stdout")
     check.add_argument(
         "--limit-s", type=float, default=LIMIT_S, metavar="S", help="seconds a run may take"
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _list() -> int:
     from calm_edge.backbones.base import BackboneError
     from calm_edge.backbones.onnx import verdict
-    from calm_edge.backbones.onnx.model_folder import MODELS, find_model, model_names, read_manifest
+    from calm_edge.backbones.onnx.model_folder import find_model, model_names, read_manifest
 
     for name in model_names():
         try:
@@ -65,8 +65,6 @@ def _list() -> int:
             said = f"refused: {found.refusal}" if found.refusal else f"passed; runs {found.why}"
         have = "/".join(manifest.precisions())
         print(f"{name:14} {manifest.kind:11} {have:14} {manifest.license:14} {said}")
-    if not model_names():
-        print(f"calm-edge: no model in {MODELS}", file=sys.stderr)
     return OK
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from calm_edge.backbones.onnx.model_folder import MODELS
+from calm_edge.backbones.onnx.model_folder import EXPORTED
 
 
 @pytest.fixture(autouse=True)
 def scripts_are_found(monkeypatch):
-    monkeypatch.syspath_prepend(str(MODELS))
+    monkeypatch.syspath_prepend(str(EXPORTED))

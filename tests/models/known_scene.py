@@ -27,7 +27,7 @@ from exporting import command
 from exporting.graph import Network
 from exporting.pictures import normalised
 
-from calm_edge.backbones.onnx.model_folder import MODELS
+from calm_edge.backbones.onnx.model_folder import EXPORTED
 from tests.backbones.feedforward.decode.test_decoder import quaternion
 from tests.backbones.raw_scene import RawScene, turn
 
@@ -171,7 +171,7 @@ def _regress(layer: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None
 
 def main(name: str, argv: list[str]) -> None:
     """export.py of that model, its network's last layers solved for in between."""
-    here = MODELS / name
+    here = EXPORTED / name
     spec = importlib.util.spec_from_file_location(f"{name}_export", here / "export.py")
     assert spec is not None and spec.loader is not None
     script = importlib.util.module_from_spec(spec)

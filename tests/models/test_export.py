@@ -21,7 +21,7 @@ import pytest
 from calm_edge.backbones.feedforward.backbone import FeedforwardBackbone
 from calm_edge.backbones.model_check.check import check
 from calm_edge.backbones.model_check.probe import Limits
-from calm_edge.backbones.onnx.model_folder import MODELS, read_manifest
+from calm_edge.backbones.onnx.model_folder import EXPORTED, read_manifest
 from calm_edge.types import Hints
 
 CODE = Path(os.environ.get("CALM_EDGE_AUTHORS_CODE", "nowhere"))
@@ -97,7 +97,7 @@ def a_longer_window_is_split_and_joined(manifest, pictures) -> None:
 def test_without_the_authors_code_there_is_one_line(tmp_path):
     pytest.importorskip("torch")
     pytest.importorskip("onnxruntime")
-    command = [sys.executable, str(MODELS / "vggt/export.py"), "--random-weights"]
+    command = [sys.executable, str(EXPORTED / "vggt/export.py"), "--random-weights"]
     command += ["--repo", str(tmp_path), "--out", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1

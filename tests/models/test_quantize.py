@@ -12,7 +12,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper, shape_inference
 
-from calm_edge.backbones.onnx.model_folder import MODELS, read_manifest, verify
+from calm_edge.backbones.onnx.model_folder import EXPORTED, read_manifest, verify
 from calm_edge.backbones.onnx.session import Session
 
 SIZE = (28, 28)
@@ -64,7 +64,7 @@ def folder(tmp_path):
 
     onnx.save(backbone_and_camera(), tmp_path / "model.onnx")
     (tmp_path / "LICENSE").write_text("none")
-    template = (MODELS / "da3" / "template.toml").read_text()
+    template = (EXPORTED / "da3" / "template.toml").read_text()
     (tmp_path / "manifest.toml").write_text(text.filled(template, SIZE, 12, "MIT", False))
     shown = pictures(None, SIZE, 8)
     (tmp_path / "pictures").mkdir()

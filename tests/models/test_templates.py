@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, save_model
 
 from calm_edge.backbones.feedforward.decode.decoder import decode
 from calm_edge.backbones.onnx.manifest import Manifest, ManifestError
-from calm_edge.backbones.onnx.model_folder import MODELS, find_model, read_manifest, verify
+from calm_edge.backbones.onnx.model_folder import EXPORTED, find_model, read_manifest, verify
 from calm_edge.backbones.onnx.picture_input import fit_pictures, input_tensor
 from tests.backbones.feedforward.decode.test_decoder import raw_outputs
 from tests.backbones.raw_scene import make_scene
@@ -51,7 +51,7 @@ def exported(name: str, folder) -> Manifest:
     value = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1])
     graph = helper.make_graph([helper.make_node("Abs", ["x"], ["y"])], "g", [value], [])
     save_model(helper.make_model(graph), folder / "model.onnx")
-    template = (MODELS / name / "template.toml").read_text()
+    template = (EXPORTED / name / "template.toml").read_text()
     (folder / "manifest.toml").write_text(text.filled(template, INPUT_SIZE, 12, "MIT", True))
     text.set_golden(folder)
     text.set_variant(folder, "fp32", folder / "model.onnx")
@@ -73,7 +73,7 @@ def test_a_filled_template_is_a_manifest_whose_files_fit(name, tmp_path):
 def test_a_model_that_was_not_exported_says_how(name, tmp_path, monkeypatch):
     (tmp_path / name).mkdir()
     (tmp_path / name / "export.py").touch()
-    monkeypatch.setattr("calm_edge.backbones.onnx.model_folder.MODELS", tmp_path)
+    monkeypatch.setattr("calm_edge.backbones.onnx.model_folder.search_path", lambda: [tmp_path])
     with pytest.raises(ManifestError, match="not exported yet"):
         find_model(name)
 

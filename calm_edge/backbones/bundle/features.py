@@ -89,7 +89,7 @@ class FeatureNet:
 
     @classmethod
     def of_model(cls, name: str, precision: Precision | None = None) -> FeatureNet:
-        """A folder of `models/`, in the precision measured best here unless one is asked for.
+        """Open a model, in the precision measured best here unless one is asked for.
 
         Raises BackboneError.
         """

@@ -237,10 +237,10 @@ def _through(found: Found, H_b_a: Float, b: Gray) -> Found:
 
 
 def matcher(name: str = "calm-geo") -> LearnedMatching:
-    """What a folder of `models/` matches with; raises BackboneError."""
+    """Open a model for matching; raises BackboneError."""
     return LearnedMatching(FeatureNet.of_model(name))
 
 
 def place(name: str = "calm-geo") -> LearnedPlace:
-    """What a folder of `models/` knows places by; raises BackboneError."""
+    """Open a model for place descriptors; raises BackboneError."""
     return LearnedPlace(FeatureNet.of_model(name))

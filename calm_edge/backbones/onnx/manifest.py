@@ -1,4 +1,4 @@
-"""What a folder in `models/` says of itself: the keys of its `manifest.toml`.
+"""The keys of a model folder's `manifest.toml`.
 
 `models/README.md` explains each of them; `model_folder.py` reads and checks them.
 """

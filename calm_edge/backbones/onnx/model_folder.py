@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+import os
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
@@ -23,29 +24,45 @@ from calm_edge.backbones.onnx.manifest import (
 
 MANIFEST = "manifest.toml"
 LICENSE = "LICENSE"
-# of the checkout; an installed calm-edge looks beside itself the same way
-MODELS = Path(__file__).resolve().parents[3] / "models"
+SHIPPED = Path(__file__).resolve().parents[2] / "models"
+# of a checkout: what `export.py` scripts write
+EXPORTED = SHIPPED.parents[1] / "models"
 _CHANNELS = {"rgb": 3, "bgr": 3, "gray": 1}
 
 
+def search_path() -> list[Path]:
+    """Folders with models, searched in this order: shipped, exported, the user's, the machine's.
+
+    The last two: `calm-edge/models` in the data folders of the XDG Base Directory Specification.
+    """
+    exported = [EXPORTED] if (EXPORTED.parent / "pyproject.toml").is_file() else []
+    user = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    machine = os.environ.get("XDG_DATA_DIRS") or "/usr/local/share:/usr/share"
+    data = (Path(folder) / "calm-edge" / "models" for folder in (user, *machine.split(":")))
+    return [SHIPPED, *exported, *data]
+
+
 def model_names() -> list[str]:
-    """Folders of `models/` that hold a manifest."""
-    return sorted(path.parent.name for path in MODELS.glob(f"*/{MANIFEST}"))
+    """List the names under which `find_model` finds a model."""
+    found = (path for folder in search_path() for path in folder.glob(f"*/{MANIFEST}"))
+    return sorted({path.parent.name for path in found})
 
 
 def find_model(name: str) -> Path:
-    """The folder of a model in `models/`, or any folder by its path; raises ManifestError."""
-    for folder in (MODELS / name, Path(name)):
+    """Return the folder of a model, by its name or by the folder's path; raises ManifestError."""
+    folders = search_path()
+    for folder in [*(folder / name for folder in folders), Path(name)]:
         if name and (folder / MANIFEST).is_file():
             return folder
-    if name and (MODELS / name / "export.py").is_file():
-        raise ManifestError(
-            f"model {name!r}: not exported yet; its weights are not ours to ship: see "
-            f"{MODELS / name / 'README.md'}"
-        )
-    known = ", ".join(model_names()) or "none"
+    for folder in folders:
+        if name and (folder / name / "export.py").is_file():
+            raise ManifestError(
+                f"model {name!r}: not exported yet; its weights are not ours to ship: see "
+                f"{folder / name / 'README.md'}"
+            )
+    known = ", ".join(model_names())
     raise ManifestError(
-        f"model {name!r}: neither in {MODELS} (there: {known}) nor a folder with a {MANIFEST}"
+        f"model {name!r}: neither a known name ({known}) nor a folder with {MANIFEST}"
     )
 
 

@@ -1,6 +1,6 @@
 """From a checkpoint to the model folder: ONNX graphs, eight-bit encoder, golden values, manifest.
 
-python export.py --checkpoint build/calm-geo/checkpoint.pt --clips build/clips --out ..
+python export.py --checkpoint build/calm-geo/checkpoint.pt --clips build/clips
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from place import Place, learned_place
 from torch import Tensor, nn
 from train import Model
 
+# what is shipped
+MODEL = Path(__file__).resolve().parents[3] / "calm_edge" / "models" / "calm-geo"
 OPSET = 20
 CALIBRATION_PICTURES = 48
 GOLDEN_SIZES = {"n2": (2, 96, 640), "n3": (3, 64, 640)}
@@ -173,7 +175,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--checkpoint", type=Path, required=True)
     parser.add_argument("--clips", type=Path, default=Path("build/clips"))
-    parser.add_argument("--out", type=Path, default=Path(__file__).resolve().parent.parent)
+    parser.add_argument("--out", type=Path, default=MODEL)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     model = Model()

@@ -1,4 +1,4 @@
-"""The encoder as it lies in models/calm-geo."""
+"""The encoder of the shipped calm-geo."""
 
 from dataclasses import replace
 

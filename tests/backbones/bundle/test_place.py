@@ -1,4 +1,4 @@
-"""The learned place descriptor with the encoder as it lies in models/calm-geo."""
+"""The learned place descriptor with the encoder of the shipped calm-geo."""
 
 from types import SimpleNamespace
 

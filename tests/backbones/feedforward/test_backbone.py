@@ -124,7 +124,7 @@ def test_depth_that_was_not_kept_is_made_again(folder):
 
 
 def test_models_are_backbones_by_name(folder, monkeypatch):
-    monkeypatch.setattr(model_folder, "MODELS", folder.parent)
+    monkeypatch.setattr(model_folder, "search_path", lambda: [folder.parent])
     for name in (folder.name, f"feedforward:{folder.name}"):
         assert open_backbone(config_of(name)).name == "feedforward"
     with pytest.raises(BackboneError, match=rf"'none': unknown; known: .*{folder.name}"):
@@ -135,8 +135,8 @@ def test_models_are_backbones_by_name(folder, monkeypatch):
     ("name", "line"),
     [
         ("feedforward", "name a model, feedforward:NAME"),
-        ("feedforward:/nowhere", "model '/nowhere': neither in"),
-        ("bundle:painted", "model 'painted': neither in"),
+        ("feedforward:/nowhere", "model '/nowhere': neither a known name"),
+        ("bundle:painted", "model 'painted': neither a known name"),
     ],
 )
 def test_a_name_that_means_nothing_is_one_line(name, line):

@@ -201,12 +201,44 @@ def test_toml_that_is_none_is_refused(tmp_path):
 
 
 def test_models_are_found_by_name_and_by_path(tmp_path, monkeypatch):
-    monkeypatch.setattr(model_folder, "MODELS", tmp_path)
+    monkeypatch.setattr(model_folder, "search_path", lambda: [tmp_path])
     inside = tmp_path / "small"
     inside.mkdir()
     folder_of(inside, FEEDFORWARD)
     assert model_names() == ["small"]
     assert find_model("small") == inside and find_model(str(inside)) == inside
     for name in ("none", ""):
-        with pytest.raises(ManifestError, match=r"neither in .* \(there: small\) nor a folder"):
+        with pytest.raises(ManifestError, match=r"neither a known name \(small\) nor a folder"):
             find_model(name)
+
+
+def test_shipped_exported_and_data_folders_are_searched_in_this_order(tmp_path, monkeypatch):
+    monkeypatch.setattr(model_folder, "SHIPPED", tmp_path / "checkout/calm_edge/models")
+    monkeypatch.setattr(model_folder, "EXPORTED", tmp_path / "checkout/models")
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("XDG_DATA_DIRS", f"{tmp_path / 'local'}:{tmp_path / 'usr'}")
+    roots = ["checkout/calm_edge/models", "checkout/models"]
+    roots += [f"{data}/calm-edge/models" for data in ("home", "local", "usr")]
+    folders = [tmp_path / root / "small" for root in roots]
+    for folder in folders:
+        folder.mkdir(parents=True)
+        folder_of(folder, FEEDFORWARD)
+    (tmp_path / "checkout/pyproject.toml").touch()
+    for folder in folders:
+        assert find_model("small") == folder and model_names() == ["small"]
+        (folder / "manifest.toml").unlink()
+    assert model_names() == []
+
+
+def test_a_folder_beside_an_installed_package_is_no_checkout(tmp_path, monkeypatch):
+    beside = tmp_path / "site-packages/models/small"
+    beside.mkdir(parents=True)
+    folder_of(beside, FEEDFORWARD)
+    monkeypatch.setattr(model_folder, "EXPORTED", beside.parent)
+    assert "small" not in model_names()
+
+
+def test_the_shipped_model_is_whole():
+    manifest = read_manifest(find_model("calm-geo"))
+    assert manifest.folder == model_folder.SHIPPED / "calm-geo"
+    assert verify(manifest) == 4

@@ -29,11 +29,11 @@ def test_a_model_s_matches_come_in_the_shape_of_the_others():
 
 def test_a_refused_model_takes_no_part_and_says_why(monkeypatch):
     def refused():
-        raise BackboneError("models/calm-geo: its hash is another")
+        raise BackboneError("calm-geo: its hash is another")
 
     monkeypatch.setitem(ours.FACTORIES, "match", refused)
     made, why = contestant(None, "match")
-    assert made is None and why == "ours skipped: models/calm-geo: its hash is another"
+    assert made is None and why == "ours skipped: calm-geo: its hash is another"
 
 
 def test_what_is_asked_for_by_name_comes_before_the_shipped_model():
