@@ -53,15 +53,15 @@ bench: setup
 	@rm -rf build/bench
 	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace realtime --out build/bench || [ $$? -eq 3 ]
 	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m bench.cost build/bench
-	.venv/bin/python -m bench.cost.load --pictures build/bench_pictures --drive $(DEMO_DRIVE)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m bench cost build/bench
+	.venv/bin/python -m bench cost.load --pictures build/bench_pictures --drive $(DEMO_DRIVE)
 
 # every table of the report; one that misses a target stops none of the others
 eval: setup
 	@failed=0; \
 	measure() { \
-		echo "eval: python -m bench.$$*" >&2; \
-		.venv/bin/python -m "bench.$$@" || failed=1; \
+		echo "eval: python -m bench $$*" >&2; \
+		.venv/bin/python -m bench "$$@" || failed=1; \
 	}; \
 	measure targets; \
 	measure kilometres.tables; \
@@ -94,7 +94,7 @@ vm-test: setup
 # what the learned model has to beat, on pictures and on whole drives, and whether it does
 eval-model: setup
 	@failed=0; \
-	for part in model model.depth model.place_table model.real_clips model.pipeline; do \
-		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m bench.$$part || failed=1; \
+	for part in matches depth places clips pipeline; do \
+		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m bench model.$$part || failed=1; \
 	done; \
 	exit $$failed

@@ -1,40 +1,62 @@
-"""`python -m bench NAME`: one door to everything that is measured. Never shipped."""
+"""`python -m bench NAME`: one entry point to every measurement. Never shipped.
+
+A command is a module with `configure(parser)`, which adds its arguments, and `run(options)`, which
+returns the exit code; its docstring is the text of `--help`.
+"""
 
 from __future__ import annotations
 
+import argparse
+import shlex
 import sys
 from importlib import import_module
 
+from calm_edge.commands.exit_codes import ERROR
+from calm_edge.types import CalmEdgeError
+
 COMMANDS = {
-    "targets": ("bench.targets", "the promises of `record` and `map`, run as a user would"),
-    "kilometres": ("bench.kilometres.__main__", "kilometres by the scripted backbone"),
-    "kilometres.tables": ("bench.kilometres.tables", "the paper's tables over these drives"),
-    "pixels": ("bench.pixels", "pictures: ours, both baselines, ORB-SLAM3, COLMAP"),
-    "mapping": ("bench.mapping.__main__", "map accuracy, completeness, chamfer, seams"),
-    "model": ("bench.model.__main__", "correspondences of the learned model and classical ones"),
-    "model.depth": ("bench.model.depth", "depth of the learned model and classical ones"),
-    "model.place_table": ("bench.model.place_table", "place recognition"),
-    "model.real_clips": ("bench.model.real_clips", "matches on real clips"),
+    "targets": ("bench.targets", "accuracy of `record` and `map` on whole drives"),
+    "kilometres": ("bench.kilometres.variants", "variants and baselines on scripted kilometres"),
+    "kilometres.tables": ("bench.kilometres.tables", "the paper's tables on scripted kilometres"),
+    "pixels": ("bench.pixels", "pictures: ours, both baselines, ORB-SLAM3 and COLMAP"),
+    "mapping": ("bench.mapping.quality", "map accuracy, completeness, chamfer distance and seams"),
+    "model.matches": ("bench.model.match_table", "correspondences, learned and classical"),
+    "model.depth": ("bench.model.depth", "depth, learned and classical"),
+    "model.places": ("bench.model.place_table", "place recognition, learned and classical"),
+    "model.clips": ("bench.model.real_clips", "correspondences on real clips"),
     "model.pipeline": ("bench.model.pipeline", "whole drives with and without the network"),
-    "cost": ("bench.cost.__main__", "what each stage costs; long drives"),
-    "cost.load": ("bench.cost.load", "live poses and ticks on a busy machine"),
-    "cost.mapping": ("bench.cost.mapping", "processor time of anchors and mapping, by stage"),
-    "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360, Argoverse as published"),
-    "tables": ("bench.tables", "report.html and report.json of the kept tables"),
+    "cost": ("bench.cost.command", "time and memory of each stage, and over a long drive"),
+    "cost.load": ("bench.cost.load", "frame loss and pose age on a busy machine"),
+    "cost.mapping": ("bench.cost.mapping", "processor time of anchors and mapping by stage"),
+    "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
+    "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command with the rest of the arguments; 2 where there is none of that name."""
+    """Run one command; an error that the user can fix is one line and exit code 1."""
     name, *rest = (sys.argv[1:] if argv is None else argv) or ["--help"]
     if name in ("-h", "--help"):
-        print("usage: python -m bench NAME [ARGUMENTS]\n")
+        print("usage: python -m bench NAME [ARGUMENTS]; NAME --help lists the arguments\n")
         print("\n".join(f"  {key:18} {text}" for key, (_, text) in COMMANDS.items()))
         return 0
     if name not in COMMANDS:
-        print(f"bench: {name!r} is unknown; known: {', '.join(COMMANDS)}", file=sys.stderr)
+        print(f"bench: no command {name!r}; there are: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
-    return int(import_module(COMMANDS[name][0]).main(rest))
+    module = import_module(COMMANDS[name][0])
+    parser = argparse.ArgumentParser(
+        prog=f"python -m bench {name}",
+        description=module.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.configure(parser)
+    options = parser.parse_args(rest)
+    options.command = shlex.join(["python", "-m", "bench", name, *rest])
+    try:
+        return int(module.run(options))
+    except CalmEdgeError as error:
+        print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
+        return ERROR
 
 
 if __name__ == "__main__":

@@ -1,10 +1,9 @@
-"""Ours beside what a user would pick instead, on pictures: `python -m bench.pixels`.
+"""Ours beside ORB-SLAM3, COLMAP and both chaining baselines, on pictures.
 
-Ours gets the drive as a loose kit saw it and the spacing, nothing else; Sim(3) and SL(4) chain the
-sub-maps that ours made of it. ORB-SLAM3 gets the same
-drive in step and the true calibration it needs, then the truth with one thing wrong; COLMAP, on
-request, the pictures alone. Results are kept in build/eval/pixels.json, a method of a drive at a
-time, so that a run adds to what is there.
+Ours gets the drive with unsynchronised cameras and the spacing, nothing else; Sim(3) and SL(4)
+chaining get the sub-maps of that run. ORB-SLAM3 gets the same drive synchronised and the true
+calibration, then the same with one parameter wrong; COLMAP, on request, the pictures alone. Results
+are kept in build/eval/pixels.json by drive and method: a run of some updates these.
 """
 
 from __future__ import annotations
@@ -168,9 +167,8 @@ def table(results: Mapping[str, Mapping[str, Any]]) -> list[list[Any]]:
     return rows
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure, print the table and the verdicts, keep pixels.json; 1 when a target is missed."""
-    parser = argparse.ArgumentParser(prog="bench.pixels", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--only", action="append", metavar="NAME", choices=list(EVERY))
     parser.add_argument("--method", action="append", choices=list(METHODS))
     group = parser.add_mutually_exclusive_group()
@@ -178,7 +176,10 @@ def main(argv: list[str] | None = None) -> int:
     group.add_argument("--worse", action="store_true", help="stamps that lie, principal points off")
     parser.add_argument("--show", action="store_true", help="measure nothing, show what is known")
     parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print the table and the verdicts, keep pixels.json; 1 when a target is missed."""
     asked = UNSEEN if options.held_out else WORSE if options.worse else CASES
     names = options.only or [case.name for case in asked]
     methods = options.method or [m for m in METHODS if m not in EXPENSIVE]
@@ -193,8 +194,7 @@ def main(argv: list[str] | None = None) -> int:
             )
             keep(file, results)
     checks = keep(file, results)
-    publish(as_table(results, checks), options.out)
-    return 0 if all(passed is not False for *_, passed in checks) else 1
+    return publish(as_table(results, checks), options.out)
 
 
 def as_table(results: Mapping[str, Mapping[str, Any]], checks: Sequence[Verdict]) -> Table:
@@ -203,7 +203,7 @@ def as_table(results: Mapping[str, Mapping[str, Any]], checks: Sequence[Verdict]
     return Table(
         name="40_pixels",
         title="Pictures: ours beside the rivals",
-        command="python -m bench.pixels",
+        command="python -m bench pixels",
         columns=(
             "drive",
             "method",
@@ -227,7 +227,3 @@ def keep(file: Path, results: Mapping[str, Mapping[str, Any]]) -> list[Verdict]:
     content = {"drives": results, "targets": [dict(zip(keys, c, strict=True)) for c in checks]}
     file.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     return checks
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,4 @@
-"""Tables of `make eval`: printed, kept as JSON, and put together on one page.
-
-`python -m bench.tables` gathers what the other commands left under build/eval.
-"""
+"""Tables of `make eval`: printed, kept as JSON under build/eval, and gathered on one page."""
 
 from __future__ import annotations
 
@@ -53,8 +50,8 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def publish(table: Table, out: Path = OUT) -> None:
-    """Prints a table and keeps it as `out`/tables/NAME.json."""
+def publish(table: Table, out: Path = OUT) -> int:
+    """Print a table and keep it as `out`/tables/NAME.json; 1 when a promise is broken, else 0."""
     print_rows(table.columns, table.rows, table.title)
     if table.checks:
         rows = [(c.what, c.asked, c.measured, c.passed) for c in table.checks]
@@ -65,6 +62,12 @@ def publish(table: Table, out: Path = OUT) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(_plain(asdict(table)), indent=1, allow_nan=False)
     (folder / f"{table.name}.json").write_text(text + "\n")
+    return exit_code([table])
+
+
+def exit_code(tables: Iterable[Table]) -> int:
+    """1 when a promise of any table is broken, else 0."""
+    return int(not all(check.passed for table in tables for check in table.checks))
 
 
 def kept(out: Path = OUT) -> list[Table]:
@@ -123,18 +126,17 @@ def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-def main(argv: list[str] | None = None) -> int:
-    """report.html and report.json of every kept table; 1 where a promise is broken."""
-    parser = argparse.ArgumentParser(prog="bench.tables", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--out", type=Path, default=OUT)
-    out = parser.parse_args(argv).out
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write report.html and report.json of every kept table; 1 when a promise is broken."""
+    out = options.out
     tables = kept(out)
     out.mkdir(parents=True, exist_ok=True)
     (out / "report.html").write_text(render(tables), encoding="utf-8")
     (out / "report.json").write_text(json.dumps(_plain([asdict(t) for t in tables]), indent=1))
     print(f"report  {out / 'report.html'} ({len(tables)} tables)")
-    return 0 if all(check.passed for table in tables for check in table.checks) else 1
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    return exit_code(tables)

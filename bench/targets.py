@@ -1,8 +1,7 @@
-"""What calm-edge promises of whole drives, and its measuring: `python -m
-bench.targets`.
+"""Accuracy targets of calm-edge on whole drives.
 
-Every row is run the way a user would (`steps`): recorded in lockstep, mapped, evaluated. Results
-are kept in build/eval/targets.json, so that a run of some rows adds to what is there.
+Each row runs the commands a user would (`steps`): `record` in lockstep, `map`, `eval`. Results are
+kept in build/eval/targets.json: a run of some rows updates these and leaves the others.
 """
 
 from __future__ import annotations
@@ -206,7 +205,7 @@ def table(results: Mapping[str, Measured]) -> Table:
     return Table(
         "10_targets",
         "calm-edge against its targets",
-        "python -m bench.targets",
+        "python -m bench targets",
         ("drive", *(header for header, _ in FIGURES), "record s", "map s"),
         tuple(
             (
@@ -228,7 +227,7 @@ def table(results: Mapping[str, Measured]) -> Table:
     )
 
 
-def run(rows: Iterable[Row], out: Path) -> dict[str, Measured]:
+def run_all(rows: Iterable[Row], out: Path) -> dict[str, Measured]:
     """Runs rows, each kept as soon as it is known; a row that fails breaks its promise."""
     done: dict[str, Measured] = {}
     for row in rows:
@@ -244,16 +243,14 @@ def run(rows: Iterable[Row], out: Path) -> dict[str, Measured]:
     return done
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the rows, print and keep the table; 1 when one of them breaks a promise."""
-    parser = argparse.ArgumentParser(prog="bench.targets", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--only", action="append", metavar="NAME", choices=[r.name for r in ROWS])
     parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args(argv)
-    done = run((row for row in ROWS if row.name in (options.only or [row.name])), options.out)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the rows, print and keep the table; 1 when one of them breaks a promise."""
+    done = run_all((row for row in ROWS if row.name in (options.only or [row.name])), options.out)
     publish(table(read_results(options.out / RESULTS)), options.out)
     return 0 if all(check.passed for m in done.values() for check in m.checks) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,8 +1,4 @@
-"""Time of anchors and mapping: `python -m bench.cost.mapping RECORDING`.
-
-Depth is computed first and not counted. Times are those of the processor on one core, so what
-else runs on the machine hardly matters.
-"""
+"""Processor time of anchors and mapping by stage, on one core; depth is computed before."""
 
 from __future__ import annotations
 
@@ -155,25 +151,17 @@ def read_pieces(path: Path, assignments: Sequence[str]) -> tuple[list[Piece], Ma
     return pieces, config.mapping, config.scale.spacing_m or 1.0
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure a recording, print and keep the table; 1 when it takes longer than promised."""
-    parser = argparse.ArgumentParser(prog="bench.cost.mapping", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("recording", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure a recording, print and keep the table; 1 when it takes longer than promised."""
     cv2.setNumThreads(1)
-    try:
-        pieces, config, spacing = read_pieces(options.recording, options.set)
-        with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-            cost = measure(pieces, config, spacing, Path(folder))
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return 1
-    made = table(cost, f"python -m {parser.prog} RECORDING")
-    publish(made, options.out)
-    return 0 if all(check.passed for check in made.checks) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    pieces, config, spacing = read_pieces(options.recording, options.set)
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        cost = measure(pieces, config, spacing, Path(folder))
+    return publish(table(cost, options.command), options.out)

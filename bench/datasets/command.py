@@ -1,4 +1,4 @@
-"""`python -m bench datasets`: the paper's tables, by whoever has the data."""
+"""The paper's tables on a published dataset: record, map if asked, evaluate each sequence."""
 
 from __future__ import annotations
 
@@ -7,24 +7,12 @@ import sys
 from pathlib import Path
 
 from calm_edge.commands.exit_codes import ERROR, OK
-from calm_edge.types import CalmEdgeError
 
 NAMES = ("kitti-odom", "kitti-360", "argoverse")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; an error that a user can mend is one line and exit code 1."""
-    parser = argparse.ArgumentParser(prog="bench datasets", description=__doc__)
-    configure(parser)
-    try:
-        return run(parser.parse_args(argv))
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return ERROR
-
-
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
+    """Add its arguments."""
     parser.add_argument("dataset", choices=NAMES)
     parser.add_argument("root", type=Path, metavar="ROOT", help="the folder it was unpacked into")
     parser.add_argument(
@@ -77,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     for name, figures in table.measured(dataset, arguments.root, names, wanted, out):
         rows[name] = figures
         for note in figures.get("notes", ()):
-            print(f"calm-edge: {name}: {note}", file=sys.stderr)
+            print(f"bench: {name}: {note}", file=sys.stderr)
         if not arguments.json:
             print(table.row(name, figures, arguments.dense), flush=True)
     done = [figures for figures in rows.values() if "failed" not in figures]

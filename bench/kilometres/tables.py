@@ -1,14 +1,14 @@
-"""`python -m bench.kilometres.tables`: the paper's tables over scripted kilometres.
+"""The paper's tables on scripted kilometres.
 
-Runs what is not kept yet and publishes each table from what there is; a row that was not run is
-named and never made up.
+Makes the runs that are not kept yet and publishes each table from those there are; rows that were
+not run are listed below it.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
@@ -25,7 +25,6 @@ from bench.tables import OUT, Table, publish
 from calm_edge.config import Config
 from calm_edge.types import CalmEdgeError
 
-COMMAND = "python -m bench.kilometres.tables"
 TABLES: dict[str, Callable[[Results, str], Table]] = {
     "ate": rows.open_drives,
     "loops": rows.looped_drives,
@@ -38,41 +37,8 @@ TABLES: dict[str, Callable[[Results, str], Table]] = {
 FIRST_SEED = 1
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """0, or 1 with one line where a drive or an outcome cannot be read."""
-    asked = _asked(arguments)
-    store = Store(asked.outcomes, asked.stale)
-    only = asked.only.split(",") if asked.only else list(TABLES)
-    names = asked.sequences.split(",")
-    seeds = range(FIRST_SEED, FIRST_SEED + asked.seeds)
-    until = monotonic() + 60 * asked.minutes
-    repeated = asked.repeated.split(",") if asked.repeated else []
-    measured: list[Measured] = []
-    try:
-        for name in only:
-            if name not in TABLES:
-                raise CalmEdgeError(f"--only {name}: unknown; known: {', '.join(TABLES)}")
-        unknown = [name for name in names if name not in SEQUENCES]
-        if unknown:
-            raise DriveError(f"--sequences {unknown[0]}: unknown; known: {', '.join(SEQUENCES)}")
-        for batch in plan.batches(only, names, seeds, repeated):
-            measured += _measured(batch, store, asked, until)
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return 1
-    command = " ".join([COMMAND, *(arguments if arguments is not None else sys.argv[1:])])
-    results = Results(measured, names)
-    said = f"{store.earlier} of {len(measured)} runs read here were made by earlier code"
-    for name in only:
-        table = TABLES[name](results, command)
-        if store.earlier:
-            table = replace(table, notes=(*table.notes, said))
-        publish(table, asked.out)
-    return 0
-
-
-def _asked(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog=COMMAND)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--sequences", default=",".join(SEQUENCES), help="00,05,...")
     parser.add_argument("--seeds", type=int, default=1, help=f"so many, from {FIRST_SEED} on")
     parser.add_argument("--repeated", default="", help="drives run at later seeds; default all")
@@ -83,7 +49,33 @@ def _asked(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=0, help="only the first so many; 0 all")
     parser.add_argument("--outcomes", type=Path, default=OUTCOMES)
     parser.add_argument("--out", type=Path, default=OUT)
-    return parser.parse_args(arguments)
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Make the missing runs, print and keep the tables."""
+    store = Store(asked.outcomes, asked.stale)
+    only = asked.only.split(",") if asked.only else list(TABLES)
+    names = asked.sequences.split(",")
+    seeds = range(FIRST_SEED, FIRST_SEED + asked.seeds)
+    until = monotonic() + 60 * asked.minutes
+    repeated = asked.repeated.split(",") if asked.repeated else []
+    measured: list[Measured] = []
+    for name in only:
+        if name not in TABLES:
+            raise CalmEdgeError(f"--only {name}: unknown; known: {', '.join(TABLES)}")
+    unknown = [name for name in names if name not in SEQUENCES]
+    if unknown:
+        raise DriveError(f"--sequences {unknown[0]}: unknown; known: {', '.join(SEQUENCES)}")
+    for batch in plan.batches(only, names, seeds, repeated):
+        measured += _measured(batch, store, asked, until)
+    results = Results(measured, names)
+    said = f"{store.earlier} of {len(measured)} runs read here were made by earlier code"
+    for name in only:
+        table = TABLES[name](results, asked.command)
+        if store.earlier:
+            table = replace(table, notes=(*table.notes, said))
+        publish(table, asked.out)
+    return 0
 
 
 def _measured(
@@ -126,7 +118,3 @@ def _finder(batch: Batch, drive: Drive, config: Config, false_share: float) -> S
         return None
     gap = config.loops.min_gap
     return ScriptedLoops(drive, gap, setting.detection, false_share, seed=batch.seed)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

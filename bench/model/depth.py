@@ -1,4 +1,4 @@
-"""Depth from the same pictures, K and poses: `python -m bench.model.depth`."""
+"""Depth of the learned model and of classical methods from the same pictures, K and poses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bench.model.protocols import DepthMaker
 from bench.paired import COLUMNS as PAIRED
 from bench.paired import compare
 from bench.tables import OUT, Check, Table, publish
-from calm_edge.types import CalmEdgeError, Float
+from calm_edge.types import Float
 
 OURS, RIVAL, SWEEP = "ours", "SGBM", "plane sweep"
 PLACES, KEYFRAMES = 3, 5
@@ -125,7 +125,7 @@ def table(scored: Sequence[Scored], notes: Sequence[str], held_out: bool) -> Tab
     return Table(
         f"51_model_depth{'_held_out' if held_out else ''}",
         f"Depth under true K and poses{' on held-out drives' if held_out else ''}",
-        f"python -m bench.model.depth{suffix}",
+        f"python -m bench model.depth{suffix}",
         COLUMNS, tuple(rows), tuple(checks),
         (
             f"pixels {NEAREST_M:g} to {FARTHEST_M:g} m away; equal share: the most confident "
@@ -149,44 +149,36 @@ def _errors(
     }
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure, print and keep the table; 1 when a promise is broken."""
-    parser = argparse.ArgumentParser(prog="bench.model.depth", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--ours", metavar="MODULE:FACTORY", help="the learned depth")
     parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
     parser.add_argument("--only", action="append", metavar="DRIVE")
     parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print and keep the table; 1 when a promise is broken."""
     scored: list[Scored] = []
     notes = []
-    try:
-        makers: dict[str, DepthMaker] = {name: make() for name, make in MAKERS.items()}
-        ours, missing = contestant(options.ours, "depth")
-        if missing:
-            notes.append(missing)
-        else:
-            makers = {OURS: ours, **makers}
-        if options.ours is None:
-            # ours is the sweep: it is not measured twice
-            del makers[SWEEP]
-        for scene in scenes.UNSEEN if options.held_out else scenes.DEVELOPMENT:
-            if options.only and scene.name not in options.only:
-                continue
-            print(f"{scene.name} ...", file=sys.stderr, flush=True)
-            folder = scene.prepare(options.out)
-            if isinstance(folder, str):
-                notes.append(f"{scene.name} skipped: {folder}")
-                continue
-            drive = scenes.Pictures(folder)
-            for place, frame in enumerate(scenes.places(drive.sequence.n_frames, PLACES)):
-                scored += measure_place(drive, scene.name, place, frame, makers)
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return 1
-    made = table(scored, notes, options.held_out)
-    publish(made, options.out)
-    return 0 if all(check.passed for check in made.checks) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    makers: dict[str, DepthMaker] = {name: make() for name, make in MAKERS.items()}
+    ours, missing = contestant(options.ours, "depth")
+    if missing:
+        notes.append(missing)
+    else:
+        makers = {OURS: ours, **makers}
+    if options.ours is None:
+        # ours is the sweep: it is not measured twice
+        del makers[SWEEP]
+    for scene in scenes.UNSEEN if options.held_out else scenes.DEVELOPMENT:
+        if options.only and scene.name not in options.only:
+            continue
+        print(f"{scene.name} ...", file=sys.stderr, flush=True)
+        folder = scene.prepare(options.out)
+        if isinstance(folder, str):
+            notes.append(f"{scene.name} skipped: {folder}")
+            continue
+        drive = scenes.Pictures(folder)
+        for place, frame in enumerate(scenes.places(drive.sequence.n_frames, PLACES)):
+            scored += measure_place(drive, scene.name, place, frame, makers)
+    return publish(table(scored, notes, options.held_out), options.out)

@@ -1,8 +1,8 @@
-"""What the network is worth to whole drives: `python -m bench.model.pipeline`.
+"""Error and time of whole drives with and without the network.
 
-The same drives and seeds in lockstep, by `bundle` and by `bundle` with the network, in fp32 and in
-int8: errors in pairs. Then in real time, by both: what a window costs. Results are kept in
-build/eval/model_pipeline.json, so that a run adds to what is there.
+In lockstep, the same drives and seeds by `bundle` and by `bundle` with the network, in fp32 and
+int8: paired errors. In real time, both: seconds a window. Results are kept in
+build/eval/model_pipeline.json: a run of some updates these.
 """
 
 from __future__ import annotations
@@ -19,13 +19,12 @@ import numpy as np
 from bench.model import pipeline_runs as runs
 from bench.model.ours import MODEL
 from bench.paired import COLUMNS, Errors, PairedRatio, compare
-from bench.tables import OUT, Check, Table, publish
+from bench.tables import OUT, Check, Table, exit_code, publish
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.onnx.precision import opened
 from calm_edge.config import BackboneConfig, Config
-from calm_edge.types import CalmEdgeError
 
-COMMAND = "python -m bench.model.pipeline"
+COMMAND = "python -m bench model.pipeline"
 # Targets: of the error, by how many sigmas a drive may be worse, and of int8 over fp32.
 ASKED, WORSE_SIGMAS, INT8_END = 0.9, 2.0, 1.1
 # Seconds a window may take, depth apart, and its depth.
@@ -169,9 +168,8 @@ PARTS = {
 }
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure, print and keep the tables; 1 when a promise is broken."""
-    parser = argparse.ArgumentParser(prog="bench.model.pipeline", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--part", action="append", choices=list(PARTS))
     drives = parser.add_mutually_exclusive_group()
     drives.add_argument("--only", action="append", metavar="DRIVE", choices=list(runs.DRIVES))
@@ -180,7 +178,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--show", action="store_true", help="measure nothing, show what is kept")
     parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print and keep the tables; 1 when a promise is broken, 0 without the network."""
     try:
         if options.show:
             results = runs.read_results(options.out / runs.RESULTS)
@@ -195,14 +196,7 @@ def main(argv: list[str] | None = None) -> int:
     except BackboneError as error:
         print(f"skipped: {error}", file=sys.stderr)
         return 0
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return 1
     for table in tables:
         if table.rows:
             publish(table, options.out)
-    return 0 if all(check.passed for table in tables for check in table.checks) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return exit_code(tables)

@@ -1,4 +1,4 @@
-"""Places found again on two laps: `python -m bench.model.place_table`."""
+"""Place recognition on drives of two laps: recall at a fixed precision."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from bench.tables import OUT, Check, Table, publish
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.loops.descriptor import GradientLayout, PlaceDescriptor
 from calm_edge.trajectories import read_kitti
-from calm_edge.types import Bytes, CalmEdgeError
+from calm_edge.types import Bytes
 
 RIVAL = "SIFT-VLAD"
 # At one picture a second, nothing nearer than 20 s is a return.
@@ -92,56 +92,48 @@ def promises(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[Chec
     return tuple(ratio_check(what, compare(recall[RIVAL], recall[OURS]), 1.0))
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure, print and keep the table; 1 when a promise is broken."""
-    parser = argparse.ArgumentParser(prog="bench.model.place_table", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--ours", metavar="MODULE:FACTORY", help="the learned descriptor")
     parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
     parser.add_argument("--only", action="append", metavar="DRIVE")
     parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print and keep the table; 1 when a promise is broken."""
     rows: list[tuple[Any, ...]] = []
     found: dict[str, dict[str, NDArray[np.bool_]]] = {}
     notes = [f"the best candidate, accepted where {100 * PRECISION:g} % of all accepted are right"]
-    try:
-        teacher = TEACHER(options.out)
-        if isinstance(teacher, str):
-            raise EvaluationError(teacher)
-        files = pictures(teacher, 0)
-        taught = SiftVlad(read(files[:: max(1, len(files) // TAUGHT_BY)]))
-        makers: dict[str, PlaceDescriptor] = {RIVAL: taught, "gradients": GradientLayout()}
-        ours, missing = contestant(options.ours, "describe")
-        if ours is not None:
-            makers = {OURS: ours, **makers}
-        else:
-            notes.append(missing)
-        for name, prepare in (UNSEEN if options.held_out else DEVELOPMENT).items():
-            if options.only and name not in options.only:
-                continue
-            print(f"{name} ...", file=sys.stderr, flush=True)
-            folder = prepare(options.out)
-            if isinstance(folder, str):
-                notes.append(f"{name} skipped: {folder}")
-                continue
-            again = found[name] = measured(folder, makers)
-            recalls = (100 * float(again[label].mean()) for label in makers)
-            rows.append((name, len(again[RIVAL]), *recalls))
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return 1
-    checks = promises(found)
+    teacher = TEACHER(options.out)
+    if isinstance(teacher, str):
+        raise EvaluationError(teacher)
+    files = pictures(teacher, 0)
+    taught = SiftVlad(read(files[:: max(1, len(files) // TAUGHT_BY)]))
+    makers: dict[str, PlaceDescriptor] = {RIVAL: taught, "gradients": GradientLayout()}
+    ours, missing = contestant(options.ours, "describe")
+    if ours is not None:
+        makers = {OURS: ours, **makers}
+    else:
+        notes.append(missing)
+    for name, prepare in (UNSEEN if options.held_out else DEVELOPMENT).items():
+        if options.only and name not in options.only:
+            continue
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        folder = prepare(options.out)
+        if isinstance(folder, str):
+            notes.append(f"{name} skipped: {folder}")
+            continue
+        again = found[name] = measured(folder, makers)
+        recalls = (100 * float(again[label].mean()) for label in makers)
+        rows.append((name, len(again[RIVAL]), *recalls))
     made = Table(
         f"52_model_places{'_held_out' if options.held_out else ''}",
         "Places found again",
-        f"python -m bench.model.place_table{' --held-out' * options.held_out}",
+        f"python -m bench model.places{' --held-out' * options.held_out}",
         ("drive", "returns", *(f"{label} recall %" for label in makers)),
         tuple(rows),
-        checks,
+        promises(found),
         tuple(notes),
     )
-    publish(made, options.out)
-    return 0 if all(check.passed for check in checks) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return publish(made, options.out)

@@ -1,7 +1,7 @@
-"""Matches on real pictures, held to true epipolar lines: `... .bench.model.real_clips`.
+"""Correspondences on real clips, by their distance from the true epipolar lines.
 
-Real clips know no depth, so only the distance across a line can be judged: a match that is wrong
-along its line is not noticed, and a point that the other picture does not show cannot be told.
+Real clips have no true depth, so an error along the epipolar line stays unnoticed, and points that
+the other picture does not show cannot be excluded.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.geometry import epipolar, se3
 from calm_edge.recording.sequence_folder import SequenceFolder
-from calm_edge.types import Bytes, CalmEdgeError, Float
+from calm_edge.types import Bytes, Float
 
 PLACES = 5
 THRESHOLDS_PX = (1.0, 3.0)
@@ -180,7 +180,7 @@ def table(scores: Sequence[LineScore], notes: Sequence[str]) -> Table:
     return Table(
         "53_model_real_clips",
         "Correspondences on real clips, by true epipolar lines",
-        "python -m bench.model.real_clips",
+        "python -m bench model.clips",
         COLUMNS,
         tuple(rows(scores)),
         promises(scores, [n for n in names if n != OURS]) if OURS in names else (),
@@ -202,38 +202,30 @@ def _read(file: Path) -> Bytes:
     return np.asarray(image, np.uint8)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure, print and keep the table; 1 when a promise is broken."""
-    parser = argparse.ArgumentParser(prog="bench.model.real_clips", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--ours", metavar="MODULE:FACTORY", help="another learned matcher")
     parser.add_argument("--only", action="append", choices=[clip.name for clip in CLIPS])
     parser.add_argument("--data", type=Path, default=DATA, help="where the clips lie")
     parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print and keep the table; 1 when a promise is broken."""
     scores: list[LineScore] = []
-    try:
-        matchers: dict[str, Matcher] = {name: make() for name, make in BASELINES.items()}
-        ours, missing = contestant(options.ours, "match")
-        if ours is not None:
-            matchers = {OURS: ours, **matchers}
-        notes = [missing] if missing else []
-        for clip in CLIPS:
-            folder = options.data / clip.name
-            if options.only and clip.name not in options.only:
-                continue
-            if not (folder / "cam1").is_dir():
-                notes.append(f"{clip.name} skipped: {folder} is not here")
-                continue
-            print(f"{clip.name} ...", file=sys.stderr, flush=True)
-            for pair in pairs(clip, folder):
-                scores += measure_pair(pair, matchers)
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return 1
-    made = table(scores, notes)
-    publish(made, options.out)
-    return 0 if all(check.passed for check in made.checks) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    matchers: dict[str, Matcher] = {name: make() for name, make in BASELINES.items()}
+    ours, missing = contestant(options.ours, "match")
+    if ours is not None:
+        matchers = {OURS: ours, **matchers}
+    notes = [missing] if missing else []
+    for clip in CLIPS:
+        folder = options.data / clip.name
+        if options.only and clip.name not in options.only:
+            continue
+        if not (folder / "cam1").is_dir():
+            notes.append(f"{clip.name} skipped: {folder} is not here")
+            continue
+        print(f"{clip.name} ...", file=sys.stderr, flush=True)
+        for pair in pairs(clip, folder):
+            scores += measure_pair(pair, matchers)
+    return publish(table(scores, notes), options.out)

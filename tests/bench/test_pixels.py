@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bench import drives, pixels, steps
+from bench.__main__ import main
 from bench.rivals.environment import RivalMissing, RivalRun
 from bench.steps import Cost
 from calm_edge.evaluation.errors import EvaluationError
@@ -144,14 +145,14 @@ def test_a_run_adds_to_what_is_known(
 
     monkeypatch.setattr(pixels, "METHODS", {name: method(name) for name in errors})
     out = ["--out", str(tmp_path / "out")]
-    assert pixels.main([*out, "--method", "ours"]) == 0
-    assert pixels.main([*out, "--method", "orbslam3"]) == 1
+    assert main(["pixels", *out, "--method", "ours"]) == 0
+    assert main(["pixels", *out, "--method", "orbslam3"]) == 1
     kept = json.loads((tmp_path / "out" / "pixels.json").read_text())
     assert kept["drives"]["k"]["ours"]["ate_se3_m"] == 1.0
     assert kept["targets"][0]["measured"] == 2.0 and kept["targets"][0]["passed"] is False
     errors["ours"] = 0.4
-    assert pixels.main([*out, "--show"]) == 1
-    assert pixels.main([*out, "--method", "ours"]) == 0
+    assert main(["pixels", *out, "--show"]) == 1
+    assert main(["pixels", *out, "--method", "ours"]) == 0
     assert "0.8" in capsys.readouterr().out
     rows = pixels.table(pixels.read_results(tmp_path / "out" / "pixels.json"))
     assert [row[1] for row in rows] == ["ours", "orbslam3"]

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from bench import drives, steps, targets
+from bench.__main__ import main
 from bench.tables import Check, kept
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.estimate import from_updates
@@ -137,7 +138,7 @@ def test_absent_data_is_skipped_and_said(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(targets, "ROWS", (targets.Row("gone", drives.there(tmp_path / "gone")),))
-    assert targets.main(["--out", str(tmp_path / "out")]) == 0
+    assert main(["targets", "--out", str(tmp_path / "out")]) == 0
     assert "skipped" in capsys.readouterr().out
     (table,) = kept(tmp_path / "out")
     assert table.name == "10_targets" and not table.checks
@@ -152,7 +153,7 @@ def test_a_failing_step_breaks_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path
 
     monkeypatch.setattr(steps, "calm_edge", fails)
     monkeypatch.setattr(targets, "ROWS", (_row(tmp_path),))
-    assert targets.main(["--out", str(tmp_path / "out")]) == 1
+    assert main(["targets", "--out", str(tmp_path / "out")]) == 1
     (table,) = kept(tmp_path / "out")
     assert table.checks == (Check("r: run", "works", "calm-edge record: exit 1: no", False),)
 
@@ -165,7 +166,7 @@ def test_a_run_of_some_rows_adds_to_the_table_and_answers_for_these(
     out = tmp_path / "out"
     for name, ate, code in (("s", 1.5, 1), ("r", 0.5, 0), ("s", 0.7, 0)):
         _steps(monkeypatch, ate)
-        assert targets.main(["--out", str(out), "--only", name]) == code
+        assert main(["targets", "--out", str(out), "--only", name]) == code
     (table,) = kept(out)
     assert [r[0] for r in table.rows] == ["r", "s"]
     assert [c.measured for c in table.checks] == [0.5, 0.7]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.cost import __main__ as bench
+from bench.__main__ import main
 from bench.cost import circuit, joint_optimum, length, stages
 from bench.cost.clock import Clock, Measured
 from bench.cost.joint_optimum import Optimisation
@@ -97,8 +97,9 @@ def test_the_landmarks_are_thinned_but_remain_matches():
 
 
 def test_too_short_a_drive_is_one_clear_line(capsys):
-    assert bench.main(["--submaps", "3"]) == 1
-    assert capsys.readouterr().err.strip() == ("--submaps 3: 10 or more, or nothing can be fitted")
+    assert main(["cost", "--submaps", "3"]) == 1
+    said = capsys.readouterr().err.strip()
+    assert said == "bench: --submaps 3: 10 or more, or nothing can be fitted"
 
 
 def test_growth_is_over_the_whole_drive_and_ignores_its_start():
@@ -147,7 +148,7 @@ def test_the_optimisers_own_process_is_weighed(course):
 def test_the_command_prints_keeps_and_plots(tmp_path, capsys):
     plot = tmp_path / "length.svg"
     arguments = ["--submaps", "10", "--out", str(tmp_path), "--plot", str(plot)]
-    assert bench.main(arguments) == 0
+    assert main(["cost", *arguments]) == 0
     assert {table.name for table in kept(tmp_path)} == {"bench_length", "bench_optimum"}
     assert plot.read_text().count("<svg") == 1
     assert "bytes a keyframe" in capsys.readouterr().out
@@ -202,5 +203,5 @@ def test_a_recording_too_short_is_one_clear_line(monkeypatch, tmp_path, capsys):
         raise CalmEdgeError(f"{path}: 2 sub-maps")
 
     monkeypatch.setattr(stages, "read", short)
-    assert bench.main([str(tmp_path), "--submaps", "0"]) == 1
-    assert capsys.readouterr().err.strip() == f"{tmp_path}: 2 sub-maps"
+    assert main(["cost", str(tmp_path), "--submaps", "0"]) == 1
+    assert capsys.readouterr().err.strip() == f"bench: {tmp_path}: 2 sub-maps"

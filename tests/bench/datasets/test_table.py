@@ -1,4 +1,4 @@
-"""`python -m bench datasets`: the paper's settings, a row a sequence, the truth only for `eval`."""
+"""The paper's settings on a dataset: one row a sequence, the truth only for `eval`."""
 
 import json
 from pathlib import Path
@@ -126,7 +126,7 @@ def test_a_wrong_root_is_one_line_that_names_what_is_missing(
 ) -> None:
     assert main(["datasets", dataset, str(tmp_path), "--out", str(tmp_path / "out")]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(str(tmp_path))
+    assert line.startswith(f"bench: {tmp_path}")
     assert any(word in line for word in ("sequences", "data_2d_raw", "vehicle_calibration_info"))
 
 

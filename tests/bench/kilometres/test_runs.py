@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from bench.__main__ import main
 from bench.kilometres import drives, predictions, runs
-from bench.kilometres.__main__ import main
 from bench.kilometres.streams import Streams
 from bench.scripted import ScriptedErrors
 from calm_edge.config import Config
@@ -52,14 +52,14 @@ def test_no_pose_is_an_infinite_error(drive, tmp_path):
 
 def test_the_command_says_in_one_line_what_is_not_here(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(drives, "TRAJECTORIES", tmp_path)
-    assert main(["--sequences", "00"]) == 1
+    assert main(["kilometres", "--sequences", "00"]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.skipif(not drives.TRAJECTORIES.is_dir(), reason="no trajectories here")
 def test_the_command_prints_a_row_a_drive(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(predictions, "CACHE", tmp_path)
-    assert main(["--sequences", "04", "--frames", "60"]) == 0
+    assert main(["kilometres", "--sequences", "04", "--frames", "60"]) == 0
     said = capsys.readouterr().out
     assert "04" in said and "mean" in said
 

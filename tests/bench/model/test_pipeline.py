@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from bench.__main__ import main
 from bench.drives import there
 from bench.model import pipeline, pipeline_runs
-from bench.model.pipeline import ate_table, main, time_table, worst_drive
+from bench.model.pipeline import ate_table, time_table, worst_drive
 from bench.model.pipeline_runs import INT8, NETWORK, PLAIN, TIMED
 from calm_edge.backbones.base import BackboneError
 from calm_edge.evaluation.errors import EvaluationError
@@ -129,7 +130,7 @@ def test_without_the_model_nothing_is_run(monkeypatch, capsys, tmp_path):
         raise BackboneError("no model calm-geo")
 
     monkeypatch.setattr(pipeline, "opened", refused)
-    assert main(["--out", str(tmp_path)]) == 0
+    assert main(["model.pipeline", "--out", str(tmp_path)]) == 0
     assert capsys.readouterr().err == "skipped: no model calm-geo\n"
 
 

@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
+from bench.__main__ import main
 from bench.model import real_clips
 from bench.model.matchers import KltMatcher
 from bench.model.protocols import Matches
@@ -99,6 +100,7 @@ def test_promises_go_to_who_finds_more():
 
 def test_without_the_data_every_clip_is_skipped(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(real_clips, "contestant", lambda spec, method: (None, "no model"))
-    assert real_clips.main(["--data", str(tmp_path), "--out", str(tmp_path / "out")]) == 0
+    arguments = ["--data", str(tmp_path), "--out", str(tmp_path / "out")]
+    assert main(["model.clips", *arguments]) == 0
     said = capsys.readouterr().out
     assert said.count("skipped") == len(real_clips.CLIPS) and "no model" in said

@@ -1,4 +1,4 @@
-"""`python -m bench.kilometres`: variants and baselines over scripted kilometres."""
+"""Variants of ours and baselines on scripted kilometres: one row a variant, drive and seed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.kilometres import runs
 from bench.kilometres.dials import sized
 from bench.kilometres.drives import SEQUENCES, Drive, kitti, rendered
 from bench.kilometres.loops import ScriptedLoops
 from bench.kilometres.predictions import cached
 from bench.kilometres.rivals import HeldViews, rival
-from bench.kilometres.runs import Outcome, Variant, run
+from bench.kilometres.runs import Outcome, Variant
 from bench.kilometres.streams import Streams
 from calm_edge.config import Config, load
 from calm_edge.evaluation.table import print_rows
@@ -29,9 +30,8 @@ VARIANTS = {
 _COLUMNS = ("variant", "seq", "seed", "m", "sub-maps", "Sim(3) m", "SE(3) m", "%", "ms a sub-map")
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Prints a row a variant, sequence and seed; 0, or 1 with one line where that cannot be."""
-    parser = argparse.ArgumentParser(prog="python -m bench.kilometres")
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument(
         "--sequences", default=",".join(SEQUENCES), help="00,05,... or folders of rendered drives"
     )
@@ -41,22 +41,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--loops", action="store_true", help="with a scripted loop finder")
     parser.add_argument("--frames", type=int, default=0, help="only the first so many; 0 all")
     parser.add_argument("--set", dest="assignments", action="append", default=[])
-    asked = parser.parse_args(arguments)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print a row a variant, sequence and seed, then the means."""
     rows: list[tuple[str, str, int, Outcome]] = []
-    try:
-        config = load(None, asked.assignments)
-        variants = [_variant(name) for name in asked.variants.split(",")]
-        for name in asked.sequences.split(","):
-            for seed in range(asked.seeds):
-                streams = Streams(alternate=asked.alternate)
-                drive = _drive(name, config, seed, streams, asked.frames)
-                for variant in variants:
-                    outcome = _outcome(drive, seed, variant, config, asked.loops)
-                    rows.append((variant.name, name, seed, outcome))
-                    print(variant.name, name, seed, *_figures(outcome), file=sys.stderr)
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return 1
+    config = load(None, options.assignments)
+    variants = [_variant(name) for name in options.variants.split(",")]
+    for name in options.sequences.split(","):
+        for seed in range(options.seeds):
+            streams = Streams(alternate=options.alternate)
+            drive = _drive(name, config, seed, streams, options.frames)
+            for variant in variants:
+                outcome = _outcome(drive, seed, variant, config, options.loops)
+                rows.append((variant.name, name, seed, outcome))
+                print(variant.name, name, seed, *_figures(outcome), file=sys.stderr)
     table = [[variant, name, seed, *_figures(outcome)] for variant, name, seed, outcome in rows]
     for variant in variants:
         figures = [_figures(outcome) for of, _, _, outcome in rows if of == variant.name]
@@ -81,7 +80,7 @@ def _outcome(
     drive: Drive, seed: int, variant: Variant, config: Config, with_loops: bool
 ) -> Outcome:
     loops = ScriptedLoops(drive, config.loops.min_gap, seed=seed) if with_loops else None
-    return run(drive, cached(drive, sized(seed)), variant, config, loops)
+    return runs.run(drive, cached(drive, sized(seed)), variant, config, loops)
 
 
 def _figures(outcome: Outcome) -> list[float]:
@@ -93,7 +92,3 @@ def _figures(outcome: Outcome) -> list[float]:
         outcome.percent,
         outcome.ms,
     ]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,7 @@
-"""`python -m bench.mapping RECORDING --truth FOLDER`."""
+"""Map accuracy, completeness and seams of a recording: ours, each part of VI off, baselines.
+
+All rows share one depth; `--warp` adds a smooth distortion to it.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ from calm_edge.evaluation.results import common_origin
 from calm_edge.evaluation.truth import Truth, read_truth
 from calm_edge.offline.submaps import gather
 from calm_edge.recording.reader import Recording
-from calm_edge.types import CalmEdgeError, Int
+from calm_edge.types import Int
 
 BASELINES = ("sim3", "sl4")
 COLUMNS = (
@@ -120,7 +123,7 @@ def table(rows: Sequence[Quality], name: str, command: str) -> Table:
         "true poses: each sub-map placed by the true pose of its central keyframe",
     )
     return Table(
-        f"mapping_quality_{name}",
+        f"mapping_{name}",
         f"Map quality on {name}",
         command,
         COLUMNS,
@@ -130,9 +133,8 @@ def table(rows: Sequence[Quality], name: str, command: str) -> Table:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Measure a recording against its sequence folder, print and keep the table."""
-    parser = argparse.ArgumentParser(prog="bench.mapping", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("recording", type=Path)
     parser.add_argument("--truth", type=Path, required=True, metavar="FOLDER")
     parser.add_argument("--align", choices=("sim3", "se3"), default="sim3")
@@ -145,21 +147,12 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     parser.add_argument("--out", type=Path, default=OUT)
-    options = parser.parse_args(argv)
-    try:
-        truth = read_truth(options.truth)
-        rows = measure(options.recording, truth, options.set, options.align, options.warp)
-    except CalmEdgeError as error:
-        print(error, file=sys.stderr)
-        return 1
-    name = options.truth.resolve().name
-    command = f"python -m {parser.prog} RECORDING --truth {options.truth}"
-    if options.warp:
-        name += f"_warp{options.warp:g}"
-        command += f" --warp {options.warp:g}"
-    publish(table(rows, name, command), options.out)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure a recording against its sequence folder, print and keep the table."""
+    truth = read_truth(options.truth)
+    rows = measure(options.recording, truth, options.set, options.align, options.warp)
+    name = options.truth.resolve().name + (f"_warp{options.warp:g}" if options.warp else "")
+    publish(table(rows, name, options.command), options.out)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

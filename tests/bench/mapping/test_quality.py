@@ -1,6 +1,7 @@
 import pytest
 
-from bench.mapping.__main__ import COLUMNS, against, main, table
+from bench.__main__ import main
+from bench.mapping.quality import COLUMNS, against, table
 from bench.mapping.rows import Quality
 from calm_edge.evaluation.cloud import CloudError
 from calm_edge.mapping.seams import SeamSummary
@@ -43,6 +44,6 @@ def test_bad_input_is_one_line(tmp_path, capsys, missing):
     (tmp_path / "truth" / "calib.txt").write_text("1 1 1 1 2 2\n1 1 1 1 2 2\n")
     truth = "nowhere" if missing == "truth" else "truth"
     arguments = [str(tmp_path / "recording"), "--truth", str(tmp_path / truth)]
-    assert main(arguments) == 1
+    assert main(["mapping", *arguments]) == 1
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 1 and str(tmp_path) in said[0]
