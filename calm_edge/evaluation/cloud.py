@@ -1,4 +1,4 @@
-"""How far a map is from the surfaces that were there."""
+"""Point cloud error of a map against the ground truth (paper VII: accuracy, completeness)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TRUNCATE_M = 5.0
 
 @dataclass(frozen=True, slots=True)
 class CloudError:
-    """Metres. accuracy: map to truth, completeness: truth to map, chamfer: their mean."""
+    """Mean distances [m]. accuracy: map to truth; completeness: truth to map; chamfer: mean."""
 
     accuracy_m: float
     completeness_m: float
@@ -23,7 +23,7 @@ class CloudError:
 
 
 def crop(points: Float, path: Float, radius: float = CROP_M) -> Float:
-    """The points (N, 3) within `radius` of a path vertex (P, 3)."""
+    """Points of (N, 3) within `radius` of a vertex of the path (P, 3)."""
     from scipy.spatial import cKDTree
 
     distance, _ = cKDTree(path).query(points, distance_upper_bound=radius, workers=-1)
@@ -31,7 +31,7 @@ def crop(points: Float, path: Float, radius: float = CROP_M) -> Float:
 
 
 def voxel_means(points: Float, size: float = VOXEL_M) -> Float:
-    """One point a filled cube of edge `size`: the mean of its points, (N, 3) -> (M, 3)."""
+    """Voxel-grid downsampling, (N, 3) -> (M, 3): the mean of the points in each voxel."""
     if len(points) == 0:
         return points
     cell = np.floor((points - points.min(0)) / size).astype(np.int64)
@@ -43,7 +43,7 @@ def voxel_means(points: Float, size: float = VOXEL_M) -> Float:
 
 
 def mean_distance(points: Float, to: Float, truncate: float = TRUNCATE_M) -> float:
-    """Mean distance of points (N, 3) to the nearest of `to` (M, 3), each at most `truncate`."""
+    """Mean nearest-neighbour distance of points (N, 3) to `to` (M, 3), truncated."""
     from scipy.spatial import cKDTree
 
     distance, _ = cKDTree(to).query(points, distance_upper_bound=truncate, workers=-1)
@@ -51,10 +51,10 @@ def mean_distance(points: Float, to: Float, truncate: float = TRUNCATE_M) -> flo
 
 
 def compare(points: Float, truth: Float, path: Float) -> CloudError | None:
-    """Map (N, 3) against truth (M, 3), both metres in the truth's world, around path (P, 3).
+    """Compare a map (N, 3) with the truth (M, 3), both in metres in the truth's world.
 
-    Both are cropped to 40 m around the path and thinned to 0.15 m voxels; distances are
-    truncated at 5 m. None when either has nothing near the path.
+    Both are cropped to 40 m around path (P, 3) and downsampled to 0.15 m voxels; distances are
+    truncated at 5 m. None if either has no point near the path.
     """
     finite = points[np.isfinite(points).all(1)]
     ours = voxel_means(crop(np.asarray(finite, np.float64), path))

@@ -1,4 +1,4 @@
-"""What can go wrong in an evaluation."""
+"""Errors of the evaluation."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from calm_edge.types import CalmEdgeError
 
 
 class EvaluationError(CalmEdgeError):
-    """Something given to the evaluation cannot be read or compared."""
+    """An input of the evaluation cannot be read or compared."""

@@ -1,4 +1,4 @@
-"""What calm-edge, or anybody, says of a drive, in the one form the evaluation compares."""
+"""Load an estimate to evaluate from a recording, a map folder or a TUM trajectory."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from calm_edge.trajectories import folded, read_tum
 from calm_edge.types import Float, Float32, Int, LocalizerUpdate, PoseSample
 from device.frame import Eye
 
-# Older than any pose a live run would publish.
+# Ages above this are no latencies: publish time and exposure are on different clocks.
 MAX_AGE_MS = 60_000.0
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A trajectory and what came with it; None is what this kind of source does not know.
+    """A trajectory with its statistics; None for what the source does not contain.
 
-    t_ns: (N,) T_w_c: (N, 4, 4) primary camera->world, world units. spacing_m: None when the
-    world is in spacings. focal_px, focal_sigma_percent: one an eye. pose_age_ms: {p50, p99}.
-    stage_ms: mean a sub-map, by stage. points_w: (P, 3) map points, world units.
-    first_frame: (its number in the sequence, its stamp), which tells how stamps were moved.
-    live: the poses as they left, LOST ones too, in the order of their stamps.
+    t_ns: (N,). T_w_c: (N, 4, 4) primary camera -> world, world units. spacing_m: None when the
+    world is in camera spacings. focal_px, focal_sigma_percent: one per camera.
+    pose_age_ms: {p50, p99} from exposure to publishing. stage_ms: mean per sub-map, by stage.
+    points_w: (P, 3) map points, world units. first_frame: (number in the sequence, stamp [ns]),
+    from which the offset of a replay's clock follows. live: poses as published during the drive,
+    LOST ones included, sorted by stamp.
     """
 
     source: str
@@ -49,7 +50,7 @@ class Estimate:
 
 
 def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
-    """Mean milliseconds a sub-map, by stage, over the updates that ran the stage."""
+    """Mean milliseconds per sub-map by stage, over the updates that ran the stage."""
     times: dict[str, list[float]] = defaultdict(list)
     for update in updates:
         for stage, ms in update.stage_ms.items():
@@ -58,10 +59,10 @@ def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
 
 
 def pose_ages(published_ns: Int, exposed_ns: Int) -> dict[str, float] | None:
-    """{p50, p99} ms from exposure to publishing of live poses, (N,) ns each.
+    """Percentiles {p50, p99} [ms] of the time from exposure to publishing, (N,) ns each.
 
-    None without poses, and where the two are not on one clock: a lockstep run keeps its
-    files' stamps, so an age there says nothing.
+    None without poses or if the two are on different clocks, as in a lockstep run, which keeps
+    the stamps of its files.
     """
     ages = (published_ns - exposed_ns) / 1e6
     if len(ages) == 0 or ages.min() < 0 or ages.max() > MAX_AGE_MS:
@@ -78,7 +79,10 @@ def from_updates(
     pose_age_ms: dict[str, float] | None = None,
     first_frame: tuple[int, int] | None = None,
 ) -> Estimate:
-    """The trajectory and the focals of a run as last known. spacing_m: 0 or None if not given."""
+    """Estimate from all updates of a run: final trajectory and the last focal lengths.
+
+    spacing_m: 0 or None if not configured. Without updates the estimate has no poses.
+    """
     trajectory = folded(update.trajectory for update in updates)
     if trajectory is None:
         return Estimate(
@@ -111,16 +115,16 @@ def from_updates(
 
 
 def from_tum(path: Path) -> Estimate:
-    """A TUM file; raises EvaluationError."""
+    """Estimate from a TUM trajectory file. Raises EvaluationError."""
     t_ns, T_w_c = read_tum(path)
     return Estimate(str(path), t_ns, T_w_c)
 
 
 def from_map(folder: Path) -> Estimate:
-    """A map folder: trajectory.tum, summary.json and, if there, map.ply; raises EvaluationError.
+    """Estimate from a map folder: trajectory.tum, summary.json and, if present, map.ply.
 
     summary.json: `frames, keyframes, submaps, spacing_m, focal_px, focal_sigma_percent,
-    pose_age_ms, stage_ms` as in Estimate, and `first_frame` [number, t_ns] of a replayed drive.
+    pose_age_ms, stage_ms, first_frame` as in Estimate. Raises EvaluationError.
     """
     t_ns, T_w_c = read_tum(folder / "trajectory.tum")
     summary = _summary(folder / "summary.json")
@@ -150,9 +154,11 @@ def _summary(path: Path) -> dict[str, Any]:
     try:
         summary = json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        raise EvaluationError(f"{path}: not a readable summary ({error}); map again") from None
+        raise EvaluationError(
+            f"{path}: not a readable summary ({error}); run calm-edge map again"
+        ) from None
     if not isinstance(summary, dict):
-        raise EvaluationError(f"{path}: not a summary; map again")
+        raise EvaluationError(f"{path}: not a JSON object; run calm-edge map again")
     return summary
 
 
@@ -167,7 +173,7 @@ def _pair(
     if value is None:
         return None
     if not isinstance(value, list) or len(value) != 2:
-        raise EvaluationError(f"{where}: {key} must hold two numbers, one an eye")
+        raise EvaluationError(f"{where}: {key} must hold two numbers, one per camera")
     return _finite(value[0]), _finite(value[1])
 
 
@@ -193,23 +199,23 @@ def _published_ages(path: Path) -> dict[str, float] | None:
 
 
 def from_recording(path: Path) -> Estimate:
-    """A recording folder or MCAP file; raises RecordingError.
+    """Estimate from a recording folder or MCAP file. Raises RecordingError.
 
-    The pose age is what the daemon says last on /status (`pose_age_ms`), else publish time
-    minus exposure of the logged poses.
+    The pose age is the last `pose_age_ms` on the topic /status, else computed from publish time
+    and exposure of the logged poses.
     """
     from calm_edge.recording.reader import Recording
     from calm_edge.recording.schema import IMAGE_TOPICS, STATUS
 
     recording = Recording(path)
-    told = [s["pose_age_ms"] for s in recording.json_messages(STATUS) if s.get("pose_age_ms")]
+    ages = [s["pose_age_ms"] for s in recording.json_messages(STATUS) if s.get("pose_age_ms")]
     first = next(recording.frames(Eye.PRIMARY), None)
     estimate = from_updates(
         str(path),
         list(recording.updates()),
         recording.count(IMAGE_TOPICS[Eye.PRIMARY]),
         recording.config.scale.spacing_m,
-        told[-1] if told else _published_ages(path),
+        ages[-1] if ages else _published_ages(path),
         (first.sequence, first.t_ns) if first else None,
     )
     live = tuple(sorted(recording.poses(), key=lambda sample: sample.t_ns))
@@ -217,7 +223,10 @@ def from_recording(path: Path) -> Estimate:
 
 
 def read_estimate(target: Path) -> Estimate:
-    """A recording (folder or .mcap), a map folder or a TUM file; raises EvaluationError."""
+    """Estimate from a recording (folder or .mcap), a map folder or a TUM file.
+
+    Raises EvaluationError or RecordingError.
+    """
     target = Path(target)
     if not target.exists():
         raise EvaluationError(f"{target}: not found; give a recording, a map folder or a TUM file")

@@ -1,4 +1,4 @@
-"""How good the poses were that left the car: seen when they left, not as they were mended later."""
+"""Errors of the poses published during the drive, before any later optimisation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int, PoseSample, PoseStatus
 
 SPAN_NS = 1_000_000_000
-# of the span: where the next pose is further, there was none
+# A pair further apart than this times the span is not used: poses were missing.
 LONGEST_SPAN = 1.25
 
 
 def spans(t_ns: Int, epoch: Int, span_ns: int = SPAN_NS) -> tuple[Int, Int]:
-    """Index pairs (S,), (S,) of sorted stamps: each with the first `span_ns` later in its epoch.
+    """Index pairs (S,), (S,): each stamp with the first one at least `span_ns` later.
 
-    Odometry promises no more than this: across a cut of the track the frame is another one.
+    t_ns: (N,) sorted. epoch: (N,). Only pairs of one epoch: at a new epoch the world frame jumps,
+    and live poses are only odometry within an epoch.
     """
     j = np.searchsorted(t_ns, t_ns + span_ns - trajectory.TOLERANCE_NS)
     i = np.flatnonzero(j < len(t_ns))
@@ -39,15 +40,15 @@ def _percentiles(values: Float) -> dict[str, float] | None:
 def compare(
     samples: Sequence[PoseSample], t_ns: Int, t_truth: Int, T_truth: Float, scale: float = 1.0
 ) -> dict[str, Any] | None:
-    """The live poses of a drive against its truth; None without samples.
+    """Compare the live poses of a drive with the truth; None without samples.
 
     t_ns: (N,) the samples' stamps on the truth's clock, sorted. T_truth: (M, 4, 4) at t_truth
-    (M,), metres. scale: metres a world unit.
-    first_s: from the first frame to the first pose; None, as all below, when there never was one.
-    live_percent: of the frames since, those with a pose (LIVE or LAGGING). longest_gap_s: without
-    one, since. jumps: epochs begun since. The errors are over spans of 1 s: span_m and span_deg of
-    the relative motion (p50, p90, max), span_percent their mean over the mean way.
-    velocity_m_s: against the truth's own difference over the frames beside.
+    (M,), metres. scale: metres per world unit. Keys of the result:
+    first_s: time from the first frame to the first pose (LIVE or LAGGING), None without any; the
+    keys below are then missing. live_percent: share of frames with a pose, since the first pose.
+    longest_gap_s: longest time without a pose. jumps: number of new epochs. span_m, span_deg:
+    {p50, p90, max} error of the relative motion over 1 s; span_percent: its mean over the mean
+    distance. velocity_m_s: {p50, p90, max} error against central differences of the truth.
     """
     if not samples:
         return None
@@ -71,10 +72,10 @@ def compare(
     i, j = spans(stamps[a], epoch[a])
     true = se3.inverse(T_truth[b[i]]) @ T_truth[b[j]]
     error = se3.inverse(true) @ se3.inverse(T[i]) @ T[j]
-    missed = np.linalg.norm(error[:, :3, 3], axis=-1)
-    way = float(np.linalg.norm(true[:, :3, 3], axis=-1).sum())
-    result["span_m"] = _percentiles(missed)
-    result["span_percent"] = 100 * float(missed.sum()) / way if way > 0 else None
+    distance = np.linalg.norm(error[:, :3, 3], axis=-1)
+    length = float(np.linalg.norm(true[:, :3, 3], axis=-1).sum())
+    result["span_m"] = _percentiles(distance)
+    result["span_percent"] = 100 * float(distance.sum()) / length if length > 0 else None
     result["span_deg"] = _percentiles(
         np.degrees(np.linalg.norm(se3.so3_log(error[:, :3, :3]), axis=-1))
     )

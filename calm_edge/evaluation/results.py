@@ -1,4 +1,4 @@
-"""The numbers `calm-edge eval` prints."""
+"""Compute the error figures that `calm-edge eval` prints."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from calm_edge.types import Float, Int
 
 Alignment = Literal["se3", "sim3"]
 
-# Beyond this a focal is not known well enough for its error to mean anything.
+# A focal length with a larger sigma counts as unobserved: its error is not evaluated.
 MAX_FOCAL_SIGMA_PERCENT = 5.0
 MIN_POSES = 3
 
@@ -42,9 +42,9 @@ _MAP_KEYS = ("map_accuracy_m", "map_completeness_m", "map_chamfer_m")
 def common_origin(t_ns: Int, t_truth: Int, first_frame: tuple[int, int] | None = None) -> Int:
     """Stamps t_ns (N,) on the truth's clock.
 
-    A paced replay moves all stamps to the present: the first frame's number and stamp tell
-    by how much. Without it, ours carry the 1 s of SequenceFolder and another program's TUM
-    file the folder's own seconds: what leaves more poses with a truth wins, ours on a tie.
+    A paced replay shifts all stamps to the present; first_frame, (number, stamp), gives the
+    offset. Without it two offsets are possible: stamps of ours contain ORIGIN_NS as the truth's
+    do, a TUM file of another program does not. The one that matches more poses is taken.
     """
     if first_frame is not None and first_frame[0] < len(t_truth):
         return np.asarray(t_ns + (t_truth[first_frame[0]] - first_frame[1]))
@@ -59,10 +59,10 @@ def _between(truth: Truth, first: int, last: int) -> Float:
 
 
 def at_frames(t_ns: Int, T_w_c: Float, truth: Truth) -> tuple[Float, Float]:
-    """Positions (F, 3) and true ones (F, 3) of every true frame the trajectory spans.
+    """Estimated and true positions (F, 3), (F, 3) at all frames of the truth during the estimate.
 
-    Scale windows count frames, so keyframe poses are interpolated at the frames between them.
-    t_ns: on the truth's clock.
+    Keyframe poses are interpolated, since the paper's scale windows count frames, not keyframes.
+    t_ns: (N,) of T_w_c (N, 4, 4), on the truth's clock.
     """
     inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
     seconds = (t_ns - t_ns[0]) / 1e9
@@ -71,7 +71,7 @@ def at_frames(t_ns: Int, T_w_c: Float, truth: Truth) -> tuple[Float, Float]:
 
 
 def choose(estimate: Estimate, align: Alignment | None = None) -> Alignment:
-    """`align`, or what the estimate deserves: SE(3) in metres, Sim(3) in spacings."""
+    """Alignment to use: `align` if given, else SE(3) for metric estimates and Sim(3) otherwise."""
     return align or ("se3" if estimate.spacing_m else "sim3")
 
 
@@ -84,7 +84,7 @@ def _trajectory_figures(
         raise EvaluationError(
             f"{estimate.source}: {len(i)} poses within "
             f"{trajectory.TOLERANCE_NS / 1e6:g} ms of a true pose, {MIN_POSES} are needed; "
-            "is it the truth of this drive?"
+            "check that --truth is of this drive"
         )
     T, T_truth = estimate.T_w_c[i], truth.T_w_c[j]
     p, p_truth = T[:, :3, 3], T_truth[:, :3, 3]
@@ -161,7 +161,7 @@ def _live_figures(
 
 
 def _plain(value: Any) -> Any:
-    """JSON has neither NaN nor infinity: both become None."""
+    """Copy with NaN and infinity replaced by None, since JSON has neither."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -172,13 +172,12 @@ def _plain(value: Any) -> Any:
 
 
 def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) -> dict[str, Any]:
-    """The figures of an estimate against the truth; what either lacks is None.
+    """Error figures of an estimate against the truth; None where either lacks the data.
 
-    align: which alignment `ate_percent`, the RPE and the map use; None takes SE(3) when the
-    estimate is in metres, else Sim(3). `poses` counts those compared, `coverage_percent` is
-    the part of the true path they span; focal errors are signed, estimate minus truth. `live`:
-    see live.compare; its lengths take the scale of the alignment.
-    Raises EvaluationError when the two do not overlap in time.
+    align: alignment of `ate_percent`, the RPE and the map; None: SE(3) for metric estimates,
+    else Sim(3). `poses`: number of poses compared. `coverage_percent`: share of the true path
+    they span. Focal errors are estimate minus truth. `live`: see `live.compare`, scaled by the
+    alignment. Raises EvaluationError if the two do not overlap in time.
     """
     chosen = choose(estimate, align)
     figures: dict[str, float | None] = dict.fromkeys(_TRAJECTORY_KEYS)
@@ -203,9 +202,9 @@ def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) ->
 
 
 def evaluate(target: Path, truth_folder: Path, align: Alignment | None = None) -> dict[str, Any]:
-    """The keys of `calm-edge eval --json` for a recording, a map folder or a TUM file.
+    """Evaluate a recording, a map folder or a TUM file: the keys of `calm-edge eval --json`.
 
-    Raises EvaluationError (or SequenceError for bad time files), one line naming the mend.
+    Raises EvaluationError, RecordingError, or SequenceError for a bad file of times.
     """
     truth = read_truth(Path(truth_folder))
     return compare(read_estimate(Path(target)), truth, align)

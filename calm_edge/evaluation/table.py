@@ -1,4 +1,4 @@
-"""Results for people (a table on the terminal) and for programs (one JSON object)."""
+"""Print results as a table on the terminal or as one JSON object."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def pretty(value: Any) -> str:
-    """A value of a result as a person would write it; None is a dash."""
+    """Format a value of a result for people; None is a dash."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -23,12 +23,12 @@ def pretty(value: Any) -> str:
 
 
 def json_text(result: Mapping[str, Any]) -> str:
-    """The one line of `--json`; NaN raises ValueError rather than making invalid JSON."""
+    """The line of JSON for `--json`. Raises ValueError for NaN, which JSON does not allow."""
     return json.dumps(result, allow_nan=False)
 
 
 def print_result(result: Mapping[str, Any], title: str = "") -> None:
-    """A row a figure on stdout."""
+    """Print a table on stdout with one row per figure."""
     from rich.console import Console
     from rich.table import Table
 
@@ -41,7 +41,7 @@ def print_result(result: Mapping[str, Any], title: str = "") -> None:
 
 
 def print_rows(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> None:
-    """A headed table on stdout, a row a list of values in column order."""
+    """Print a table with a header on stdout. rows: values in the order of columns."""
     from rich.console import Console
     from rich.table import Table
 

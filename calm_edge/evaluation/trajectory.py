@@ -1,6 +1,6 @@
-"""How far a trajectory is from the truth: association, ATE, RPE and scale consistency.
+"""Trajectory errors: association by stamps, ATE, RPE and scale consistency.
 
-Poses are T_w_c (N, 4, 4), camera->world. A truth is in metres, an estimate in its own unit.
+Poses are T_w_c (N, 4, 4), camera -> world. The truth is in metres.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ TOLERANCE_NS = 10_000_000
 
 
 def associate(t: Int, t_truth: Int, tolerance_ns: int = TOLERANCE_NS) -> tuple[Int, Int]:
-    """Nearest stamps of two sorted series -> indices (M,) and (M,), each used at most once.
+    """Match two sorted series of stamps [ns] to their nearest, one to one: indices (M,), (M,).
 
-    An equal stamp always wins; of several claims on one truth stamp the nearest is kept.
+    If several stamps have the same nearest true stamp, the closest is kept.
     """
     if len(t) == 0 or len(t_truth) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
@@ -39,22 +39,22 @@ def associate(t: Int, t_truth: Int, tolerance_ns: int = TOLERANCE_NS) -> tuple[I
 
 
 def path_length(p: Float) -> float:
-    """Length of the polyline p (N, 3), in its unit."""
+    """Length of the polyline p (N, 3), in the unit of p."""
     return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
 
 
 def ate(p: Float, p_truth: Float) -> float:
-    """Root mean square distance of aligned positions (N, 3), (N, 3)."""
+    """Absolute trajectory error: RMS distance of aligned positions (N, 3) to true ones (N, 3)."""
     return float(np.sqrt(((p - p_truth) ** 2).sum(1).mean()))
 
 
 def rpe(T: Float, T_truth: Float, segment_m: float = SEGMENT_M) -> tuple[float, float] | None:
-    """Relative error over segments of the truth -> (percent of length, degrees a metre).
+    """Relative pose error over path segments, mean of (% of the length, degrees per metre).
 
-    From every pose i to the first pose j whose path from i is at least `segment_m` long:
-    error = (truth_i^-1 truth_j)^-1 (T_i^-1 T_j), its translation over the segment's own
-    length and its rotation angle over the same; the mean of all segments. T must already
-    have the truth's unit. None when the path is shorter than one segment.
+    A segment goes from each pose i to the first pose j at least `segment_m` further along the
+    true path; error = (truth_i^-1 truth_j)^-1 (T_i^-1 T_j), translation and angle divided by the
+    segment's length (the KITTI odometry metric of Geiger et al., 2012, with shorter segments).
+    T: (N, 4, 4) in metres. None if the path is shorter than one segment.
     """
     steps = np.linalg.norm(np.diff(T_truth[:, :3, 3], axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -75,12 +75,11 @@ def rpe(T: Float, T_truth: Float, segment_m: float = SEGMENT_M) -> tuple[float, 
 def window_scales(
     p: Float, p_truth: Float, window: int = WINDOW_FRAMES, stride: int = WINDOW_STRIDE
 ) -> Float:
-    """Scale of every sliding window against the truth, divided by the first window's: (W,).
+    """Scale (W,) of sliding windows relative to the truth, normalised by the first window.
 
-    p, p_truth: (N, 3) positions of the same frames. A window's scale is the ratio of the
-    spreads about the window's mean: unlike a least-squares scale it does not shrink when
-    positions are noisy. Windows standing still are left out. Paper, Scale Consistency
-    Analysis: 100 frames, stride 5.
+    p, p_truth: (N, 3) positions of the same frames. The scale of a window is the ratio of the
+    RMS distances to the window's mean; unlike a least-squares scale it is not biased low by
+    noise. Windows at standstill are skipped. Paper VII, scale consistency: 100 frames, stride 5.
     """
     scales = []
     for i in range(0, len(p) - window + 1, stride):
@@ -93,9 +92,9 @@ def window_scales(
 
 
 def scale_consistency(p: Float, p_truth: Float) -> tuple[float, float] | None:
-    """(mean |scale - 1|, standard deviation of scale) over the windows; None under two windows.
+    """(mean |scale - 1|, standard deviation of the scale) over `window_scales` (paper VII).
 
-    Paper, Scale Consistency Analysis. p, p_truth: (N, 3) of the same frames; N >= 105.
+    p, p_truth: (N, 3) of the same frames. None with fewer than two windows (N < 105).
     """
     if len(p) < WINDOW_FRAMES + WINDOW_STRIDE:
         return None

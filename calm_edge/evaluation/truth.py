@@ -1,4 +1,4 @@
-"""What really happened on a drive: poses, optics and surfaces, for comparing and nothing else."""
+"""Ground truth of a sequence folder: poses, intrinsics and point cloud; for evaluation only."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from calm_edge.types import Float, Float32, Int
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """The truth of a sequence folder, metres.
+    """Ground truth of a sequence folder, in metres.
 
-    t_ns: (N,) stamps as frontend.sequence gives them. T_w_c: (N, 4, 4) primary camera->world;
-    N is 0 when the folder has no poses. K: (2, 3, 3) px, an eye, or None. cloud: (M, 3) or None.
+    t_ns: (N,) stamps as `recording.sequence_folder` gives them. T_w_c: (N, 4, 4) primary camera
+    -> world, N = 0 without poses. K: (2, 3, 3) px, one per camera, or None. cloud: (M, 3) or None.
     """
 
     t_ns: Int
@@ -32,7 +32,9 @@ class Truth:
 def _calibration(path: Path) -> Float:
     rows = _table(path)
     if rows.shape != (2, 6):
-        raise EvaluationError(f"{path}: expected two rows of `fx fy cx cy width height`")
+        raise EvaluationError(
+            f"{path}: expected two rows of `fx fy cx cy width height`, got {rows.shape}"
+        )
     return np.stack([pinhole.matrix(*(float(v) for v in row[:4])) for row in rows])
 
 
@@ -56,23 +58,27 @@ def _cloud(path: Path) -> NDArray[np.float32]:
 
 
 def read_truth(folder: Path) -> Truth:
-    """Poses, calibration and cloud of a sequence folder, each as far as it is there.
+    """Read poses0.txt, calib.txt and cloud.npy of a sequence folder, each if present.
 
-    Raises EvaluationError when the folder, or everything that could be compared, is missing.
+    Raises EvaluationError if the folder or all three files are missing, or if one is malformed.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise EvaluationError(f"{folder}: no such folder; --truth takes a sequence folder")
+        raise EvaluationError(f"{folder}: no such folder; give --truth a sequence folder")
     poses, times = folder / "poses0.txt", folder / "times0.txt"
     calibration, cloud = folder / "calib.txt", folder / "cloud.npy"
     if not (poses.is_file() or calibration.is_file() or cloud.is_file()):
-        raise EvaluationError(f"{folder}: holds none of poses0.txt, calib.txt, cloud.npy")
+        raise EvaluationError(
+            f"{folder}: holds none of poses0.txt, calib.txt, cloud.npy; give a sequence folder"
+        )
     T_w_c = read_kitti(poses) if poses.is_file() else np.zeros((0, 4, 4))
     n = len(T_w_c)
     if n and times.is_file():
         t_ns = read_times(times)
         if len(t_ns) != n:
-            raise EvaluationError(f"{poses}: {n} poses for {len(t_ns)} times in {times.name}")
+            raise EvaluationError(
+                f"{poses}: {n} poses for {len(t_ns)} times in {times.name}; write one line each"
+            )
     else:
         t_ns = np.arange(n, dtype=np.int64) * round(1e9 / DEFAULT_RATE_HZ) + ORIGIN_NS
     return Truth(

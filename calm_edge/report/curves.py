@@ -1,4 +1,4 @@
-"""The curves of the report, drawn as SVG text."""
+"""Plots of the report as SVG text, drawn with matplotlib."""
 
 from __future__ import annotations
 
@@ -42,7 +42,10 @@ def _svg(figure: Any) -> str:
 
 
 def trajectory(path: Float, truth: Float | None, unit: str) -> str:
-    """Level positions (N, 3) from above, with the truth's (M, 3) if there is one."""
+    """Top view of a trajectory (N, 3) and of the ground truth (M, 3), in the level frame.
+
+    unit: of the axis labels.
+    """
     shown = path if truth is None or len(truth) == 0 else np.concatenate([path, truth])
     span = np.maximum(np.ptp(shown[:, :2], axis=0), 1e-6)
     figure, axes = _figure(10, float(np.clip(10 * span[1] / span[0], 3.0, 9.0)))
@@ -59,7 +62,11 @@ def trajectory(path: Float, truth: Float | None, unit: str) -> str:
 
 
 def scale(t: Float, values: Float, windows: Float | None) -> str:
-    """Scales (S,) over the first at t (S,) s; windows (W, 2) of (t, ratio to truth)."""
+    """Scale of the sub-maps over time, relative to the first one.
+
+    t: (S,) s. values: (S,). windows: (W, 2) of (t, scale of a 100-frame window relative to the
+    truth).
+    """
     figure, axes = _figure(10, 2.8)
     axes.axhline(1.0, color=MUTED, linewidth=1, linestyle=":")
     axes.plot(
@@ -76,7 +83,11 @@ def scale(t: Float, values: Float, windows: Float | None) -> str:
 
 
 def focal(t: Float, focal_px: Float, log_sigma: Float, truth_px: Float | None) -> str:
-    """Focals (S, 2) px at t (S,) s with one- and three-sigma bands, log_sigma (S, 2)."""
+    """Focal length of both cameras over time with one- and three-sigma bands.
+
+    t: (S,) s. focal_px: (S, 2). log_sigma: (S, 2) sigma of the log focal length.
+    truth_px: (2,).
+    """
     figure, axes = _figure(10, 3.4)
     for eye, name in enumerate(("primary", "assistant")):
         value, sigma = focal_px[:, eye], np.clip(np.nan_to_num(log_sigma[:, eye], nan=2.0), 0, 2)
@@ -88,7 +99,7 @@ def focal(t: Float, focal_px: Float, log_sigma: Float, truth_px: Float | None) -
             axes.axhline(
                 truth_px[eye], color=EYES[eye], linewidth=1.2, linestyle="--", label=f"{name}, true"
             )
-    # an unobserved start would flatten the rest
+    # limits from the values, not from the bands: these are very wide before turns are driven
     shown = focal_px if truth_px is None else np.concatenate([focal_px, truth_px[None]])
     shown = shown[np.isfinite(shown).all(1)]
     if len(shown):
@@ -100,11 +111,11 @@ def focal(t: Float, focal_px: Float, log_sigma: Float, truth_px: Float | None) -
 
 
 def stages(stage_ms: dict[str, float]) -> str:
-    """Mean milliseconds a sub-map, a bar a stage, longest first."""
+    """Bar chart of the mean milliseconds per sub-map of each stage, longest on top."""
     names = sorted(stage_ms, key=lambda name: stage_ms[name])
     figure, axes = _figure(10, 0.6 + 0.32 * max(len(names), 1))
     bars = axes.barh(names, [stage_ms[n] for n in names], color=ESTIMATE, height=0.62)
     axes.bar_label(bars, fmt="%.4g ms", padding=4, fontsize=9, color=INK)
     axes.margins(x=0.14)
-    axes.set_xlabel("milliseconds a sub-map", color=MUTED)
+    axes.set_xlabel("milliseconds per sub-map", color=MUTED)
     return _svg(figure)

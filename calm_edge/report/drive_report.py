@@ -1,4 +1,4 @@
-"""From a drive's updates, map and perhaps its truth to the plain data of the report page."""
+"""Collect the data of the report page from a drive's updates, map and ground truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ EYES = ("primary", "assistant")
 
 
 def _truth_in_world(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
-    """True positions (M, 3) over the estimate's span, laid into the estimate's world."""
+    """True positions (M, 3) during the estimate, aligned to the estimate's world.
+
+    None with fewer than MIN_POSES common stamps. t_ns: (N,) of the estimate, on the truth's clock.
+    """
     i, j = trajectory.associate(t_ns, truth.t_ns)
     if len(i) < MIN_POSES:
         return None
@@ -35,7 +38,8 @@ def _truth_in_world(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None
     return motion.inverse().points(truth.T_w_c[j[0] : j[-1] + 1, :3, 3])
 
 
-def _windows(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
+def _scale_windows(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
+    """(W, 2) of (seconds since the start, scale relative to the truth) of each 100-frame window."""
     p, p_truth = at_frames(t_ns, estimate.T_w_c, truth)
     scales = trajectory.window_scales(p, p_truth)
     first = np.searchsorted(truth.t_ns, t_ns[0])
@@ -48,7 +52,7 @@ def _windows(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
 
 
 def unobserved(estimate: Estimate) -> tuple[str, ...]:
-    """What the drive did not show, a sentence each."""
+    """Sentences on what the drive left undetermined: focal lengths, metric scale, all poses."""
     notes = []
     if estimate.focal_px is not None:
         for eye, name in enumerate(EYES):
@@ -56,17 +60,17 @@ def unobserved(estimate: Estimate) -> tuple[str, ...]:
             if sigma is None or sigma > MAX_FOCAL_SIGMA_PERCENT:
                 known = "unknown" if sigma is None else f"{sigma:.1f} %"
                 notes.append(
-                    f"The focal length of the {name} camera is unobserved: its sigma is {known}, "
-                    f"over {MAX_FOCAL_SIGMA_PERCENT:g} %. {estimate.focal_px[eye]:.1f} px is a "
-                    "guess; drive some turns."
+                    f"The focal length of the {name} camera is unobserved: its sigma is {known} "
+                    f"(limit {MAX_FOCAL_SIGMA_PERCENT:g} %), so that {estimate.focal_px[eye]:.1f} "
+                    "px is a guess. Record a drive with turns."
                 )
     if not estimate.spacing_m:
         notes.append(
-            "The spacing of the cameras was not given, so lengths are in spacings, not metres "
-            "(--spacing-m)."
+            "Lengths are in camera spacings, not in metres: give the distance between the cameras "
+            "with --spacing-m."
         )
     if len(estimate.t_ns) < MIN_POSES:
-        notes.append("No sub-map could be placed; look at the log of the recording.")
+        notes.append("No sub-map could be placed; the log of the recording names the reason.")
     return tuple(notes)
 
 
@@ -82,7 +86,7 @@ def _headline(
             (f"{error:.2f} m · {figures['ate_percent']:.2f} %", f"trajectory error, {kind}")
         )
     if figures.get("map_chamfer_m") is not None:
-        cards.append((f"{figures['map_chamfer_m']:.2f} m", "map error (chamfer)"))
+        cards.append((f"{figures['map_chamfer_m']:.2f} m", "map error (Chamfer distance)"))
     if estimate.focal_px is not None:
         cards.append((" / ".join(f"{f:.0f}" for f in estimate.focal_px) + " px", "focal lengths"))
     if estimate.pose_age_ms:
@@ -100,18 +104,22 @@ def report_data(
     figures: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
 ) -> ReportData:
-    """The page's data. color: (P, 3) RGB of estimate.points_w. figures: of results.compare.
+    """Assemble the data of the report page.
 
-    `notes` are added to what the estimate itself says was not observed.
+    color: (P, 3) RGB of estimate.points_w. figures: from `results.compare`. notes: sentences to
+    add to those of `unobserved`.
     """
     unit = "m" if estimate.spacing_m else "spacings"
     figures = dict(figures or {})
     truth_w = windows = None
     if truth is not None and len(truth.t_ns) and len(estimate.t_ns) >= MIN_POSES:
         t_ns = common_origin(estimate.t_ns, truth.t_ns, estimate.first_frame)
-        truth_w, windows = _truth_in_world(estimate, truth, t_ns), _windows(estimate, truth, t_ns)
+        truth_w, windows = (
+            _truth_in_world(estimate, truth, t_ns),
+            _scale_windows(estimate, truth, t_ns),
+        )
     start = estimate.t_ns[0] if len(estimate.t_ns) else 0
-    # the first of an id is what was believed when it was placed; later ones are hindsight
+    # the first update of a sub-map holds the estimate at the time; later ones revise it
     submaps = list({update.submap.id: update.submap for update in reversed(updates)}.values())[::-1]
     focal = [[s.K[0, 0, 0], s.K[s.n_primary if s.assistant_ids else 0, 0, 0]] for s in submaps]
     scale = np.array([s.scale for s in submaps])

@@ -1,6 +1,7 @@
-"""A map as pictures: from straight above, and as seen from behind the car.
+"""Images of a point cloud: the top view, and perspective views from behind the car.
 
-Pictures are (H, W, 3) uint8 RGB. Lengths are in the map's own unit; nothing here needs metres.
+Images are (H, W, 3) uint8 RGB. Lengths are in the unit of the map. The *level frame* has z up
+and x along the longer side of the drive (`level_rotation`).
 """
 
 from __future__ import annotations
@@ -18,23 +19,22 @@ _EMPTY = np.iinfo(np.int64).max
 
 @dataclass(frozen=True, slots=True)
 class TopDown:
-    """A picture from above and where it lies. origin: (2,) its left and top edge in the level
-    frame; pixel: edge of one pixel, map unit."""
+    """A top view and its position. origin: (2,) x of the left and y of the top edge, level frame.
+    pixel: size of a pixel."""
 
     image: Bytes
     origin: Float
     pixel: float
 
     def to_pixels(self, p_level: Float) -> Float:
-        """Level points (..., 3) -> pixels (..., 2)."""
+        """Pixels (..., 2) of points (..., 3) in the level frame."""
         return np.asarray((p_level[..., :2] - self.origin) * [1, -1] / self.pixel)
 
 
 def level_rotation(T_w_c: Float) -> Float:
-    """R_level_world (3, 3) of poses (N, 4, 4), N >= 1: z up, x along the drive's longer side.
+    """Rotation world -> level frame (3, 3) from camera poses (N, 4, 4), N >= 1.
 
-    Up is the mean of the cameras' up axes: over a drive it is the car's, which the first
-    camera's mounting alone is not.
+    Up is the mean up axis of the camera over the drive, which averages out slopes and pitching.
     """
     up = -T_w_c[:, :3, 1].mean(0)
     up /= np.linalg.norm(up)
@@ -51,9 +51,10 @@ def level_rotation(T_w_c: Float) -> Float:
 
 
 def splat(uv: Float, depth: Float, radius: Float, color: Bytes, size: tuple[int, int]) -> Bytes:
-    """Squares painted nearest last, by a z-buffer.
+    """Render points as squares with a z-buffer.
 
-    uv: (N, 2) px, depth: (N,) any unit, radius: (N,) px, color: (N, 3), size: (width, height).
+    uv: (N, 2) px. depth: (N,) any unit. radius: (N,) half size of a square, px. color: (N, 3).
+    size: (width, height).
     """
     width, height = size
     buffer = np.full(width * height, _EMPTY, np.int64)
@@ -80,7 +81,10 @@ def splat(uv: Float, depth: Float, radius: Float, color: Bytes, size: tuple[int,
 
 
 def _path_offsets(points: Float, path: Float) -> tuple[Float, Float]:
-    """Of level points (N, 3): horizontal distance to the path and height over it, (N,), (N,)."""
+    """Horizontal distance (N,) of points (N, 3) to the path, and height (N,) above it.
+
+    Level frame.
+    """
     from scipy.spatial import cKDTree
 
     distance, nearest = cKDTree(path[:, :2]).query(points[:, :2], workers=-1)
@@ -88,10 +92,10 @@ def _path_offsets(points: Float, path: Float) -> tuple[Float, Float]:
 
 
 def top_down(points: Float, color: Bytes, path: Float, width: int = 1800) -> TopDown:
-    """Level points (N, 3) with colours from above; what is highest covers what is below.
+    """Render the top view of points (N, 3) with colours, level frame.
 
-    Framed to the path (P, 3) and the distance that holds 9 of 10 points, and cut where the
-    highest 2 % begin, so that a few strays neither shrink the street nor hide it.
+    The frame is the path (P, 3) plus the 90 % quantile of the points' distances to it; the
+    highest 2 % of the points are left out. So outliers neither shrink nor cover the street.
     """
     distance, above = _path_offsets(points, path)
     reach = float(np.quantile(distance, 0.9))
@@ -108,7 +112,7 @@ def top_down(points: Float, color: Bytes, path: Float, width: int = 1800) -> Top
 
 
 def eye_height(points: Float, path: Float) -> float:
-    """How high the camera rides over the road, from the level points beside the path."""
+    """Height of the camera above the road, from points beside the path, level frame."""
     distance, above = _path_offsets(points, path)
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     near = above[(distance < 3 * max(float(np.median(steps)), 1e-6)) & (above < 0)]
@@ -123,9 +127,10 @@ def chase(
     height: float,
     size: tuple[int, int] = (1200, 560),
 ) -> Bytes:
-    """Level points seen from behind and above the car at path[index], looking along the path.
+    """Render points from behind and above the car at path[index], looking along the path.
 
-    height: `eye_height`. The viewer stands 5 heights behind and 3.2 above the camera.
+    points, path: level frame. height: from `eye_height`; the viewpoint is 5 heights behind and
+    3.2 heights above the camera.
     """
     ahead = path[min(index + max(len(path) // 40, 3), len(path) - 1)] - path[max(index - 2, 0)]
     forward = np.array([ahead[0], ahead[1], 0.0])
@@ -140,13 +145,13 @@ def chase(
     p, rgb = p[(keep := (p[:, 2] > 2 * height) & (p[:, 2] < 60 * height))], color[keep]
     focal = 0.75 * size[0]
     uv = focal * p[:, :2] / p[:, 2:] + [size[0] / 2, 0.42 * size[1]]
-    # a point stands for a patch a tenth of the eye's height wide
+    # draw a point as a patch a tenth of `height` wide
     radius = focal * height / 20 / p[:, 2]
     return splat(uv, p[:, 2], radius, rgb, size)
 
 
 def best_chases(points: Float, color: Bytes, path: Float, count: int = 2) -> list[Bytes]:
-    """The `count` fullest chase pictures of eight along the path, in path order."""
+    """The `count` views with the most filled pixels of eight along the path, in path order."""
     thin = max(len(points) // 200_000, 1)
     few, few_colors = points[::thin], color[::thin]
     height = eye_height(few, path)

@@ -1,4 +1,4 @@
-"""The look that all pages share: one file, nothing asked for from outside."""
+"""HTML and style shared by all report pages: self-contained, no external resources."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ ul{margin:8px 0 0;padding-left:22px}.warn{background:#fff8e6;border-color:#f2dca
 
 
 def section(title: str, note: str, body: str, kind: str = "") -> str:
-    """A framed part of the page; `body` is HTML, the rest is text."""
+    """A framed section of the page. body: HTML; title and note: plain text, escaped here."""
     lead = f'<p class="note">{html.escape(note)}</p>' if note else ""
     return f'<section class="{kind}"><h2>{html.escape(title)}</h2>{lead}{body}</section>'
 
 
 def whole(title: str, parts: Sequence[str]) -> str:
-    """The page around its parts, which are HTML."""
+    """The complete HTML document around its parts, which are HTML."""
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'

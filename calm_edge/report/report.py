@@ -1,4 +1,4 @@
-"""One page on one drive, with everything inside it."""
+"""Render the report of a drive as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from calm_edge.evaluation.table import pretty
 from calm_edge.report import curves, map_image, page
 from calm_edge.types import Bytes, Float, Float32
 
-# More than this a picture cannot show.
+# More points than this are invisible in an image; the rest is skipped evenly.
 MAX_DRAWN_POINTS = 3_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class ReportData:
-    """What the page shows; what is None or empty is left out.
+    """Content of the page; fields that are None or empty are left out.
 
-    T_w_c: (N, 4, 4) primary camera->world. unit: of the world, `m` or `spacings`.
-    points_w: (P, 3) color: (P, 3) RGB. truth_w: (M, 3) true positions in this world.
-    t_s: (S,) when each sub-map was placed. scale: (S,) over the first. focal_px,
+    T_w_c: (N, 4, 4) primary camera -> world. unit: of the world, `m` or `spacings`.
+    points_w: (P, 3), color: (P, 3) RGB. truth_w: (M, 3) true positions in this world.
+    t_s: (S,) time of each sub-map. scale: (S,) relative to the first. focal_px,
     focal_log_sigma: (S, 2). truth_focal_px: (2,). scale_windows: (W, 2) of (t, ratio to truth).
-    headline: a few (number, caption). figures: name -> value. notes: what was not observed.
+    stage_ms: mean per sub-map. headline: pairs (number, caption). figures: name -> value.
+    notes: sentences on what could not be determined.
     """
 
     title: str
@@ -48,7 +49,7 @@ class ReportData:
 
 
 def _embedded(svg: str, alt: str) -> str:
-    """As an image of its own, so that two drawings' ids never meet."""
+    """An SVG as an <img> with a data URL: ids of several drawings cannot collide."""
     code = base64.b64encode(svg.encode()).decode()
     return f'<img alt="{html.escape(alt)}" src="data:image/svg+xml;base64,{code}">'
 
@@ -58,12 +59,12 @@ def _photo(image: Bytes) -> str:
 
     ok, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
     if not ok:
-        raise ValueError(f"a picture of shape {image.shape} cannot be encoded")
+        raise ValueError(f"cannot encode an image of shape {image.shape} as JPEG")
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
 def _bar_length(span: float) -> float:
-    """A round length (1, 2 or 5 times a power of ten) of at most a fifth of the span."""
+    """Length of a scale bar: 1, 2 or 5 times a power of ten, at most a fifth of the span."""
     power = 10.0 ** np.floor(np.log10(max(span / 5, 1e-12)))
     return float(max(power * k for k in (1, 2, 5) if power * k <= span / 5 * 1.0001))
 
@@ -110,7 +111,7 @@ def _rows(values: dict[str, Any]) -> str:
 
 
 def render(data: ReportData) -> str:
-    """The page as HTML text; it asks for nothing from outside."""
+    """The page as self-contained HTML text."""
     parts = [f'<h1>{html.escape(data.title)}</h1><p class="lead">calm-edge, one drive</p>']
     if data.headline:
         cards = (
@@ -120,33 +121,33 @@ def render(data: ReportData) -> str:
         parts.append(f'<div class="cards">{"".join(cards)}</div>')
     if data.notes:
         items = "".join(f"<li>{html.escape(note)}</li>" for note in data.notes)
-        parts.append(page.section("Not observed, not done", "", f"<ul>{items}</ul>", "warn"))
+        parts.append(page.section("Not observed, not complete", "", f"<ul>{items}</ul>", "warn"))
     if len(data.T_w_c):
         R = map_image.level_rotation(data.T_w_c)
         path = data.T_w_c[:, :3, 3] @ R.T
         truth = None if data.truth_w is None else data.truth_w @ R.T
         parts += _map_sections(data, R, path)
         drawn = _embedded(curves.trajectory(path, truth, data.unit), "trajectory from above")
-        against = "Against the truth." if truth is not None else "No truth was given."
+        against = "With the ground truth." if truth is not None else "No truth was given."
         parts.append(page.section("The trajectory from above", against, drawn))
     if len(data.scale):
         drawn = _embedded(curves.scale(data.t_s, data.scale, data.scale_windows), "scale")
-        note = "What each sub-map's own unit was multiplied by, over the first one's."
+        note = "Scale factor of each sub-map relative to the first (paper IV-B)."
         parts.append(page.section("Scale over time", note, drawn))
     if len(data.focal_px):
         drawn = curves.focal(data.t_s, data.focal_px, data.focal_log_sigma, data.truth_focal_px)
-        note = "Bands are one and three sigma; dashed is the truth, where given."
+        note = "Bands: one and three sigma. Dashed: ground truth, if given."
         parts.append(page.section("Focal length over time", note, _embedded(drawn, "focal length")))
     if data.stage_ms:
         drawn = _embedded(curves.stages(data.stage_ms), "time by stage")
-        total = {"all stages": f"{sum(data.stage_ms.values()):.4g} ms a sub-map"}
+        total = {"all stages": f"{sum(data.stage_ms.values()):.4g} ms per sub-map"}
         rows = {k: f"{v:.4g} ms" for k, v in data.stage_ms.items()} | total
-        parts.append(page.section("Where the time went", "", drawn + _rows(rows)))
+        parts.append(page.section("Time by stage", "", drawn + _rows(rows)))
     if data.figures:
         parts.append(page.section("Figures", "", _rows(data.figures)))
     return page.whole(data.title, parts)
 
 
 def write_report(path: Path, data: ReportData) -> None:
-    """Write `render(data)` as UTF-8."""
+    """Write the rendered page as UTF-8."""
     path.write_text(render(data), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Maps displaced by known amounts."""
+"""Point cloud errors of maps with known displacement."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def _plane(y: float = 1.5, half: float = 6.0) -> np.ndarray:
     return np.stack([x.ravel(), np.full(x.size, y), z.ravel()], 1)
 
 
-def test_a_plane_a_known_distance_off() -> None:
+def test_a_plane_at_a_known_distance() -> None:
     error = cloud.compare(_plane(1.5 + 0.4), _plane(), PATH)
     assert error is not None
     assert error.accuracy_m == pytest.approx(0.4, rel=0.01)
@@ -39,7 +39,7 @@ def test_far_points_are_cropped_and_far_errors_truncated() -> None:
     assert cloud.compare(far, _plane(), PATH) is None
 
 
-def test_density_does_not_weigh() -> None:
+def test_point_density_has_no_influence() -> None:
     truth = _plane()
     crowd = np.tile(truth[:1] + np.array([0, 1.0, 0]), (100_000, 1))
     lone = cloud.compare(np.concatenate([truth, crowd[:1]]), truth, PATH)

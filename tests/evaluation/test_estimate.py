@@ -1,4 +1,4 @@
-"""A recording on the disk becomes an estimate."""
+"""Estimates loaded from recordings and map folders."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def _record(folder: Path, status: bool) -> Path:
     config = merge(Config(), {"scale": {"spacing_m": 0.5}})
     with RecordingWriter(folder, config, lossless=True) as writer:
         for i in range(30):
-            # the camera's first two frames were lost
+            # the first two frames of the camera were lost
             writer.write_frame(Frame(Eye.PRIMARY, i + 2, int(t[i]), picture))
             writer.write_frame(Frame(Eye.ASSISTANT, i, int(t[i]), picture))
         sample = PoseSample(int(t[3]), T[3], np.zeros(3), np.eye(6), 0, PoseStatus.LIVE)
@@ -53,7 +53,7 @@ def test_lockstep_stamps_give_no_age_and_one_segment_reads_alone(tmp_path: Path)
     assert read_estimate(segment).pose_age_ms is None
 
 
-def test_no_recording_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_recording_is_an_error_of_one_line(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="holds no recording"):
         from_recording(tmp_path)
     (tmp_path / "a.tum").write_text("hello\n")
@@ -61,7 +61,7 @@ def test_no_recording_is_one_line(tmp_path: Path) -> None:
         read_estimate(tmp_path / "a.tum")
 
 
-def test_a_map_folder_brings_its_points(tmp_path: Path) -> None:
+def test_a_map_folder_includes_its_points(tmp_path: Path) -> None:
     (tmp_path / "trajectory.tum").write_text("1 0 0 0 0 0 0 1\n")
     (tmp_path / "summary.json").write_text('{"spacing_m": null, "first_frame": [2, 77]}')
     points = np.float32([[1, 2, 3], [4, 5, 6]])

@@ -1,4 +1,4 @@
-"""Figures of live poses whose faults were put there."""
+"""Errors of live poses with simulated faults."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NONE = np.full((4, 4), np.nan), np.full(3, np.nan), np.full((6, 6), np.nan)
 
 
 def samples(T: np.ndarray, lost: range = range(0), epoch_from: int = 10**9) -> list[PoseSample]:
-    """A pose a frame in another frame than the truth's, with the truth's own velocity."""
+    """One pose per frame, in a world other than the truth's, with the true velocity."""
     T_o_w = se3.exp(np.array([5.0, 1.0, -2.0, 0.0, 0.8, 0.0]))
     out = []
     for i, (t, T_w_c) in enumerate(zip(stamps(len(T)).tolist(), T, strict=True)):
@@ -44,7 +44,7 @@ def test_the_truth_in_another_frame_is_without_error() -> None:
     assert figures["velocity_m_s"]["max"] < 1e-9
 
 
-def test_a_wrong_scale_is_told_in_percent_and_can_be_given() -> None:
+def test_a_wrong_scale_shows_in_percent_and_can_be_passed() -> None:
     T = curve(N)
     small = T.copy()
     small[:, :3, 3] *= 0.9
@@ -56,7 +56,7 @@ def test_a_wrong_scale_is_told_in_percent_and_can_be_given() -> None:
     assert figures["velocity_m_s"]["p50"] < 1e-9
 
 
-def test_a_drifting_heading_is_told_in_degrees_a_second() -> None:
+def test_a_drifting_heading_shows_in_degrees_per_second() -> None:
     T = curve(N)
     turned = T.copy()
     drift = np.radians(0.05) * np.arange(N)[:, None] * np.array([0.0, 1.0, 0.0])
@@ -65,7 +65,7 @@ def test_a_drifting_heading_is_told_in_degrees_a_second() -> None:
     assert figures is not None and figures["span_deg"]["p50"] == pytest.approx(0.5, rel=0.05)
 
 
-def test_loss_before_the_first_pose_is_a_wait_and_afterwards_a_gap() -> None:
+def test_lost_frames_count_as_first_s_before_the_first_pose_and_as_a_gap_after() -> None:
     T = curve(N)
     late = compare(samples(T, range(0, 20)), stamps(N), stamps(N), T)
     assert late is not None
@@ -102,7 +102,7 @@ def test_a_drive_never_live_and_one_without_poses() -> None:
     assert compare([], stamps(0), stamps(N), T) is None
 
 
-def test_the_result_of_a_drive_in_spacings_takes_the_alignment_s_scale() -> None:
+def test_live_errors_of_a_drive_in_spacings_use_the_scale_of_the_alignment() -> None:
     T = curve(N)
     halved = T.copy()
     halved[:, :3, 3] *= 0.5

@@ -1,4 +1,4 @@
-"""The keys of `eval --json`, from estimates whose errors are known."""
+"""Keys of `eval --json` for estimates with known errors."""
 
 import json
 from dataclasses import replace
@@ -65,7 +65,7 @@ def test_a_perfect_metric_drive() -> None:
     for key in ("ate_se3_m", "ate_sim3_m", "ate_percent", "rpe_trans_percent"):
         assert result[key] == pytest.approx(0, abs=1e-9)
     assert result["sim3_scale"] == pytest.approx(1)
-    # frames between keyframes are interpolated, so a curve costs a little
+    # interpolation between keyframes adds a small error on curves
     assert result["scale_mean"] == pytest.approx(0, abs=1e-3)
     assert result["coverage_percent"] == pytest.approx(100 * 237 / 239, rel=0.01)
     json.dumps(result, allow_nan=False)
@@ -95,7 +95,7 @@ def test_focal_errors_are_null_when_unobserved() -> None:
     assert compare(_estimate(), _truth())["focal_px"] is None
 
 
-def test_the_map_is_measured_in_the_aligned_world() -> None:
+def test_the_map_error_is_computed_after_alignment() -> None:
     truth = _truth(cloud=True)
     assert truth.cloud is not None
     ground = se3.compose(np.tile(np.eye(3), (N, 1, 1)), truth.cloud.astype(float))
@@ -131,7 +131,7 @@ def test_updates_give_counts_focals_ages_and_stages() -> None:
     assert result["align"] == "se3" and result["ate_se3_m"] < 1e-9
 
 
-def test_a_final_rewrite_that_was_cut_does_not_shorten_the_drive() -> None:
+def test_an_incomplete_final_trajectory_does_not_shorten_the_drive() -> None:
     T, t = _moved(curve(N)), stamps(N)
     whole, piece = update(T, t, submap_id=3), update(T[:9], t[:9], submap_id=0)
     assert compare(from_updates("r", [whole, piece]), _truth())["keyframes"] == N
@@ -146,7 +146,7 @@ def test_a_run_without_sub_maps_is_null_not_an_error() -> None:
     assert result["ate_se3_m"] is None and result["focal_px"] is None
 
 
-def test_another_drives_truth_is_an_error() -> None:
+def test_the_truth_of_another_drive_is_an_error() -> None:
     late = replace(_estimate(), t_ns=stamps(N)[::3] + 10**15)
     with pytest.raises(EvaluationError, match="0 poses within 10 ms"):
         compare(late, _truth())

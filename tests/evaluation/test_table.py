@@ -1,4 +1,4 @@
-"""Results as people and programs read them."""
+"""Results as tables and as JSON."""
 
 import json
 

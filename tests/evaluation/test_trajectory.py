@@ -1,4 +1,4 @@
-"""Known errors must be measured as what they are."""
+"""Trajectory errors of trajectories with known errors."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def _moved(T: np.ndarray, scale: float, w: np.ndarray, t: np.ndarray) -> np.ndar
     return se3.compose(R @ T[:, :3, :3], scale * T[:, :3, 3] @ R.T + t)
 
 
-def test_rigid_alignment_leaves_the_scale_error_standing() -> None:
+def test_rigid_alignment_keeps_the_scale_error() -> None:
     truth = curve()
     T = _moved(truth, 1.1, np.array([0.3, 1.0, -2.0]), np.array([5.0, 6, 7]))
     p, p_truth = T[:, :3, 3], truth[:, :3, 3]
@@ -37,14 +37,14 @@ def test_rpe_of_known_drift() -> None:
     longer = truth.copy()
     longer[:, 2, 3] *= 1.03
     assert trajectory.rpe(longer, truth) == pytest.approx((3.0, 0.0), abs=1e-9)
-    # a camera that turns 0.2 degrees a metre while the path stays: only rotation is wrong
+    # the camera turns by 0.2 degrees per metre on an exact path: only rotation is wrong
     turning = truth.copy()
     turning[:, :3, :3] = se3.so3_exp(np.radians(0.2) * np.arange(n)[:, None] * [0, 0, 1.0])
     trans, rot = trajectory.rpe(turning, truth) or (0, 0)
     assert (trans, rot) == pytest.approx((0.0, 0.2), abs=1e-9)
 
 
-def test_rpe_is_blind_to_where_the_world_is_and_null_on_short_paths() -> None:
+def test_rpe_does_not_depend_on_the_world_frame_and_is_none_on_short_paths() -> None:
     truth = curve(60)
     T = np.asarray(se3.exp(np.array([4.0, 5, 6, 0.5, 1, 2])) @ truth)
     assert trajectory.rpe(T, truth) == pytest.approx((0, 0), abs=1e-6)
@@ -76,7 +76,7 @@ def test_association_prefers_the_exact_stamp_and_uses_each_once() -> None:
     assert j.tolist() == [0, 2, 4]
 
 
-def test_association_beyond_tolerance_and_of_nothing() -> None:
+def test_association_beyond_tolerance_and_of_empty_series() -> None:
     truth = stamps(3)
     assert len(trajectory.associate(truth + 11_000_000, truth)[0]) == 0
     assert len(trajectory.associate(truth + 10_000_000, truth)[0]) == 3

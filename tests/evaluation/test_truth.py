@@ -1,4 +1,4 @@
-"""The truth of a folder, as far as it is there."""
+"""Reading the ground truth of a sequence folder."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def test_everything_is_read(tmp_path: Path) -> None:
     assert truth.cloud.shape == (4, 3)
 
 
-def test_a_folder_without_poses_still_knows_its_focals(tmp_path: Path) -> None:
+def test_a_folder_without_poses_still_has_its_calibration(tmp_path: Path) -> None:
     folder = _folder(tmp_path)
     for name in ("poses0.txt", "cloud.npy", "times0.txt"):
         (folder / name).unlink()
@@ -38,14 +38,14 @@ def test_a_folder_without_poses_still_knows_its_focals(tmp_path: Path) -> None:
     assert len(truth.t_ns) == 0 and truth.cloud is None and truth.K is not None
 
 
-def test_without_times_ten_hertz(tmp_path: Path) -> None:
+def test_without_times_the_rate_is_ten_hertz(tmp_path: Path) -> None:
     folder = _folder(tmp_path)
     (folder / "times0.txt").unlink()
     assert np.array_equal(read_truth(folder).t_ns, stamps(6))
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "says"),
+    ("name", "content", "text"),
     [
         ("times0.txt", b"0.0\n0.1\n", "6 poses for 2 times"),
         ("calib.txt", b"500 500 320 120 640 240\n", "two rows"),
@@ -54,17 +54,17 @@ def test_without_times_ten_hertz(tmp_path: Path) -> None:
         ("poses0.txt", b"1 0 0\n", "3 columns"),
     ],
 )
-def test_bad_truth_ends_in_one_line(tmp_path: Path, name: str, content: bytes, says: str) -> None:
+def test_bad_truth_ends_in_one_line(tmp_path: Path, name: str, content: bytes, text: str) -> None:
     folder = _folder(tmp_path)
     (folder / name).write_bytes(content)
     with pytest.raises((EvaluationError, TrajectoryError)) as error:
         read_truth(folder)
-    assert says in str(error.value) and str(folder / name.replace("times", "poses")) in str(
+    assert text in str(error.value) and str(folder / name.replace("times", "poses")) in str(
         error.value
     )
 
 
-def test_nothing_to_compare_with(tmp_path: Path) -> None:
+def test_a_folder_without_truth_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(EvaluationError, match="holds none of"):
         read_truth(tmp_path)
     with pytest.raises(EvaluationError, match="no such folder"):

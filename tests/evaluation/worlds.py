@@ -1,4 +1,4 @@
-"""Drives whose error is known because it was put there."""
+"""Simulated drives with known errors."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ STEP_NS = 100_000_000
 
 
 def curve(n: int = 240) -> np.ndarray:
-    """(n, 4, 4) a winding drive, about a metre a frame, in all three axes."""
+    """Poses (n, 4, 4) of a winding drive in three dimensions, about one metre per frame."""
     u = np.linspace(0, 1, n)
     angle = 1.2 * np.sin(2 * np.pi * u)
     forward = np.stack([np.sin(angle), 0.1 * np.sin(9 * u), np.cos(angle)], 1)
@@ -30,7 +30,7 @@ def update(
     scale: float = 1.0,
     stage_ms: dict[str, float] | None = None,
 ) -> LocalizerUpdate:
-    """An update with a sub-map of two primary and one assistant view and this trajectory."""
+    """An update with the given trajectory and a sub-map of two primary and one assistant view."""
     K = np.stack([np.diag([f, f, 1.0]) for f in (focal[0], focal[0], focal[1])])
     eye = np.tile(np.eye(4), (3, 1, 1))
     submap = Submap(

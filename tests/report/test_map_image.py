@@ -1,4 +1,4 @@
-"""Pictures of maps whose content is known."""
+"""Rendered images of maps with known content."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_level_frame_undoes_the_mounting() -> None:
     assert np.allclose(R @ tilt[:3, :3] @ [0, -1, 0], [0, 0, 1])
 
 
-def test_the_nearer_covers_the_farther_whatever_the_order() -> None:
+def test_nearer_points_cover_farther_ones_in_any_order() -> None:
     uv = np.array([[2.5, 1.5], [2.5, 1.5], [9.0, 9.0]])
     for order in ([0, 1, 2], [1, 0, 2]):
         depth, color = np.array([1.0, 2.0, 1.0]), np.stack([RED, BLUE, BLUE])
@@ -44,13 +44,13 @@ def test_a_radius_paints_a_square_and_stays_inside() -> None:
     assert (image == BLUE).all(2).sum() == 25
 
 
-def test_from_above_a_point_lands_where_to_pixels_says() -> None:
+def test_top_view_draws_a_point_at_to_pixels() -> None:
     path = np.stack([np.arange(0, 100, 1.0), np.zeros(100), np.zeros(100)], 1)
     rng = np.random.default_rng(0)
     ground = np.stack(
         [rng.uniform(0, 99, 20000), rng.uniform(-5, 5, 20000), np.full(20000, -1.5)], 1
     )
-    # enough of them not to be cut off as strays
+    # enough points not to be cut as outliers
     mark = np.tile([[50.0, 2.0, -1.0]], (700, 1))
     color = np.concatenate([np.tile(BLUE, (20000, 1)), np.tile(RED, (700, 1))])
     view = map_image.top_down(np.concatenate([ground, mark]), color, path, width=400)
@@ -58,11 +58,11 @@ def test_from_above_a_point_lands_where_to_pixels_says() -> None:
     assert view.image[v, u].tolist() == RED.tolist()
     assert view.image.shape[1] == 400
     assert (view.image == BLUE).all(2).mean() > 0.5
-    # left of the way (+y) is up on the page
+    # +y (left of the path) is up in the image
     assert view.to_pixels(mark[0])[1] < view.to_pixels(path[50])[1]
 
 
-def test_strays_neither_shrink_nor_hide_the_street() -> None:
+def test_outliers_neither_shrink_nor_cover_the_street() -> None:
     path = np.stack([np.arange(0, 100, 1.0), np.zeros(100), np.zeros(100)], 1)
     rng = np.random.default_rng(0)
     ground = np.stack([rng.uniform(0, 99, 9900), rng.uniform(-5, 5, 9900), np.full(9900, -1.5)], 1)
@@ -73,7 +73,7 @@ def test_strays_neither_shrink_nor_hide_the_street() -> None:
     assert not (view.image == RED).all(2).any()
 
 
-def test_the_eye_rides_over_the_road() -> None:
+def test_eye_height_is_the_height_above_the_road() -> None:
     path = np.stack([np.arange(0, 60, 1.0), np.zeros(60), np.zeros(60)], 1)
     rng = np.random.default_rng(0)
     road = np.stack([rng.uniform(0, 60, 5000), rng.uniform(-4, 4, 5000), np.full(5000, -1.4)], 1)
@@ -83,6 +83,6 @@ def test_the_eye_rides_over_the_road() -> None:
     color = np.concatenate([np.tile(BLUE, (5000, 1)), np.tile(RED, (5000, 1))])
     picture = map_image.best_chases(points, color, path, count=1)[0]
     left, right = picture[:, :600], picture[:, 600:]
-    # driving along +x the wall at y = +6 stands on the left
+    # looking along +x, the wall at y = +6 is on the left
     assert (left == RED).all(2).sum() > 10 * max((right == RED).all(2).sum(), 1)
     assert (picture[300:] == BLUE).all(2).any()

@@ -1,4 +1,4 @@
-"""The page stands alone and shows what it was given."""
+"""The report page is self-contained and shows the given data."""
 
 import base64
 import re
@@ -43,7 +43,7 @@ def _street() -> tuple[np.ndarray, np.ndarray]:
 
 
 class _Closed(HTMLParser):
-    """Collects every address and checks that tags close in order."""
+    """Parser that collects all links and checks that tags are closed in order."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class _Closed(HTMLParser):
         self.handle_starttag(tag, attrs)
 
 
-def test_a_whole_page_asks_for_nothing_from_outside(tmp_path: Path) -> None:
+def test_a_full_page_has_no_external_links(tmp_path: Path) -> None:
     points, color = _street()
     estimate = replace(from_updates("r", _updates(), N, 0.5), points_w=points)
     K = np.stack([np.diag([f, f, 1.0]) for f in (500.0, 610.0)])
@@ -81,7 +81,7 @@ def test_a_whole_page_asks_for_nothing_from_outside(tmp_path: Path) -> None:
         "along the street",
         "Scale over",
         "Focal length over",
-        "time went",
+        "Time by stage",
     ):
         assert heading in text
     assert text == render(data)  # the same drive gives the same bytes
@@ -105,18 +105,18 @@ def test_curves_hold_the_truth_only_when_given() -> None:
     truth = Truth(stamps(N), curve(N))
     data = report_data("t", from_updates("r", _updates(), N), _updates(), truth=truth)
     assert data.truth_w is not None and data.scale_windows is not None
-    # the truth is laid into the estimate's world, which here is its own
+    # the truth is aligned to the estimate's world, which here is the same
     assert np.allclose(data.truth_w, curve(N)[: len(data.truth_w), :3, 3], atol=1e-6)
     assert np.allclose(data.scale_windows[:, 1], 1, atol=1e-3)
 
 
-def test_a_sub_map_written_again_is_drawn_once_as_it_was_placed() -> None:
+def test_a_revised_sub_map_is_drawn_once_as_first_placed() -> None:
     again = [replace(u, submap=replace(u.submap, scale=9.0)) for u in _updates()]
     data = report_data("t", from_updates("r", _updates(), N, 0.5), [*_updates(), *again])
     assert np.allclose(data.scale, [1, 1.5, 2, 2.5])
 
 
-def test_what_was_not_observed_is_said() -> None:
+def test_notes_name_what_is_unobserved() -> None:
     (focal, spacing) = unobserved(from_updates("r", _updates(sigma=0.11)))
     assert "assistant" in focal and "11.0 %" in focal and "unobserved" in focal
     assert "spacings" in spacing
