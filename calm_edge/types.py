@@ -270,15 +270,6 @@ class AnchorTable:
 
 
 @dataclass(frozen=True, slots=True)
-class GlobalAnchors:
-    """Fused anchors (paper VI-C): p_w (A, 3) world units, n_observations (A,), active (A,) bool."""
-
-    p_w: Float
-    n_observations: Int
-    active: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
 class MapTile:
     """A piece of the map: points_w (P, 3) float32 world units, color (P, 3) uint8 RGB."""
 
@@ -292,7 +283,6 @@ class LocalizerUpdate:
     """What one processed window changed: the new sub-map and every pose that is new.
 
     trajectory: the keyframes that are new or moved; all of them when its epoch grew.
-    T_odom_correction: (4, 4) new world<-old world of the newest keyframe placed before.
     stage_ms: stage name -> milliseconds. kit: belief after this window. notices: lines for the
     user. loop: what IV-D closed.
     loop_keyframe: the picture it joined to the batch, for the window's record.
@@ -301,7 +291,6 @@ class LocalizerUpdate:
     submap: Submap
     prediction: Prediction
     trajectory: Trajectory
-    T_odom_correction: Float
     stage_ms: dict[str, float] = field(default_factory=dict)
     kit: KitBelief | None = None
     notices: tuple[str, ...] = ()

@@ -39,12 +39,6 @@ class BankFocal:
     model_noise: float
 
 
-def curve(bank: TestBank, shape: Float, focals: Float, weights: Float | None = None) -> Float:
-    """The bank's mean score (G,) at focals (G,) px; weights (P,), all alike when None."""
-    scores = spectral.score(spectral.at_focal(shape, focals), bank.F)
-    return np.asarray(np.average(scores, -1, weights))
-
-
 def effective_count(weights: Float) -> float:
     """(sum w)^2 / sum w^2: how many matrices of equal weight would average as well (Kish)."""
     squares = float((weights**2).sum())

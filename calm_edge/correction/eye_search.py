@@ -88,12 +88,6 @@ class EyeSearch:
         else:
             self._best = self._least()
 
-    def curve(self, focals: Float) -> Float:
-        """The score (G,) at focals (G,) px, as it is now weighed; nan without a group."""
-        if not self.bank.groups:
-            return np.full(len(focals), np.nan)
-        return bank_focal.curve(self.bank, self.shape(), focals, self.asked.weights)
-
     def _beats(self, K: Float, held: Float) -> bool:
         if self._config.refine or not self.bank.groups:
             return False

@@ -12,7 +12,7 @@ from calm_edge.correction.eye_search import EyeSearch
 from calm_edge.correction.matches import PairMatches, SiftMatcher, from_landmarks
 from calm_edge.correction.pool import pooled
 from calm_edge.correction.test_bank import GroupBuilder
-from calm_edge.types import Bytes, Float, GlobalIntrinsics, Landmarks, Submap
+from calm_edge.types import Bytes, GlobalIntrinsics, Landmarks, Submap
 from device.frame import Eye
 
 # What is placed is corrected again when log focal moved by more than this, or by more than this
@@ -88,10 +88,6 @@ class IntrinsicSearch:
         for eye in list(self._builders):
             self._close(eye)
         return self._has_changed()
-
-    def score_curve(self, eye: Eye, focals: Float) -> Float:
-        """The bank's score (G,) at focals (G,) px, for a report; nan without a group."""
-        return self._eyes[eye].curve(focals)
 
     def _is_due(self, eye: Eye) -> bool:
         bank, every = self._eyes[eye].bank, self._config.group_every

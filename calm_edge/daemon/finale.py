@@ -35,6 +35,5 @@ def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[Localiz
                 trajectory.T_p_a,
                 trajectory.epoch,
             ),
-            np.eye(4),
             kit=kit,
         )

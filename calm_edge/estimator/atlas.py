@@ -55,11 +55,6 @@ class Atlas:
         """Windows that could not be reconstructed; the next sub-map's n_overlap is 0."""
         return tuple(self._skipped)
 
-    @property
-    def newest_keyframe(self) -> int | None:
-        """The last primary keyframe that has a pose."""
-        return self._submaps[-1].primary_ids[-1] if self._submaps else None
-
     def pose(self, keyframe_id: int) -> Float:
         """T_w_p (4, 4) of a primary keyframe; KeyError where it has none."""
         return self._graph.pose(keyframe_id)

@@ -101,8 +101,7 @@ class Localizer:
     def process(self, window: SubmapWindow) -> LocalizerUpdate | None:
         """One window more; None where it could not be reconstructed (see `skipped`)."""
         atlas, stage_ms = self._atlas, dict[str, float]()
-        newest, epoch = atlas.newest_keyframe, atlas.epoch
-        before = atlas.pose(newest) if newest is not None else np.eye(4)
+        epoch = atlas.epoch
         if self._loops is None:
             window = replace(window, loop_keyframe=None)
         try:
@@ -145,12 +144,10 @@ class Localizer:
                 self._request()
             atlas.settle(self._optimiser)
         placed, moved = atlas.submaps[-1], atlas.epoch != epoch
-        after = atlas.pose(newest) if newest is not None else before
         return LocalizerUpdate(
             submap=placed,
             prediction=prediction,
             trajectory=atlas.trajectory() if moved else atlas.trajectory_of(placed),
-            T_odom_correction=after @ se3.inverse(before) if moved else np.eye(4),
             stage_ms=stage_ms,
             kit=self._memory.belief(),
             notices=notices,

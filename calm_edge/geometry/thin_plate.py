@@ -8,8 +8,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry import se3
-
 Float = NDArray[np.float64]
 Kind = Literal["thin_plate", "rigid", "translation", "identity"]
 
@@ -128,14 +126,6 @@ def fit_rigid(source: Float, target: Float) -> ThinPlate:
     U, _, Vt = np.linalg.svd((source - centre).T @ (target - target.mean(0)))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
     return _affine_only(centre, U @ flip @ Vt, shift, "rigid")
-
-
-def to_transform(plate: ThinPlate) -> Float:
-    """(4, 4) of a plate without control points; raises ValueError when it has some."""
-    if len(plate.controls):
-        raise ValueError("a thin plate with control points is not a rigid motion")
-    R = plate.affine[:3].T
-    return se3.compose(R, plate.centre + plate.affine[3] * plate.size - R @ plate.centre)
 
 
 def _affine_only(centre: Float, A: Float, t: Float, kind: Kind) -> ThinPlate:

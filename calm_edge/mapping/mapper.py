@@ -16,7 +16,7 @@ from calm_edge.mapping.deform import Deformation, fit_deformation, unchanged
 from calm_edge.mapping.skeleton import Skeleton
 from calm_edge.mapping.views import MappingError
 from calm_edge.mapping.voxel_filter import VoxelFilter
-from calm_edge.types import AnchorTable, Bytes, Float32, GlobalAnchors, MapTile, Submap
+from calm_edge.types import AnchorTable, Bytes, Float32, MapTile, Submap
 
 PROBES = 2000
 
@@ -95,11 +95,6 @@ class Mapper:
             self._config.max_points_per_submap,
             self._skeleton.rng(submap_id),
         )
-
-    def anchors(self) -> GlobalAnchors:
-        """Fused anchors of everything added so far, indexed by anchor id."""
-        p_w, n = self._fusion.at(np.arange(len(self._fusion)))
-        return GlobalAnchors(p_w, n, self._active())
 
     def table(self) -> AnchorTable:
         """The rows of all sub-maps."""

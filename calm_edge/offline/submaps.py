@@ -41,7 +41,6 @@ class Drive:
     windows: list[WindowRecord] = field(default_factory=list)
     updates: list[LocalizerUpdate] = field(default_factory=list)
     trajectory: Trajectory | None = None
-    recomputed: bool = False
     unsolved: list[int] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
 
@@ -130,7 +129,7 @@ def _recompute(
     # the kit file may by now hold what this very drive taught
     config = merge(config, {"backbone": {"kit_file": ""}})
     localizer = Localizer(config, open_backbone(config))
-    drive = Drive(recomputed=True)
+    drive = Drive()
     found: dict[int, tuple[WindowRecord, LocalizerUpdate]] = {}
     for window in _windows(recording, records, config, drive):
         update = localizer.process(window)

@@ -240,20 +240,6 @@ class JointGraph:
         marginals = Marginals(local, state, self._noise(problem))
         return np.asarray(marginals.covariances(np.array([row - first]), origin - first)[0])
 
-    def noise_scale(self) -> tuple[float, float] | None:
-        """Measured over configured variance of an edge, for translation and for rotation.
-
-        None while no pair of keyframes lies in two sub-maps.
-        """
-        if not self._edges:
-            return None
-        problem = self.problem()
-        noise = measured_noise(problem)
-        if noise is None:
-            return None
-        translation, rotation = 2 * np.square(noise[:2]) / problem.sigma[[0, -1]] ** 2
-        return float(translation), float(rotation)
-
     @staticmethod
     def _noise(problem: Problem) -> Noise:
         return measured_noise(problem) or assumed_noise(problem)

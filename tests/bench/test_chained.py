@@ -43,7 +43,7 @@ def update(k: int) -> LocalizerUpdate:
     submap = DRIVE.submaps[k]
     prediction = Prediction(submap.K_raw, submap.T_s_c_raw, landmarks=landmarks(k))
     trajectory = Trajectory(np.arange(1), np.zeros(1, np.int64), np.eye(4)[None], np.eye(4), k)
-    return LocalizerUpdate(submap, prediction, trajectory, np.eye(4))
+    return LocalizerUpdate(submap, prediction, trajectory)
 
 
 UPDATES = [update(k) for k in range(len(DRIVE.submaps))]

@@ -124,7 +124,6 @@ def test_a_keyframe_keeps_the_pose_of_its_first_submap_until_optimised():
         before = live(updates[:k])
         n = len(before.keyframe_ids)
         assert np.array_equal(live(updates[: k + 1]).T_w_c[:n], before.T_w_c)
-        assert np.array_equal(later.T_odom_correction, np.eye(4))
         assert later.trajectory.epoch == 0
         first = later.submap.primary_ids[0]
         assert np.allclose(later.submap.T_w_c()[0], before.T_w_c[first], atol=1e-9)
@@ -327,8 +326,6 @@ def test_windows_are_solved_again_once_the_focal_is_known():
     old, new = live(updates[:2]), updates[2].trajectory
     assert position_error(old.T_w_c, T[:27]).max() > 1.0
     assert position_error(new.T_w_c, T[:39]).max() < 1e-9
-    moved = updates[2].T_odom_correction @ old.T_w_c[-1]
-    assert np.allclose(moved, new.T_w_c[26], atol=1e-9)
     final = localizer.finish()
     assert backbone.resolved[2:] == [0, 12, 24, 36, 48, 60]
     assert position_error(final.T_w_c, T).max() < 1e-9

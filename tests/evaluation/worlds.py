@@ -48,4 +48,4 @@ def update(
         np.array(sigma),
     )
     trajectory = Trajectory(np.arange(len(t_ns)), t_ns, T_w_c, np.eye(4), submap_id)
-    return LocalizerUpdate(submap, Prediction(K, eye), trajectory, np.eye(4), stage_ms or {})
+    return LocalizerUpdate(submap, Prediction(K, eye), trajectory, stage_ms or {})

@@ -126,7 +126,7 @@ class PlaneWorld:
             np.zeros(2),
         )
         trajectory = Trajectory(np.array(ids, np.int64), stamps, T_map_world @ T_w_c, np.eye(4), 0)
-        return LocalizerUpdate(submap, prediction, trajectory, np.eye(4))
+        return LocalizerUpdate(submap, prediction, trajectory)
 
 
 def drive(n: int, step_m: float = 0.1, yaw_deg: float = 0.0) -> Float:

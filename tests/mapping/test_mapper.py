@@ -58,6 +58,11 @@ def warped_map(warped, tmp_path_factory):
     return mapper, list(mapper.finish())
 
 
+def anchors(mapper):
+    """Every fused anchor: p_w (A, 3), n_observations (A,), active (A,)."""
+    return *mapper._fusion.at(np.arange(len(mapper._fusion))), mapper._active()
+
+
 def test_perfect_depth_gives_back_the_scene(exact_map):
     mapper, tiles = exact_map
     assert [t.submap_id for t in tiles] == [0, 1, 2]
@@ -67,9 +72,9 @@ def test_perfect_depth_gives_back_the_scene(exact_map):
         off = scene.distance_to_scene(STREET, tile.points_w.astype(float))
         assert off.mean() < 2e-3 and np.quantile(off, 0.99) < 0.03
         assert (tile.color == [30, 20, 10]).all()
-    anchors = mapper.anchors()
-    assert np.bincount(anchors.n_observations)[2:].sum() > 500
-    off = scene.distance_to_scene(STREET, anchors.p_w)
+    p_w, n, _ = anchors(mapper)
+    assert np.bincount(n)[2:].sum() > 500
+    off = scene.distance_to_scene(STREET, p_w)
     assert np.quantile(off, 0.95) < 0.01
 
 
@@ -123,20 +128,20 @@ def test_anchors_reach_the_submap_before_last(exact, tmp_path):
 
 def test_fused_positions_are_the_weighted_mean_of_the_table(exact, exact_map):
     mapper, _ = exact_map
-    anchors, table = mapper.anchors(), mapper.table()
-    np.testing.assert_array_equal(anchors.n_observations, np.bincount(table.anchor))
-    most = int(np.argmax(anchors.n_observations))
+    (p_w, n, active), table = anchors(mapper), mapper.table()
+    np.testing.assert_array_equal(n, np.bincount(table.anchor))
+    most = int(np.argmax(n))
     top, bottom = np.zeros(3), 0.0
     for row in np.flatnonzero(table.anchor == most):
         submap = exact[table.submap[row]].submap
         w = 1 / ((table.p_s[row] - submap.T_s_c[submap.n_primary // 2, :3, 3]) ** 2).sum()
         top, bottom = top + w * se3.transform(submap.T_w_s, table.p_s[row]), bottom + w
-    np.testing.assert_allclose(anchors.p_w[most], top / bottom)
+    np.testing.assert_allclose(p_w[most], top / bottom)
     # 0.75 map units, and the world unit is half a map unit here
-    expected = suppress(anchors.p_w, anchors.n_observations, 0.75 * scene.SPACING)
-    np.testing.assert_array_equal(anchors.active, expected)
-    assert 0.5 < anchors.active.mean() < 0.99
-    assert anchors.n_observations[most] == 3
+    expected = suppress(p_w, n, 0.75 * scene.SPACING)
+    np.testing.assert_array_equal(active, expected)
+    assert 0.5 < active.mean() < 0.99
+    assert n[most] == 3
 
 
 def test_newer_placements_move_the_whole_map(exact, tmp_path):
@@ -192,21 +197,21 @@ def test_a_variant_is_the_map_of_its_config_without_extracting_again(
 
 def test_without_suppression_every_anchor_steers(warped_map, tmp_path):
     mapper = warped_map[0].variant(MappingConfig(suppress=False), tmp_path)
-    full, free = warped_map[0].anchors(), mapper.anchors()
-    assert free.active.all() and not full.active.all()
-    np.testing.assert_allclose(free.p_w, full.p_w, rtol=1e-12)
+    (full, _, steering), (free, _, all_steer) = anchors(warped_map[0]), anchors(mapper)
+    assert all_steer.all() and not steering.all()
+    np.testing.assert_allclose(free, full, rtol=1e-12)
 
 
 def test_without_the_distance_weight_anchors_are_plain_means(warped, warped_map, tmp_path):
-    anchors = warped_map[0].variant(MappingConfig(distance_weight=False), tmp_path).anchors()
-    table = warped_map[0].table()
-    most = int(np.argmax(anchors.n_observations))
+    plain = warped_map[0].variant(MappingConfig(distance_weight=False), tmp_path)
+    (p_w, n, _), table = anchors(plain), warped_map[0].table()
+    most = int(np.argmax(n))
     ends = [
         se3.transform(warped[table.submap[row]].submap.T_w_s, table.p_s[row])
         for row in np.flatnonzero(table.anchor == most)
     ]
-    np.testing.assert_allclose(anchors.p_w[most], np.mean(ends, axis=0))
-    assert not np.allclose(anchors.p_w[most], warped_map[0].anchors().p_w[most])
+    np.testing.assert_allclose(p_w[most], np.mean(ends, axis=0))
+    assert not np.allclose(p_w[most], anchors(warped_map[0])[0][most])
 
 
 def test_without_the_deformation_points_stay_where_the_submap_puts_them(

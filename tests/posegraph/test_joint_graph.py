@@ -197,14 +197,6 @@ def test_an_optimum_of_another_graph_is_not_taken():
     assert np.array_equal(graph.poses(), before)
 
 
-@pytest.mark.parametrize("spacing", [1.0, 0.5])
-def test_noise_scale_is_the_measured_variance_of_a_pair_over_the_papers(spacing):
-    translation, rotation = graph_of(curved(300), noise=0.04, spacing=spacing).noise_scale()
-    assert translation == pytest.approx(2 * 0.04**2 / (0.1 * spacing**2), rel=0.2)
-    assert rotation == pytest.approx(2 * 0.004**2 / 0.05, rel=0.2)
-    assert graph_of(curved(15), noise=0.04).noise_scale() is None
-
-
 def test_covariances_grow_from_the_first_keyframe():
     graph = graph_of(curved(80), noise=0.02)
     graph.optimise()

@@ -83,7 +83,7 @@ def update(i: int = 0, depth: bool = True) -> LocalizerUpdate:
     poses = exp(rng.normal(size=(9, 6)))
     trajectory = Trajectory(np.arange(9), T0_NS + np.arange(9), poses, exp(rng.normal(size=6)), i)
     stage_ms = {"infer": 1 / 7, "place": 0.1}
-    return LocalizerUpdate(submap, prediction, trajectory, poses[0], stage_ms, kit)
+    return LocalizerUpdate(submap, prediction, trajectory, stage_ms, kit)
 
 
 def window(i: int = 0, loop: bool = True) -> SubmapWindow:

@@ -52,6 +52,12 @@ def test_absent_optional_and_empty_values_round_trip() -> None:
     assert samples.same(bare, again)
 
 
+def test_fields_of_an_earlier_version_are_passed_over() -> None:
+    header, arrays = record.flatten(samples.pose())
+    again = record.unflatten(PoseSample, header | {"gone": 1}, arrays | {"T_gone": np.eye(4)})
+    assert samples.same(samples.pose(), again)
+
+
 def test_a_missing_field_is_a_recording_error() -> None:
     header, arrays = record.flatten(samples.pose())
     del arrays["T_w_c"]

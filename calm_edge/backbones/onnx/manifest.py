@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from calm_edge.backbones.base import BackboneError
 
@@ -176,8 +176,8 @@ class Golden:
 class Manifest:
     """folder and digest (sha256 of the manifest) are not keys but where it was read.
 
-    settings: of a `bundle`, whatever its own code reads. unmeasured: the precision to run where
-    `model check` never ran, of a model whose maker knows; empty for fp32, which is said.
+    unmeasured: the precision to run where `model check` never ran, of a model whose maker knows;
+    empty for fp32, which is said.
     """
 
     format: int
@@ -191,7 +191,6 @@ class Manifest:
     source: str = ""
     unmeasured: Literal["", "fp32", "fp16", "int8"] = ""
     output: Outputs | None = None
-    settings: dict[str, Any] = field(default_factory=dict)
     folder: Path = Path()
     digest: str = ""
 

@@ -134,8 +134,6 @@ def _mistakes(m: Manifest) -> Iterator[str]:
             yield "output: missing; a feedforward model says what its outputs mean"
         else:
             yield from _output_mistakes(m.output)
-        if m.settings:
-            yield "settings: only of kind bundle"
     elif m.output is not None:
         yield "output: only of kind feedforward"
 

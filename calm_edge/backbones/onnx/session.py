@@ -30,11 +30,6 @@ _DTYPES = {
 }
 
 
-def runtime_version() -> str:
-    """Of ONNX Runtime, with the device that runs: what a measurement here holds for."""
-    return f"{onnxruntime.__version__} {_providers()[0]}"
-
-
 def default_threads() -> int:
     """One core is left to capture."""
     return max(1, len(os.sched_getaffinity(0)) - 1)

@@ -46,7 +46,6 @@ FEEDFORWARD = {
 BUNDLE = {k: v for k, v in FEEDFORWARD.items() if k != "output"} | {
     "kind": "bundle",
     "graphs": {"encoder": {"int8": {"file": "a.onnx", "sha256": DIGEST}, "outputs": ["f"]}},
-    "settings": {"stride": 8},
 }
 
 
@@ -98,9 +97,9 @@ def test_a_feedforward_manifest_is_read_with_its_defaults(tmp_path):
     assert verify(m) == 4
 
 
-def test_a_bundle_may_have_some_roles_and_settings(tmp_path):
+def test_a_bundle_may_have_some_roles(tmp_path):
     m = read_manifest(folder_of(tmp_path, BUNDLE))
-    assert m.settings == {"stride": 8} and m.output is None
+    assert m.output is None
     assert m.graphs["encoder"].outputs == ("f",) and m.precisions() == ("int8",)
     with pytest.raises(ManifestError, match=r"encoder has no fp32 graph; it has: int8"):
         m.graph_path("encoder", "fp32")
@@ -134,7 +133,6 @@ def test_a_bundle_may_have_some_roles_and_settings(tmp_path):
         ("frames.dynamic", False, "min and max must be equal"),
         ("golden.int8", 0, "golden: a tolerance must be above 0"),
         ("output", None, "output: missing"),
-        ("settings", {"a": 1}, "settings: only of kind bundle"),
         ("output.intrinsics", {"encoding": "pixels"}, "output.intrinsics.name: missing"),
         ("output.intrinsics", {"encoding": "fov"}, "output.intrinsics.name: of fov it is given"),
         ("output.intrinsics", {"encoding": "solved"}, "solved needs a point_map, or ray_depth"),
