@@ -131,7 +131,7 @@ def test_a_torn_file_is_damaged(tmp_path, share):
 def test_a_file_of_something_else_is_left_alone(tmp_path, text):
     path = tmp_path / "settings.json"
     path.write_text(text)
-    with pytest.raises(file.KitFileError, match="not a kit file; set backbone.kit_file"):
+    with pytest.raises(file.KitFileError, match=r"not a kit file; set backbone\.kit_file"):
         load(path, CAMERAS, SIZES)
 
 

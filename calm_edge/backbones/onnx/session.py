@@ -9,10 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
+
+try:
+    import onnxruntime
+except ModuleNotFoundError:
+    raise BackboneError(
+        "onnxruntime: not installed; run `pip install onnxruntime`, or set backbone.name=bundle"
+    ) from None
 
 Tensor = NDArray[Any]
 
