@@ -1,4 +1,4 @@
-"""One segment after the other on a disk that may fill, fail and come back."""
+"""Write segment after segment to a disk that may fill up, fail and recover."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _log = logging.getLogger(__name__)
 
 
 class SegmentChain:
-    """Owner of the segment being written and of what a failing disk has not taken yet.
+    """Owner of the segment being written and of messages that a failing disk refused.
 
-    After the first `open` nothing here raises OSError: a disk that fails is told in `error` and
-    to `on_error` (empty text: all is well again), and what it did not take is carried to the next
-    segment. root: see Room.
+    After the first `open` no method raises OSError: a disk error is stored in `error` and passed
+    to `on_error` (an empty text: recovered), and messages not written go to the next segment.
+    root: see Room.
     """
 
     def __init__(
@@ -41,89 +41,87 @@ class SegmentChain:
         self._segment: Segment | None = None
         self._number = 0
         self._closed_messages = self._closed_bytes = 0
-        self._carried: list[LogMessage] = []
+        self._unwritten: list[LogMessage] = []
         self.error = ""
         self.sync_ms = 0.0
 
     @property
     def is_open(self) -> bool:
-        """A segment is being written."""
+        """True while a segment is being written."""
         return self._segment is not None
 
     @property
-    def kept(self) -> int:
-        """Messages that are in a file."""
+    def written(self) -> int:
+        """Number of messages written to files."""
         segment = self._segment
         return self._closed_messages + (segment.kept_messages if segment is not None else 0)
 
     @property
     def space(self) -> Space:
-        """The disk when it was looked at last."""
+        """State of the disk when it was last checked."""
         return self._room.space
 
     def open(self) -> None:
-        """Begins the next segment; raises OSError."""
+        """Begin the next segment; raises OSError."""
         self._segment = self._begin()
 
-    def put(self, messages: list[LogMessage]) -> None:
-        """Into the segment, or carried until there is one."""
+    def write(self, messages: list[LogMessage]) -> None:
+        """Write to the segment, or keep the messages for the next one if none is open."""
         for i, message in enumerate(messages):
             if self._segment is None:
-                self._carried += messages[i:]
+                self._unwritten += messages[i:]
                 return
             try:
                 self._segment.write(message, time.monotonic_ns())
             except OSError as error:
                 self.fail(_reason(error))
 
-    def describe(self, name: str, values: dict[str, str]) -> None:
-        """Metadata into the segment and into each that follows."""
+    def write_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Write metadata to the segment and to all that follow."""
         self._metadata[name] = values
         if self._segment is None:
             return
         try:
-            self._segment.describe(name, values)
+            self._segment.write_metadata(name, values)
         except OSError as error:
             self.fail(_reason(error))
 
-    def settle(self) -> None:
-        """Into the file and on its way to the disk; then ends a segment that is long enough, or
-        that has no more room.
-        """
+    def sync(self) -> None:
+        """Flush and start syncing; finish the segment if it is long enough or the disk is full."""
         if self._segment is None:
             return
         try:
-            self._segment.sync_behind()
+            self._segment.sync_in_background()
             self.sync_ms = self._segment.sync_ms
         except OSError as error:
             self.fail(_reason(error))
             return
-        if not self._look():
+        if not self._check_room():
             self.finish()
             self._report("No space left on device above what has to stay free")
         elif time.monotonic() - self._opened_at >= self._config.segment_s:
             self.finish()
 
     def finish(self) -> None:
-        """Ends the segment whole."""
+        """Finish the segment, if one is open."""
         if self._segment is None:
             return
         try:
             self._segment.finish()
-            self._let_go(self._segment)
+            self._close(self._segment)
         except OSError as error:
             self.fail(_reason(error))
 
     def fail(self, reason: str) -> None:
-        """Ends the segment where it is good, keeps the rest for the next one."""
+        """End the segment after its last whole chunk, keep the other messages for the next one."""
         if self._segment is not None:
-            self._carried += self._segment.abandon()
-            self._let_go(self._segment)
+            self._unwritten += self._segment.abandon()
+            self._close(self._segment)
         self._report(reason)
 
-    def try_again(self) -> bool:
-        """Begins the next segment with what was carried; False when the disk does not take it."""
-        if self.error and not self._room.has_come_back():
+    def reopen(self) -> bool:
+        """Begin the next segment with the unwritten messages; False if the disk still fails."""
+        if self.error and not self._room.can_resume():
             return False
         try:
             segment = self._begin()
@@ -131,31 +129,31 @@ class SegmentChain:
             self._report(_reason(error))
             return False
         try:
-            for message in self._carried:
+            for message in self._unwritten:
                 segment.write(message, time.monotonic_ns())
             segment.sync()
         except OSError as error:
             segment.discard()
             self._report(_reason(error))
             return False
-        self._carried = []
+        self._unwritten = []
         self._segment = segment
         if self.error:
-            _log.warning("%s: recording again", self._folder)
+            _log.warning("%s: recording resumed", self._folder)
         self.error = ""
         self._on_error("")
         return True
 
-    def drop_carried(self) -> int:
-        """Gives up what the disk did not take; how many messages."""
-        dropped, self._carried = len(self._carried), []
+    def drop_unwritten(self) -> int:
+        """Discard the messages that the disk refused; return how many."""
+        dropped, self._unwritten = len(self._unwritten), []
         return dropped
 
     def _begin(self) -> Segment:
         try:
             segment = self._next_segment()
         except FileExistsError:
-            # an earlier try failed, and so did removing what it left: that is not the fault to tell
+            # left by a failed attempt that could not be removed either
             self._number += 1
             segment = self._next_segment()
         self._number += 1
@@ -166,23 +164,23 @@ class SegmentChain:
         chunk_bytes = self._config.chunk_bytes
         return Segment(self._folder, self._number, chunk_bytes, self._metadata, self._write)
 
-    def _look(self) -> bool:
-        """Whether the disk has room for more; says what was removed for it."""
+    def _check_room(self) -> bool:
+        """Whether the disk has room for more; logs what was removed to make room."""
         segment_bytes = self._segment.size if self._segment is not None else 0
-        enough = self._room.look(time.monotonic(), self._closed_bytes + segment_bytes)
+        enough = self._room.check(time.monotonic(), self._closed_bytes + segment_bytes)
         for path in self._room.take_removed():
-            text = f"{path}: removed, the oldest not kept, to make room"
-            self.put([schema.log_message(self._now_ns(), logging.INFO, text, "recording")])
+            text = f"{path}: removed to make room, as the oldest segment not marked to keep"
+            self.write([schema.log_message(self._now_ns(), logging.INFO, text, "recording")])
             _log.info("%s", text)
         return enough
 
-    def _let_go(self, segment: Segment) -> None:
+    def _close(self, segment: Segment) -> None:
         self._closed_messages += segment.kept_messages
         self._closed_bytes += segment.size
         self._segment = None
 
     def _report(self, reason: str) -> None:
-        self.error = f"{self._folder}: {reason}; free space or mend the disk, it is tried again"
+        self.error = f"{self._folder}: {reason}; free space or repair the disk, recording retries"
         self._on_error(self.error)
         _log.error("%s", self.error)
 

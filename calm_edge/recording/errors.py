@@ -1,4 +1,4 @@
-"""What can go wrong with a recording that the user can mend."""
+"""Errors of recordings."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ from calm_edge.types import CalmEdgeError
 
 
 class RecordingError(CalmEdgeError):
-    """A recording that cannot be opened, read or created; one line naming the file and the mend."""
+    """A recording cannot be opened, read or created; one line with the file and the remedy."""

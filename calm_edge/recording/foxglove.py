@@ -1,6 +1,6 @@
-"""The Foxglove view of our nouns: what a stock Foxglove shows without knowing calm-edge.
+"""Convert poses, frames and trajectories to Foxglove's protobuf messages, for display.
 
-These messages are for looking at (unit quaternions, no status); the exact nouns go beside them.
+These lose some content (unit quaternions, no status); `record` writes the exact values beside them.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ _LEVELS = (
 
 
 def timestamp(t_ns: int) -> Timestamp:
-    """Host-monotonic nanoseconds -> protobuf Timestamp, exact."""
+    """Convert host-monotonic nanoseconds to a protobuf Timestamp, exactly."""
     return Timestamp(seconds=t_ns // 10**9, nanos=t_ns % 10**9)
 
 
 def camera_frame(eye: Eye) -> str:
-    """The Foxglove frame id of an eye: `primary` or `assistant`."""
+    """Foxglove frame id of an eye: `primary` or `assistant`."""
     return eye.name.lower()
 
 
 def _quaternions(R: Float) -> Float:
-    """(N, 3, 3) -> (N, 4) unit quaternions x, y, z, w."""
+    """Convert rotations (N, 3, 3) to unit quaternions (N, 4) in the order x, y, z, w."""
     w = so3_log(R)
     half = np.linalg.norm(w, axis=-1, keepdims=True) / 2
     # sin(half) / (2 half), finite at zero: numpy's sinc carries a pi
@@ -49,7 +49,7 @@ def _quaternions(R: Float) -> Float:
 
 
 def poses(T: Float) -> list[Pose]:
-    """(N, 4, 4) rigid transforms -> Foxglove poses."""
+    """Convert rigid transforms (N, 4, 4) to Foxglove poses."""
     made = []
     for t, q in zip(T[:, :3, 3], _quaternions(T[:, :3, :3]), strict=True):
         pose = Pose()
@@ -61,7 +61,7 @@ def poses(T: Float) -> list[Pose]:
 
 
 def image(eye: Eye, t_ns: int, data: bytes) -> CompressedImage:
-    """An encoded picture, its bytes untouched."""
+    """Wrap the bytes of a PNG or JPEG, unchanged."""
     kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
     return CompressedImage(
         timestamp=timestamp(t_ns), frame_id=camera_frame(eye), data=data, format=kind
@@ -69,14 +69,14 @@ def image(eye: Eye, t_ns: int, data: bytes) -> CompressedImage:
 
 
 def odometry(sample: PoseSample) -> Odometry:
-    """The live pose: primary camera in the world, velocity and covariance in camera axes."""
+    """Convert a live pose: primary camera in the world, velocity and covariance in camera axes."""
     message = Odometry(
         timestamp=timestamp(sample.t_ns),
         frame_id=WORLD_FRAME,
         body_frame_id=camera_frame(Eye.PRIMARY),
         pose=poses(sample.T_w_c[None])[0],
         pose_covariance=sample.covariance.ravel().tolist(),
-        # zeros say unknown
+        # Odometry marks an unknown covariance by zeros
         velocity_covariance=np.nan_to_num(sample.twist_covariance).ravel().tolist(),
     )
     v, w = message.linear_velocity, message.angular_velocity
@@ -86,12 +86,12 @@ def odometry(sample: PoseSample) -> Odometry:
 
 
 def trajectory(value: Trajectory, t_ns: int) -> PosesInFrame:
-    """Every keyframe pose so far, in the world."""
+    """Convert the poses of all keyframes in the world."""
     return PosesInFrame(timestamp=timestamp(t_ns), frame_id=WORLD_FRAME, poses=poses(value.T_w_c))
 
 
 def frame_transform(child: str, T_w_child: Float, t_ns: int) -> FrameTransform:
-    """T_w_child (4, 4) as the transform of `child` in the world."""
+    """Convert T_w_child (4, 4) to the transform of frame `child` in the world."""
     pose = poses(T_w_child[None])[0]
     message = FrameTransform(
         timestamp=timestamp(t_ns),
@@ -105,6 +105,6 @@ def frame_transform(child: str, T_w_child: Float, t_ns: int) -> FrameTransform:
 
 
 def log(t_ns: int, level: int, message: str, name: str) -> Log:
-    """A line of the log; level as in Python's logging."""
+    """Convert a log line; level as in Python's logging."""
     mapped = next(found for least, found in _LEVELS if level >= least)
     return Log(timestamp=timestamp(t_ns), level=mapped, message=message, name=name)

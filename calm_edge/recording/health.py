@@ -1,4 +1,4 @@
-"""What the writer says of itself, and the id of this boot."""
+"""State of the recording's writer, and the kernel's boot id."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 @dataclass(frozen=True, slots=True)
 class WriterHealth:
-    """How the recording is doing. error: empty while it is being written.
+    """State of the writer. error: empty while recording works.
 
-    written: messages kept so far. dropped_*: lost to a full mailbox. unwritable: items that
-    could not be encoded. queue_fill: 0 ... 1 of the mailbox. sync_ms: the last flush to disk.
-    space: the disk as it was then.
+    written: messages in files. dropped_*: items lost to a full queue. unwritable: items that
+    could not be encoded or stored. queue_fill: 0 ... 1. sync_ms: duration of the last sync to
+    disk. space: the disk when last checked.
     """
 
     error: str
@@ -34,7 +34,7 @@ class WriterHealth:
 
 
 def boot_id() -> str:
-    """The kernel's id of this boot, empty where there is none."""
+    """Return the kernel's id of this boot, or an empty text."""
     try:
         return _BOOT_ID.read_text().strip()
     except OSError:

@@ -1,4 +1,4 @@
-"""What a damaged file has lost, in one line each."""
+"""Describe the losses of a damaged recording file, one line each."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from calm_edge.recording.schema import IMAGE_TOPICS
 
 
 def newest_ns(index: SegmentIndex) -> int | None:
-    """Log time of the newest whole image; of anything where there is none; None where all is lost.
+    """Log time of the newest intact image, else of the newest message; None if nothing is intact.
 
-    Images first: in a replay the clock pairs run on another time than the frames.
+    Images are preferred: in a replay the other messages are stamped by another clock.
     """
     images = [rows for topic in IMAGE_TOPICS.values() for _, rows in index.topic_rows(topic)]
     return max((max(rows.log_time) for rows in images or index.rows.values()), default=None)
 
 
 def describe(index: SegmentIndex) -> list[str]:
-    """One line for each thing the file lost: which file, from when on, how much was recovered."""
+    """One line for each loss: the file, from when on, and how much was recovered."""
     lines = []
     if index.cut and not index.data_ended:
         end = newest_ns(index)
@@ -27,12 +27,12 @@ def describe(index: SegmentIndex) -> list[str]:
         )
     elif index.cut:
         lines.append(
-            f"{index.path}: {index.cut}, behind the last message; "
+            f"{index.path}: {index.cut}, after the last message; "
             f"recovered: all {index.n_messages} messages"
         )
     if index.damaged:
         lines.append(
-            f"{index.path}: {len(index.damaged)} damaged pieces left out "
+            f"{index.path}: {len(index.damaged)} damaged chunks left out "
             f"({sum(c.size for c in index.damaged)} bytes); "
             f"recovered: {index.n_messages} messages"
         )

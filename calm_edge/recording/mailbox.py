@@ -1,4 +1,4 @@
-"""The bounded queue between the threads that record and the one that writes."""
+"""Bounded queue between the recording threads and the writer thread."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """First in, first out, at most `capacity_bytes`; `put` never blocks unless `lossless`.
+    """FIFO queue of at most `capacity_bytes`; `put` never blocks unless `lossless`.
 
-    When full, the oldest item that is not an image goes first; an image goes only when the
-    mailbox holds nothing but images. One item larger than the capacity is accepted alone.
+    When full, it drops the oldest item that is not an image, or the oldest image if it holds
+    nothing else. A single item larger than the capacity is accepted.
     """
 
     def __init__(self, capacity_bytes: int, lossless: bool = False) -> None:
         self._capacity = capacity_bytes
         self._lossless = lossless
         self._changed = threading.Condition()
-        # (order of arrival, bytes, item), by image or not: drops need the oldest of a kind
+        # (order of arrival, bytes, item), images apart: drops need the oldest of a kind
         self._queues: tuple[deque[tuple[int, int, T]], ...] = (deque(), deque())
         self._arrivals = 0
         self._bytes = 0
@@ -32,13 +32,13 @@ class Mailbox(Generic[T]):
 
     @property
     def dropped(self) -> tuple[int, int]:
-        """(others, images) lost to a full mailbox."""
+        """Number of (other items, images) dropped."""
         with self._changed:
             return self._dropped[0], self._dropped[1]
 
     @property
     def fill(self) -> float:
-        """Bytes held over capacity."""
+        """Share of the capacity in use."""
         with self._changed:
             return self._bytes / self._capacity
 
@@ -48,9 +48,9 @@ class Mailbox(Generic[T]):
             return self._closed
 
     def put(self, item: T, size: int, is_image: bool) -> None:
-        """Queue an item of `size` bytes; lossless waits for room.
+        """Add an item of `size` bytes; in lossless mode wait for room.
 
-        Raises RecordingError when closed, or in lossless mode when the reader side is broken.
+        Raises RecordingError when closed, or in lossless mode when the disk fails.
         """
         with self._changed:
             if self._closed:
@@ -69,7 +69,7 @@ class Mailbox(Generic[T]):
             self._changed.notify_all()
 
     def take(self, timeout_s: float) -> T | None:
-        """The oldest item, or None after the timeout or once closed and empty."""
+        """Remove and return the oldest item; None after the timeout, or once closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed or any(self._queues), timeout_s)
             waiting = [q for q in self._queues if q]
@@ -81,24 +81,24 @@ class Mailbox(Generic[T]):
             return item
 
     def wait_closed(self, timeout_s: float) -> bool:
-        """Sleep until closed or the timeout; True when closed."""
+        """Wait until closed; False after the timeout."""
         with self._changed:
             return self._changed.wait_for(lambda: self._closed, timeout_s)
 
     def set_broken(self, reason: str) -> None:
-        """Say why nothing is taken just now (empty: all is well); wakes lossless writers."""
+        """Set why nothing can be written (empty: recovered) and wake waiting `put` calls."""
         with self._changed:
             self._broken = reason
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Accept nothing more; what is queued can still be taken."""
+        """Accept no more items; those queued can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def clear(self) -> int:
-        """Throw away what is queued, counting it as dropped; returns how many."""
+        """Drop all queued items; return how many."""
         with self._changed:
             counts = [len(q) for q in self._queues]
             for kind, queue in enumerate(self._queues):

@@ -1,6 +1,6 @@
-"""A recording as the rest of calm-edge sees it: frames, poses, updates, windows, configuration.
+"""Read frames, poses, updates, windows and configuration from a recording.
 
-Finished, unfinished and cut files open alike; `losses` says what is gone.
+Finished, unfinished and truncated files are all accepted; `losses` lists what is missing.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from calm_edge.recording.window_record import WindowRecord, rebuild
 from calm_edge.types import Int, LocalizerUpdate, PoseSample, SubmapWindow
 from device.frame import Eye, Frame
 
-# a window's keyframes reach over many chunks, and neighbouring windows share them
+# a window's keyframes are spread over many chunks, and adjacent windows share them
 _CACHE_BYTES = 32 << 20
 
 
-class _Place(NamedTuple):
-    """Where one message lies."""
+class _Location(NamedTuple):
+    """Location of one message."""
 
     segment: int
     chunk: int
@@ -40,10 +40,10 @@ class _Place(NamedTuple):
 
 
 class Recording:
-    """A recording folder or a single MCAP file, read lazily and in bounded memory.
+    """A recording folder or a single MCAP file, read lazily with bounded memory.
 
-    Raises RecordingError when there is nothing to read. `losses`: one line for each thing that
-    is missing; reading may add lines when a damaged chunk is met.
+    losses: one line for each missing part; reading may add lines for damaged chunks. Raises
+    RecordingError if no file can be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -65,15 +65,17 @@ class Recording:
             self._segments.append(index)
             self.losses += describe(index)
         if not self._segments:
-            raise RecordingError(f"{path}: none of its {len(files)} files can be read")
+            raise RecordingError(
+                f"{path}: none of its {len(files)} files can be read; {self.losses[0]}"
+            )
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What was said of the session: version, backbone, boot_id, cameras ..."""
+        """Metadata of the session: version, backbone, boot_id, cameras ..."""
         return self._metadata(schema.SESSION_METADATA)
 
     def cameras(self, eye: Eye) -> dict[str, Any]:
-        """What the camera of an eye settled on at last, or nothing."""
+        """Camera settings of an eye as last recorded, or {}."""
         text = self._metadata(schema.CAMERAS_METADATA, last=True).get(eye.name.lower(), "{}")
         try:
             found = json.loads(text)
@@ -83,74 +85,78 @@ class Recording:
 
     @property
     def config(self) -> Config:
-        """The effective configuration of the recording; raises RecordingError."""
+        """Configuration with which the recording was made; raises RecordingError."""
         text = self._metadata(schema.CONFIG_METADATA).get("json")
         if text is None:
-            raise RecordingError(f"{self.path}: holds no configuration; was calm-edge its writer?")
+            raise RecordingError(
+                f"{self.path}: holds no configuration; open a recording of calm-edge"
+            )
         try:
             return merge(Config(), json.loads(text))
         except (ConfigError, ValueError) as error:
-            raise RecordingError(f"{self.path}: configuration not understood: {error}") from None
+            raise RecordingError(f"{self.path}: invalid configuration: {error}") from None
 
     def count(self, topic: str) -> int:
-        """How many messages of a topic there are."""
+        """Number of messages of a topic."""
         return sum(len(rows) for index in self._segments for _, rows in index.topic_rows(topic))
 
     def frames(self, eye: Eye | None = None) -> Iterator[Frame]:
-        """Frames of one eye in the order written, or of both merged by t_ns; lazily."""
+        """Iterate over the frames of one eye as written, or of both merged by t_ns."""
         if eye is None:
             both = [self.frames(e) for e in Eye]
             yield from heapq.merge(*both, key=lambda frame: frame.t_ns)
             return
-        for place, data in self._messages(schema.IMAGE_TOPICS[eye]):
-            yield schema.read_frame(eye, place.sequence, place.log_time, data)
+        for location, data in self._messages(schema.IMAGE_TOPICS[eye]):
+            yield schema.read_frame(eye, location.sequence, location.log_time, data)
 
     def frame_times(self, eye: Eye) -> Int:
-        """(n,) t_ns of an eye's frames in the order written, without reading pixels."""
-        places = self._places(schema.IMAGE_TOPICS[eye])
+        """Stamps t_ns (N,) of an eye's frames as written, without reading pixels."""
+        places = self._locations(schema.IMAGE_TOPICS[eye])
         return np.fromiter((p.log_time for p in places), np.int64)
 
     def frame(self, eye: Eye, sequence: int, t_ns: int | None = None) -> Frame:
-        """One frame; t_ns tells apart frames of a camera that began to count anew.
+        """Read one frame; raises RecordingError if it is not in the recording.
 
-        Raises RecordingError when it is not in the recording.
+        t_ns: distinguishes frames of equal sequence after a camera restarted its counter.
         """
         if eye not in self._sorted:
-            table = np.array(list(self._places(schema.IMAGE_TOPICS[eye])), np.int64).reshape(-1, 6)
+            table = np.array(list(self._locations(schema.IMAGE_TOPICS[eye])), np.int64).reshape(
+                -1, 6
+            )
             self._sorted[eye] = table[np.argsort(table[:, 4], kind="stable")]
         table = self._sorted[eye]
         first, last = np.searchsorted(table[:, 4], [sequence, sequence + 1])
         for row in table[first:last].tolist():
-            place = _Place(*row)
-            if t_ns is None or place.log_time == t_ns:
-                data = self._read(place)
+            location = _Location(*row)
+            if t_ns is None or location.log_time == t_ns:
+                data = self._read(location)
                 if data is not None:
-                    return schema.read_frame(eye, sequence, place.log_time, data)
+                    return schema.read_frame(eye, sequence, location.log_time, data)
         raise RecordingError(
             f"{self.path}: {eye.name.lower()} frame {sequence} is not in the recording"
         )
 
     def poses(self) -> Iterator[PoseSample]:
-        """The live poses in the order written."""
+        """Iterate over the live poses as written."""
         for _, data in self._messages(schema.POSE_SAMPLE):
             yield schema.read_pose(data)
 
     def updates(self) -> Iterator[LocalizerUpdate]:
-        """What each window changed, in the order written."""
+        """Iterate over the localizer's updates, one per window, as written."""
         for _, data in self._messages(schema.SUBMAP):
             yield schema.read_update(data)
 
     def windows(self) -> Iterator[WindowRecord]:
-        """Which frames each window held, in the order written."""
+        """Iterate over the window records as written."""
         for _, data in self._messages(schema.WINDOW):
             yield schema.read_window(data)
 
     def window(self, record: WindowRecord) -> SubmapWindow:
-        """A window with its pixels; raises RecordingError when a frame of it is lost."""
+        """Rebuild a window with its images; raises RecordingError if one of them is lost."""
         return rebuild(record, self.frame)
 
     def json_messages(self, topic: str) -> Iterator[dict[str, Any]]:
-        """The objects on /clock or /status, in the order written."""
+        """Iterate over the JSON objects on /clock, /status or /health as written."""
         for _, data in self._messages(topic):
             yield json.loads(data)
 
@@ -158,7 +164,7 @@ class Recording:
         named = [m for index in self._segments for m in index.metadata if m.name == name]
         return dict(named[-1 if last else 0].metadata) if named else {}
 
-    def _places(self, topic: str) -> Iterator[_Place]:
+    def _locations(self, topic: str) -> Iterator[_Location]:
         expected = schema.topic_schema(topic).name
         for number, index in enumerate(self._segments):
             for channel, rows in index.topic_rows(topic):
@@ -169,24 +175,24 @@ class Recording:
                 columns = zip(
                     rows.chunk, rows.offset, rows.size, rows.sequence, rows.log_time, strict=True
                 )
-                yield from (_Place(number, *row) for row in columns)
+                yield from (_Location(number, *row) for row in columns)
 
-    def _messages(self, topic: str) -> Iterator[tuple[_Place, bytes]]:
-        for place in self._places(topic):
-            data = self._read(place)
+    def _messages(self, topic: str) -> Iterator[tuple[_Location, bytes]]:
+        for location in self._locations(topic):
+            data = self._read(location)
             if data is not None:
-                yield place, data
+                yield location, data
 
-    def _read(self, place: _Place) -> bytes | None:
-        """A message's bytes, None (and a line in `losses`) when its chunk is damaged."""
-        key = (place.segment, place.chunk)
+    def _read(self, location: _Location) -> bytes | None:
+        """Read a message's bytes; None, with a line in `losses`, if its chunk is damaged."""
+        key = (location.segment, location.chunk)
         if key in self._damaged:
             return None
         if key in self._cache:
             self._cache.move_to_end(key)
         else:
-            index = self._segments[place.segment]
-            ref = index.chunks[place.chunk]
+            index = self._segments[location.segment]
+            ref = index.chunks[location.chunk]
             try:
                 with index.path.open("rb", buffering=0) as file:
                     file.seek(ref.offset)
@@ -195,10 +201,10 @@ class Recording:
                 self._damaged.add(key)
                 seconds = (ref.end_ns - ref.start_ns) / 1e9
                 self.losses.append(
-                    f"{index.path}: a damaged piece of {seconds:.1f} s from t = "
-                    f"{ref.start_ns / 1e9:.3f} s is left out ({error})"
+                    f"{index.path}: a damaged chunk of {seconds:.1f} s from t = "
+                    f"{ref.start_ns / 1e9:.3f} s left out ({error})"
                 )
                 return None
             while len(self._cache) > 1 and sum(map(len, self._cache.values())) > _CACHE_BYTES:
                 self._cache.popitem(last=False)
-        return self._cache[key][place.offset : place.offset + place.size]
+        return self._cache[key][location.offset : location.offset + location.size]

@@ -1,9 +1,8 @@
-"""Our own protobuf records: a JSON header and named raw arrays, so that no bit of a noun is lost.
+"""Encode dataclasses losslessly as protobuf messages: a JSON header and named raw arrays.
 
-Every schema `calm_edge.<Noun>` has the same two fields:
-`header` (JSON text: every scalar field by its dotted name; null where an optional is None) and
-`arrays` (name, numpy dtype string with byte order, shape, C-ordered bytes). The schema travels in
-each file as a FileDescriptorSet, so any protobuf tool opens it.
+Every schema `calm_edge.<name>` has the same two fields: `header` (JSON text: every scalar field by
+its dotted name; null for None) and `arrays` (name, numpy dtype string with byte order, shape,
+C-ordered bytes). Each file holds the schemas as FileDescriptorSet, so any protobuf tool reads it.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from numpy.typing import NDArray
 
 from calm_edge.recording.errors import RecordingError
 
-NOUNS = ("Submap", "Window", "PoseSample")
+RECORDS = ("Submap", "Window", "PoseSample")
 
-Noun = TypeVar("Noun")
+T = TypeVar("T")
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -38,10 +37,10 @@ def _descriptor() -> descriptor_pb2.FileDescriptorProto:
     array.field.add(name="dtype", number=2, type=field.TYPE_STRING, label=one)
     array.field.add(name="shape", number=3, type=field.TYPE_INT64, label=many)
     array.field.add(name="data", number=4, type=field.TYPE_BYTES, label=one)
-    for name in NOUNS:
-        noun = file.message_type.add(name=name)
-        noun.field.add(name="header", number=1, type=field.TYPE_STRING, label=one)
-        noun.field.add(
+    for name in RECORDS:
+        record = file.message_type.add(name=name)
+        record.field.add(name="header", number=1, type=field.TYPE_STRING, label=one)
+        record.field.add(
             name="arrays",
             number=2,
             type=field.TYPE_MESSAGE,
@@ -56,39 +55,42 @@ _pool.AddSerializedFile(_descriptor().SerializeToString())
 
 
 def message_class(name: str) -> type[Message]:
-    """The protobuf class of `calm_edge.<name>`, name one of NOUNS."""
+    """Return the protobuf class of `calm_edge.<name>`, with name one of RECORDS."""
     return message_factory.GetMessageClass(_pool.FindMessageTypeByName(f"calm_edge.{name}"))
 
 
-def flatten(noun: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
-    """A frozen dataclass -> (JSON-ready scalars, arrays), both by dotted field name."""
+def flatten(value: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
+    """Split a dataclass, nested ones included, into (JSON scalars, arrays) by dotted field name."""
     header: dict[str, Any] = {}
     arrays: Arrays = {}
-    for field in dataclasses.fields(noun):
-        value, name = getattr(noun, field.name), prefix + field.name
-        if isinstance(value, np.ndarray):
-            arrays[name] = value
-        elif dataclasses.is_dataclass(value):
-            # {} says "present": an optional dataclass may hold nothing but arrays
+    for field in dataclasses.fields(value):
+        item, name = getattr(value, field.name), prefix + field.name
+        if isinstance(item, np.ndarray):
+            arrays[name] = item
+        elif dataclasses.is_dataclass(item):
+            # {} marks it as present: an optional dataclass may hold nothing but arrays
             header[name] = {}
-            inner_header, inner_arrays = flatten(value, name + ".")
+            inner_header, inner_arrays = flatten(item, name + ".")
             header.update(inner_header)
             arrays.update(inner_arrays)
-        elif isinstance(value, Enum):
-            header[name] = value.value
-        elif isinstance(value, np.generic):
-            header[name] = value.item()
-        elif isinstance(value, tuple):
-            header[name] = [v.item() if isinstance(v, np.generic) else v for v in value]
-        elif isinstance(value, dict):
-            header[name] = {str(k): float(v) for k, v in value.items()}
+        elif isinstance(item, Enum):
+            header[name] = item.value
+        elif isinstance(item, np.generic):
+            header[name] = item.item()
+        elif isinstance(item, tuple):
+            header[name] = [v.item() if isinstance(v, np.generic) else v for v in item]
+        elif isinstance(item, dict):
+            header[name] = {str(k): float(v) for k, v in item.items()}
         else:
-            header[name] = value
+            header[name] = item
     return header, arrays
 
 
-def unflatten(kind: type[Noun], header: dict[str, Any], arrays: Arrays, prefix: str = "") -> Noun:
-    """The inverse of `flatten`; absent fields take their defaults; raises RecordingError."""
+def unflatten(kind: type[T], header: dict[str, Any], arrays: Arrays, prefix: str = "") -> T:
+    """Build a dataclass from the output of `flatten`; absent fields take their defaults.
+
+    Raises RecordingError if a field without a default is absent.
+    """
     values: dict[str, Any] = {}
     hints: dict[str, Any] = get_type_hints(kind)
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
@@ -117,7 +119,7 @@ def unflatten(kind: type[Noun], header: dict[str, Any], arrays: Arrays, prefix: 
 
 
 def encode(name: str, header: dict[str, Any], arrays: Arrays) -> bytes:
-    """Header and arrays -> serialised `calm_edge.<name>`."""
+    """Serialise header and arrays as `calm_edge.<name>`."""
     message: Any = message_class(name)()
     message.header = json.dumps(header)
     for key, value in arrays.items():
@@ -126,7 +128,7 @@ def encode(name: str, header: dict[str, Any], arrays: Arrays) -> bytes:
 
 
 def decode(name: str, data: bytes) -> tuple[dict[str, Any], Arrays]:
-    """Serialised `calm_edge.<name>` -> (header, writable arrays); raises RecordingError."""
+    """Parse `calm_edge.<name>` to (header, writable arrays); raises RecordingError."""
     message: Any = message_class(name)()
     try:
         message.ParseFromString(data)
@@ -136,5 +138,5 @@ def decode(name: str, data: bytes) -> tuple[dict[str, Any], Arrays]:
             for a in message.arrays
         }
     except (DecodeError, ValueError, TypeError) as error:
-        raise RecordingError(f"calm_edge.{name}: not a record of ours ({error})") from None
+        raise RecordingError(f"calm_edge.{name}: not a valid record ({error})") from None
     return header, arrays

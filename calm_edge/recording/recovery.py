@@ -1,4 +1,4 @@
-"""Makes a whole recording of a cut one, beside it, and proves the copy by reading it again."""
+"""Check a recording, or rewrite the intact messages of a truncated one to a verified copy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from calm_edge.recording.segment import PART, recording_files
 
 
 class Outcome(IntEnum):
-    """The exit code of `recover` and `validate`."""
+    """Exit code of `recover` and `validate`."""
 
     ALL = 0
     FAILED = 1
@@ -28,7 +28,10 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport:
-    """messages: topic -> count of what is whole. losses: one line each; for FAILED, why."""
+    """messages: topic -> number of intact messages. losses: one line each; if FAILED, the reason.
+
+    files: those read by `validate`, or written by `recover`.
+    """
 
     outcome: Outcome
     messages: dict[str, int]
@@ -47,13 +50,13 @@ class _Message:
 
 
 def default_target(source: Path) -> Path:
-    """Where `recover` puts its copy when not told: beside the source, and no segment of it."""
+    """Default path of the copy: beside the source, with `-recovered` in its name."""
     name = source.name.removesuffix(PART).removesuffix(".mcap")
     return source.with_name(f"{name}-recovered" + ("" if source.is_dir() else ".mcap"))
 
 
 def validate(path: Path) -> RecordingReport:
-    """Check every byte of a recording folder or file; nothing is written. Never raises."""
+    """Check every chunk of a recording folder or file without writing; never raises."""
     messages: dict[str, int] = {}
     losses: list[str] = []
     read: list[Path] = []
@@ -78,10 +81,10 @@ def validate(path: Path) -> RecordingReport:
 
 
 def recover(source: Path, target: Path) -> RecordingReport:
-    """Rewrite what can be read of `source` (file -> new file, folder -> new folder).
+    """Copy all intact messages of `source` to `target`: a file to a file, a folder to a folder.
 
-    The source is left as it is. Each new file is read again and compared with its source,
-    topic by topic. Raises RecordingError when the target exists; FAILED says why in `losses`.
+    The source is not changed. Each new file is read back and compared with its source, topic by
+    topic. Raises RecordingError if the target exists; other failures are in the report.
     """
     if target.exists():
         raise RecordingError(f"{target}: exists already; name another target")
@@ -103,7 +106,7 @@ def recover(source: Path, target: Path) -> RecordingReport:
         try:
             index = scan(file, check=True)
             if index.n_messages == 0:
-                losses += [*describe(index), f"{file}: holds no whole message; not copied"]
+                losses += [*describe(index), f"{file}: holds no intact message; not copied"]
                 continue
             counts = _copy(index, copy)
         except RecordingError as error:
@@ -120,7 +123,7 @@ def recover(source: Path, target: Path) -> RecordingReport:
 
 
 def _messages(index: SegmentIndex) -> Iterator[_Message]:
-    """Every message of a checked file in its order, a chunk in memory at a time."""
+    """Iterate over the messages of a checked file in order, one chunk in memory at a time."""
     columns = [
         (chunk, offset, size, index.channels[channel], sequence, log, publish)
         for channel, rows in index.rows.items()
@@ -148,11 +151,13 @@ def _messages(index: SegmentIndex) -> Iterator[_Message]:
                 schema = index.schemas.get(channel.schema_id)
                 yield _Message(channel, schema, sequence, log, publish, payload)
     except (DamageError, OSError) as error:
-        raise RecordingError(f"{index.path}: changed while it was read ({error})") from None
+        raise RecordingError(
+            f"{index.path}: changed while it was read ({error}); run it again"
+        ) from None
 
 
 def _digest(index: SegmentIndex) -> dict[str, tuple[int, int]]:
-    """Topic -> (count, CRC over times, sequences and payloads in order)."""
+    """Return topic -> (number of messages, CRC over their times, sequences and payloads)."""
     digest: dict[str, tuple[int, int]] = {}
     for m in _messages(index):
         n, crc = digest.get(m.channel.topic, (0, 0))
@@ -162,7 +167,7 @@ def _digest(index: SegmentIndex) -> dict[str, tuple[int, int]]:
 
 
 def _copy(index: SegmentIndex, copy: Path) -> dict[str, int]:
-    """Write the messages of a checked file to a new one and compare; topic -> count."""
+    """Write the messages of a checked file to a new one, verify it, return topic -> count."""
     part = copy.with_name(copy.name + PART)
     try:
         with part.open("xb") as file:
@@ -173,7 +178,9 @@ def _copy(index: SegmentIndex, copy: Path) -> dict[str, int]:
         expected, found = _digest(index), _digest(again)
         if again.cut or again.damaged or expected != found:
             part.unlink()
-            raise RecordingError(f"{copy}: what was written reads back differently; disk damaged?")
+            raise RecordingError(
+                f"{copy}: the copy reads back differently; check the disk, or name another target"
+            )
         part.rename(copy)
     except FileExistsError:
         raise RecordingError(f"{part}: exists already; name another target") from None

@@ -1,6 +1,6 @@
-"""Drives under one root: their names, the flag that keeps one, and which file goes first.
+"""Name the drive folders under a root, mark drives to keep, and remove the oldest segments.
 
-Names count up and do not carry a date: a car's computer may have no clock that survives the night.
+Names count up and hold no date: a car's computer may have no clock that runs while it is off.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.health import boot_id
 from calm_edge.recording.segment import segment_files
 
-# in the folder of a drive that must not be removed
+# file that marks a drive which must not be removed
 KEEP_FLAG = "KEEP"
-# what `record` leaves beside the segments, and what therefore goes with the last of them
+# written by `record` beside the segments, and removed with the last of them
 TRAJECTORY_FILE = "record_trajectory.tum"
 _NAME = re.compile(r"(\d{6,})-[0-9a-z]+")
 
 
 class Removed(NamedTuple):
-    """A segment that is gone, and how many bytes it had."""
+    """A removed segment and its size in bytes."""
 
     path: Path
     size: int
 
 
 def drives(root: Path) -> list[Path]:
-    """The folders under `root` that `new_drive` made, oldest first; empty where there is none."""
+    """List the folders under `root` that `new_drive` made, oldest first."""
     try:
         found = [(m, p) for p in root.iterdir() if (m := _NAME.fullmatch(p.name)) and p.is_dir()]
     except OSError:
@@ -39,9 +39,9 @@ def drives(root: Path) -> list[Path]:
 
 
 def new_drive(root: Path) -> Path:
-    """Makes `COUNTER-BOOT` under `root`, the counter one above all there are.
+    """Create the folder `COUNTER-BOOTID` under `root`, with the next counter.
 
-    Raises RecordingError when it cannot be made.
+    Raises RecordingError if it cannot be created.
     """
     boot = boot_id().replace("-", "")[:8] or "0"
     try:
@@ -59,7 +59,7 @@ def new_drive(root: Path) -> Path:
 
 
 def is_kept(drive: Path) -> bool:
-    """Whether the drive must not be removed; so too where that cannot be told."""
+    """Whether a drive is marked to be kept; True also if that cannot be read."""
     try:
         (drive / KEEP_FLAG).lstat()
     except FileNotFoundError:
@@ -70,7 +70,7 @@ def is_kept(drive: Path) -> bool:
 
 
 def set_kept(drive: Path, kept: bool) -> None:
-    """Sets or takes away the flag, on the disk when this returns; raises RecordingError."""
+    """Mark a drive to be kept, or remove the mark, synced to disk; raises RecordingError."""
     if not drive.is_dir() or not segment_files(drive):
         raise RecordingError(f"{drive}: holds no recording (no NNNN.mcap in it)")
     try:
@@ -88,10 +88,9 @@ def set_kept(drive: Path, kept: bool) -> None:
 
 
 def remove_oldest(root: Path, present: Path) -> Removed | None:
-    """Removes the oldest segment of the oldest drive not kept; None when nothing may go.
+    """Remove the oldest segment of the oldest drive not kept; None if there is none to remove.
 
-    The drive `present` is the last one in turn, and its newest segment, which is being written,
-    never goes.
+    present: the drive being recorded, considered last and without its newest segment.
     """
     for drive in [*(d for d in drives(root) if d != present), present]:
         if is_kept(drive):
@@ -106,11 +105,11 @@ def remove_oldest(root: Path, present: Path) -> Removed | None:
             if segments:
                 segments[0].unlink()
             if drive != present and len(segments) <= 1:
-                # not when it holds something of somebody else's
+                # fails, as it should, if the folder holds other files
                 with suppress(OSError):
                     drive.rmdir()
         except (OSError, RecordingError):
-            # a drive that cannot be removed must not hold up the others
+            # a drive that cannot be removed must not keep the others from removal
             continue
         if segments:
             return Removed(segments[0], size)

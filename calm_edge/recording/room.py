@@ -1,4 +1,4 @@
-"""How much disk is left, for how long it lasts, and what has to stay free."""
+"""Watch the free disk space, remove old drives at its lower limit, and estimate the time left."""
 
 from __future__ import annotations
 
@@ -11,45 +11,46 @@ from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.retention import remove_oldest
 from calm_edge.recording.space import Space
 
-# whatever the floor: the segment is closed while its summary still fits, and the system breathes
+# least floor: room for a segment's summary and for the system
 RESERVE_BYTES = 8 << 20
-# recording is taken up again with this much more than the floor, or it would stop at once
+# recording resumes with this much more than the floor, or it would stop again at once
 HEADROOM_BYTES = 2 * RESERVE_BYTES
-_RATE_LOOKS = 60
+_RATE_SAMPLES = 60
 
 
 class Room:
-    """Owner of what is known of the disk under one recording; used by the writing thread.
+    """Monitor of the disk that holds a recording, used by the writer thread.
 
-    root: the folder of all drives, the oldest of which go at the floor; None removes nothing.
+    root: folder of all drives, the oldest of which are removed when free space reaches the floor;
+    None removes nothing. space: the last measurement.
     """
 
     def __init__(self, folder: Path, config: RecordingConfig, root: Path | None = None) -> None:
         self._folder, self._config = folder, config
         self._root = root if config.remove_old else None
-        self._looks: deque[tuple[float, int]] = deque(maxlen=_RATE_LOOKS)
+        self._history: deque[tuple[float, int]] = deque(maxlen=_RATE_SAMPLES)
         self.space = Space(removes_old=self._root is not None)
         self._removed: list[Path] = []
 
-    def look(self, now_s: float, written_bytes: int) -> bool:
-        """Measures, makes room where it may; False when recording has to stop.
+    def check(self, now_s: float, written_bytes: int) -> bool:
+        """Measure the free space and make room if allowed; False if recording has to stop.
 
-        written_bytes: so far. Where the disk does not say what is free, nothing is removed.
+        written_bytes: recorded so far. If the free space cannot be measured, nothing is removed.
         """
-        self._looks.append((now_s, written_bytes))
-        elapsed_s = now_s - self._looks[0][0]
-        rate = (written_bytes - self._looks[0][1]) / elapsed_s if elapsed_s > 0 else 0.0
+        self._history.append((now_s, written_bytes))
+        elapsed_s = now_s - self._history[0][0]
+        rate = (written_bytes - self._history[0][1]) / elapsed_s if elapsed_s > 0 else 0.0
         free, floor = self._make_room()
         self.space = Space(free, floor, rate, self._root is not None)
         return free is None or free >= floor
 
-    def has_come_back(self) -> bool:
-        """There is enough to begin a segment after recording had to stop."""
+    def can_resume(self) -> bool:
+        """Whether there is room again to begin a segment after recording had to stop."""
         free, floor = self._make_room()
         return free is not None and free >= floor + HEADROOM_BYTES
 
     def take_removed(self) -> list[Path]:
-        """What was removed since the last call."""
+        """Return the segments removed since the last call."""
         removed, self._removed = self._removed, []
         return removed
 
@@ -61,13 +62,13 @@ class Room:
         while missing > 0 and (gone := remove_oldest(self._root, self._folder)) is not None:
             self._removed.append(gone.path)
             free, floor = measure(self._folder, self._config)
-            # some file systems count what was removed only later: no more goes than is missing
+            # some file systems free the space only later: remove no more than is missing
             missing = min(missing - gone.size, floor + HEADROOM_BYTES - (free or 0))
         return free, floor
 
 
 def measure(folder: Path, config: RecordingConfig) -> tuple[int | None, int]:
-    """(free bytes, None where the disk does not say; bytes that have to stay free)."""
+    """Return (free bytes, None if it cannot be read; floor: bytes that have to stay free)."""
     try:
         disk = os.statvfs(folder)
     except OSError:
@@ -78,7 +79,7 @@ def measure(folder: Path, config: RecordingConfig) -> tuple[int | None, int]:
 
 
 def check_settings(config: RecordingConfig) -> None:
-    """Raises ConfigError for floors that no disk can keep, and segments that never fill."""
+    """Check the section [recording]; raises ConfigError for a value out of range."""
     for key in ("segment_s", "chunk_bytes", "flush_s"):
         if not getattr(config, key) > 0:
             raise ConfigError(f"recording.{key} = {getattr(config, key):g}: must be above 0")
@@ -92,11 +93,14 @@ def check_settings(config: RecordingConfig) -> None:
 
 
 def check_room(folder: Path, config: RecordingConfig, root: Path | None = None) -> None:
-    """Before a recording into `folder`, which need not exist; raises RecordingError."""
+    """Check for disk space before recording into `folder`, which need not exist.
+
+    Raises RecordingError if there is too little, ConfigError for invalid settings.
+    """
     check_settings(config)
     above = next(p for p in (folder, *folder.absolute().parents) if p.exists())
     room = Room(above, config, root)
-    if room.look(0.0, 0):
+    if room.check(0.0, 0):
         return
     free, floor = room.space.free_bytes or 0, room.space.floor_bytes
     kept = ", or release a kept drive (calm-edge keep --release)" if root is not None else ""

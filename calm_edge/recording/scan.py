@@ -1,7 +1,7 @@
-"""Walks one MCAP file, whole or cut short, and says where every message lies.
+"""Index the messages of one MCAP file, finished or truncated (https://mcap.dev/spec).
 
-Headers are read, payloads are skipped; a file that was never finished is checked chunk by chunk,
-for its tail may hold anything. Of a chunk that is cut or fails its CRC nothing is used.
+Headers are read and payloads skipped; an unfinished file is checked chunk by chunk, since its tail
+may hold anything. A chunk that is truncated or fails its CRC is not used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 from calm_edge.recording.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
-# a chunk of ours is about 1 MiB and one message: larger than this is damage
+# calm-edge's chunks are about 1 MiB plus one message; larger than this is taken for damage
 MAX_CHUNK_BYTES = 256 << 20
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -36,12 +36,12 @@ ReadAt = Callable[[int, int], bytes]
 
 
 class DamageError(Exception):
-    """The bytes of a chunk are not what was written."""
+    """A record or chunk is truncated or damaged."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChunkRef:
-    """A chunk record: its content at `offset`, `size` bytes; log times in ns."""
+    """A chunk record: offset and size of its content in the file, range of its log times in ns."""
 
     offset: int
     size: int
@@ -51,7 +51,7 @@ class ChunkRef:
 
 @dataclass(slots=True)
 class Rows:
-    """Messages of one channel in file order, a column each; offset is inside the plain chunk."""
+    """Messages of one channel in file order, by columns. offset: within the decompressed chunk."""
 
     chunk: array[int] = field(default_factory=lambda: array("q"))
     offset: array[int] = field(default_factory=lambda: array("q"))
@@ -66,11 +66,11 @@ class Rows:
 
 @dataclass(slots=True)
 class SegmentIndex:
-    """What `scan` found: messages by channel number, and what is wrong with the file.
+    """Index of one file: messages by channel id, and damage.
 
-    cut: why the walk ended early, empty for a whole file. cut_bytes: how many it left unread.
-    damaged: chunks that failed their check. data_ended: every message was written before the cut.
-    loose_messages: outside of chunks, as other writers may put them; not read.
+    cut: why reading ended early, empty for a whole file. cut_bytes: bytes left unread.
+    damaged: chunks that failed their check. data_ended: all messages lie before the cut.
+    loose_messages: number of messages outside of chunks (of other writers), which are not read.
     """
 
     path: Path
@@ -90,7 +90,7 @@ class SegmentIndex:
         return sum(len(rows) for rows in self.rows.values())
 
     def topic_rows(self, topic: str) -> list[tuple[Channel, Rows]]:
-        """The channels of a topic that hold messages."""
+        """Return the channels of a topic that hold messages."""
         return [
             (c, self.rows[i])
             for i, c in self.channels.items()
@@ -99,32 +99,32 @@ class SegmentIndex:
 
 
 def _walk(read: ReadAt, start: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """(opcode, content offset, content length) of each record; raises DamageError at the break."""
+    """Iterate over (opcode, content offset, content length); raises DamageError at a bad record."""
     at = start
     while at < end:
         head = read(at, _RECORD.size)
         if len(head) < _RECORD.size:
-            raise DamageError("cut inside a record's header")
+            raise DamageError("cut within a record's header")
         opcode, length = _RECORD.unpack(head)
         if opcode == 0 or Opcode.DATA_END < opcode < _FIRST_PRIVATE_OPCODE:
             raise DamageError("not a record")
         if at + _RECORD.size + length > end:
-            raise DamageError("cut inside a record")
+            raise DamageError("cut within a record")
         yield opcode, at + _RECORD.size, length
         at += _RECORD.size + length
 
 
 def plain_chunk(content: bytes) -> bytes:
-    """A chunk record's content -> its records, decompressed and checked; raises DamageError."""
+    """Decompress and check a chunk record's content, return its records; raises DamageError."""
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
         if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-            raise DamageError("absurd size")
+            raise DamageError("impossible size")
         data = _decompressed(chunk.compression, chunk.data, chunk.uncompressed_size)
     except DamageError:
         raise
     except Exception as error:
-        # decompressors raise types of their own on damaged input
+        # decompressors raise various types on damaged input
         raise DamageError(str(error)) from None
     if len(data) != chunk.uncompressed_size:
         raise DamageError("wrong size")
@@ -134,7 +134,7 @@ def plain_chunk(content: bytes) -> bytes:
 
 
 def _decompressed(compression: str, data: bytes, size: int) -> bytes:
-    """At most a byte more than the declared size, whatever the data would swell to."""
+    """Decompress to at most one byte more than the declared size, however large the output."""
     if compression == "zstd":
         import zstandard
 
@@ -156,7 +156,7 @@ def _slice(data: bytes, at: int, n: int) -> bytes:
 def _index_chunk(index: SegmentIndex, read: ReadAt, offset: int, length: int, check: bool) -> None:
     """Add a chunk's messages, channels and schemas to the index; raises DamageError."""
     if length > MAX_CHUNK_BYTES or length < _CHUNK.size + 8:
-        raise DamageError("absurd size")
+        raise DamageError("impossible size")
     head = read(offset, _CHUNK.size)
     start_ns, end_ns, _, _, name_length = _CHUNK.unpack(head)
     base = 0
@@ -165,7 +165,7 @@ def _index_chunk(index: SegmentIndex, read: ReadAt, offset: int, length: int, ch
         data = plain_chunk(read(offset, length))
         records, end = partial(_slice, data), len(data)
     else:
-        # walked in place: payloads are not read now, and are checked when they are
+        # indexed in place: payloads are read, and checked, only when needed
         base = offset + _CHUNK.size + 8
         records, end = read, offset + length
     number = len(index.chunks)
@@ -203,9 +203,9 @@ def _parse(kind: Any, content: bytes) -> Any:
 
 
 def _fill(index: SegmentIndex, read: ReadAt, size: int, check: bool) -> None:
-    whole = len(MAGIC)
+    intact = len(MAGIC)
     try:
-        for opcode, at, length in _walk(read, whole, size):
+        for opcode, at, length in _walk(read, intact, size):
             if opcode == Opcode.CHUNK:
                 try:
                     _index_chunk(index, read, at, length, check)
@@ -214,7 +214,7 @@ def _fill(index: SegmentIndex, read: ReadAt, size: int, check: bool) -> None:
             elif opcode == Opcode.METADATA:
                 index.metadata.append(_parse(Metadata, read(at, length)))
             elif opcode == Opcode.CHANNEL:
-                # the summary repeats them, which helps when the first chunk is damaged
+                # the summary repeats channels, which helps if the first chunk is damaged
                 channel = _parse(Channel, read(at, length))
                 index.channels.setdefault(channel.id, channel)
             elif opcode == Opcode.SCHEMA:
@@ -226,19 +226,19 @@ def _fill(index: SegmentIndex, read: ReadAt, size: int, check: bool) -> None:
                 index.data_ended = True
             elif opcode == Opcode.FOOTER:
                 if read(at + length, len(MAGIC)) != MAGIC:
-                    index.cut = "cut behind its last record"
+                    index.cut = "cut after its last record"
                 return
-            whole = at + length
+            intact = at + length
         index.cut = "never finished"
     except DamageError as error:
         index.cut = str(error)
-        index.cut_bytes = size - whole
+        index.cut_bytes = size - intact
 
 
 def scan(path: Path, check: bool | None = None) -> SegmentIndex:
-    """Index of one file. check: verify every chunk now; None does so for unfinished files only.
+    """Index one file; raises RecordingError if it cannot be read, is empty or is not MCAP.
 
-    Raises RecordingError when the file cannot be read, is empty or is no MCAP.
+    check: verify every chunk now; None does so for unfinished files only.
     """
     try:
         with path.open("rb", buffering=0) as file:
@@ -250,7 +250,7 @@ def scan(path: Path, check: bool | None = None) -> SegmentIndex:
             if size == 0:
                 raise RecordingError(f"{path}: is empty; nothing can be recovered from it")
             if read(0, len(MAGIC)) != MAGIC:
-                raise RecordingError(f"{path}: is not an MCAP recording")
+                raise RecordingError(f"{path}: is not an MCAP recording; name another file")
             if check is None:
                 check = read(size - len(MAGIC), len(MAGIC)) != MAGIC
             index = SegmentIndex(path)

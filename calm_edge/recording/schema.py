@@ -1,4 +1,4 @@
-"""Topics, their schemas, and how each noun becomes messages and comes back.
+"""Topics of a recording, their schemas, and conversion of each data type to messages and back.
 
 | topic | schema | log_time |
 |---|---|---|
@@ -10,10 +10,10 @@
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
 | /window | calm_edge.Window: which frames the window held | its newest keyframe |
 | /clock, /status, /health | JSON | time of writing |
-| /log | foxglove.Log | when it was said |
+| /log | foxglove.Log | time of logging |
 
-Everything of an update is exact but depth (fp16; beyond its range: 0, unknown) and
-confidence (uint8, steps of 1/255), and both survive a second trip unchanged.
+An update is stored exactly but for depth (fp16; beyond its range: 0, unknown) and confidence
+(uint8, steps of 1/255); storing these a second time changes nothing.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ TOPICS = (*_PROTOBUF, *_JSON)
 
 @dataclass(frozen=True, slots=True)
 class LogMessage:
-    """What goes into a file: log_time in host-monotonic ns, data as the topic's schema has it.
+    """An encoded message: log_time in host-monotonic ns, data in the topic's schema.
 
     Raises RecordingError for times that MCAP cannot hold.
     """
@@ -81,7 +81,7 @@ class LogMessage:
 
 @dataclass(frozen=True, slots=True)
 class TopicSchema:
-    """How a topic's messages are encoded, in MCAP's words."""
+    """Schema and encoding of a topic, as in MCAP's Schema and Channel records."""
 
     name: str
     encoding: str
@@ -90,7 +90,7 @@ class TopicSchema:
 
 
 def topic_schema(topic: str) -> TopicSchema:
-    """The schema of one of TOPICS."""
+    """Return the schema of one of TOPICS."""
     if topic in _JSON:
         return TopicSchema(_JSON[topic], "jsonschema", b'{"type": "object"}', "json")
     kind = _PROTOBUF[topic]
@@ -103,9 +103,9 @@ def _message(topic: str, log_time: int, message: Any, sequence: int = 0) -> LogM
 
 
 def frame_message(frame: Frame, jpeg_quality: int) -> LogMessage:
-    """A frame; the camera's own bytes untouched, raw pixels encoded as JPEG.
+    """Encode a frame: JPEG bytes unchanged, raw pixels as JPEG.
 
-    Raises RecordingError when the pixels cannot be encoded.
+    Raises RecordingError if the pixels cannot be encoded.
     """
     image = frame.image
     if not isinstance(image, bytes):
@@ -121,7 +121,7 @@ def frame_message(frame: Frame, jpeg_quality: int) -> LogMessage:
 
 
 def read_frame(eye: Eye, sequence: int, log_time: int, data: bytes) -> Frame:
-    """The frame of an image message, its bytes as recorded; raises RecordingError."""
+    """Decode an image message to a frame with the bytes as recorded; raises RecordingError."""
     message = CompressedImage()
     try:
         message.ParseFromString(data)
@@ -131,7 +131,7 @@ def read_frame(eye: Eye, sequence: int, log_time: int, data: bytes) -> Frame:
 
 
 def pose_messages(sample: PoseSample) -> list[LogMessage]:
-    """A live pose: exact, and twice for Foxglove."""
+    """Encode a live pose: exactly, and as odometry and transform for Foxglove."""
     t_ns = sample.t_ns
     primary = foxglove.camera_frame(Eye.PRIMARY)
     return [
@@ -142,12 +142,12 @@ def pose_messages(sample: PoseSample) -> list[LogMessage]:
 
 
 def read_pose(data: bytes) -> PoseSample:
-    """The exact pose of /pose/sample; raises RecordingError."""
+    """Decode a pose of /pose/sample; raises RecordingError."""
     return record.unflatten(PoseSample, *record.decode("PoseSample", data))
 
 
 def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage]:
-    """An update: exact (but see the module's text on depth), and for Foxglove beside it."""
+    """Encode an update: exactly (but for depth, see the module), and its poses for Foxglove."""
     t_ns = int(update.submap.t_ns.max())
     header, arrays = record.flatten(update)
     depth = arrays.pop("prediction.depth", None)
@@ -167,7 +167,7 @@ def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage
 
 
 def read_update(data: bytes) -> LocalizerUpdate:
-    """The update of /submap, depth and confidence as float32; raises RecordingError."""
+    """Decode an update of /submap, depth and confidence as float32; raises RecordingError."""
     header, arrays = record.decode("Submap", data)
     if "prediction.depth" in arrays:
         arrays["prediction.depth"] = arrays["prediction.depth"].astype(np.float32)
@@ -178,26 +178,26 @@ def read_update(data: bytes) -> LocalizerUpdate:
 
 
 def window_message(window: WindowRecord) -> LogMessage:
-    """Which frames a window held."""
+    """Encode which frames a window consists of."""
     data = record.encode("Window", *record.flatten(window))
     return LogMessage(WINDOW, int(window.t_ns.max()), data)
 
 
 def read_window(data: bytes) -> WindowRecord:
-    """The record of /window; raises RecordingError."""
+    """Decode a record of /window; raises RecordingError."""
     return record.unflatten(WindowRecord, *record.decode("Window", data))
 
 
 def clock_message(log_time: int, realtime_ns: int, monotonic_ns: int) -> LogMessage:
-    """The wall clock and the host-monotonic clock, read together."""
+    """Encode a simultaneous reading of the wall clock and the host-monotonic clock."""
     return json_message(CLOCK, log_time, {"realtime_ns": realtime_ns, "monotonic_ns": monotonic_ns})
 
 
 def json_message(topic: str, log_time: int, value: Mapping[str, Any]) -> LogMessage:
-    """A JSON object on /clock, /status or /health; what JSON does not know is written as text."""
+    """Encode a JSON object for /clock, /status or /health; other types as text."""
     return LogMessage(topic, log_time, json.dumps(value, default=str).encode())
 
 
 def log_message(t_ns: int, level: int, message: str, name: str) -> LogMessage:
-    """A line of the log; level as in Python's logging."""
+    """Encode a log line; level as in Python's logging."""
     return _message(LOG, t_ns, foxglove.log(t_ns, level, message, name))

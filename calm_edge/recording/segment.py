@@ -1,4 +1,4 @@
-"""One MCAP file while it is being written: `NNNN.mcap.part`, renamed when it is whole."""
+"""Write one MCAP file: `NNNN.mcap.part`, renamed to `NNNN.mcap` when it is finished."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Write = Callable[[int, bytes], int]
 
 
 def segment_files(folder: Path) -> list[Path]:
-    """Finished and unfinished segments of a folder, in order; raises RecordingError."""
+    """List the finished and unfinished segments of a folder in order; raises RecordingError."""
     try:
         found = [(m, p) for p in folder.iterdir() if (m := _NAME.fullmatch(p.name))]
     except OSError as error:
@@ -32,7 +32,7 @@ def segment_files(folder: Path) -> list[Path]:
 
 
 def recording_files(path: Path) -> list[Path]:
-    """The segments of a recording folder, or the one file named; raises RecordingError."""
+    """List the segments of a recording folder, or the one file given; raises RecordingError."""
     try:
         files = segment_files(path) if path.is_dir() else [path]
         missing = not path.exists()
@@ -46,7 +46,7 @@ def recording_files(path: Path) -> list[Path]:
 
 
 class _Sink:
-    """An unbuffered file that writes everything or raises, and knows how far it came."""
+    """An unbuffered file that writes everything or raises, and counts the bytes written."""
 
     def __init__(self, fd: int, write: Write) -> None:
         self._fd, self._write = fd, write
@@ -64,13 +64,13 @@ class _Sink:
         return self.position
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: there is no buffer."""
 
 
 class Segment:
-    """A file being written by one thread; every method may raise OSError.
+    """A file being written by one thread; methods may raise OSError.
 
-    A message counts as kept once its chunk is in the file; `abandon` gives back the others.
+    kept_messages: those whose chunk is in the file; `abandon` returns the others.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Segment:
         return int(self._writer.register_channel(topic, schema.message_encoding, schema_id))
 
     def write(self, message: LogMessage, publish_time: int) -> None:
-        """Add a message to the chunk in progress, which goes to the file when it is full."""
+        """Add a message to the current chunk, which is written to the file when it is full."""
         before = self._sink.position
         self._pending.append(message)
         self._writer.add_message(
@@ -123,34 +123,34 @@ class Segment:
         if self._sink.position != before:
             self._keep()
 
-    def describe(self, name: str, values: Mapping[str, str]) -> None:
-        """Metadata, in the file at once."""
+    def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record to the file at once."""
         self.flush()
         self._writer.add_metadata(name, dict(values))
         self._keep()
 
     def flush(self) -> None:
-        """All that was written is in the file: a kill does not cost it, a power cut may."""
+        """Write everything to the file: safe if the process is killed, not at a power cut."""
         self._writer.flush()
         self._keep()
 
     def sync(self) -> None:
-        """All that was written is on the disk."""
+        """Write everything to the disk."""
         self.flush()
         os.fdatasync(self._fd)
 
-    def sync_behind(self) -> None:
-        """All that was written is in the file, and on its way to the disk by a thread of its own.
+    def sync_in_background(self) -> None:
+        """Write everything to the file, and sync it to the disk in another thread.
 
-        A disk may take seconds for it, in which a kill would cost all that came meanwhile. Raises
-        what an earlier one met.
+        Syncing can take seconds, during which new messages would be held in memory. Raises the
+        OSError of an earlier call.
         """
         self.flush()
         if self._sync_error is not None:
             error, self._sync_error = self._sync_error, None
             raise error
         if self._syncing is None or not self._syncing.is_alive():
-            # a descriptor of its own: the segment may be closed meanwhile
+            # duplicated: the segment may be closed meanwhile
             copy = os.dup(self._fd)
             self._syncing = threading.Thread(target=self._sync_copy, args=(copy,), daemon=True)
             self._syncing.start()
@@ -171,7 +171,7 @@ class Segment:
         return self._sink.position
 
     def finish(self) -> Path:
-        """Close the file whole and give it its final name; returns it."""
+        """Complete and close the file, rename it to its final name and return that."""
         self.sync()
         self._writer.finish()
         os.fdatasync(self._fd)
@@ -182,7 +182,7 @@ class Segment:
         return self.target
 
     def abandon(self) -> list[LogMessage]:
-        """After an OSError: cut the file back to its last whole chunk, leave it as `.part`.
+        """After an OSError: truncate the file to its last whole chunk and leave it as `.part`.
 
         Returns the messages that are not in it. Never raises.
         """

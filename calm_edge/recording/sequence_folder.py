@@ -1,7 +1,6 @@
-"""A drive kept as files: two folders of pictures and, perhaps, when each was taken.
+"""Read a drive stored as two folders of images and optional files of their stamps.
 
-Only what a kit in a car would also know is read here. `calib.txt` and `poses0.txt` belong
-to the evaluation, which alone opens them.
+Ground truth in the same folder (`calib.txt`, `poses0.txt`) is read by `evaluation` only.
 """
 
 from __future__ import annotations
@@ -15,22 +14,22 @@ from numpy.typing import NDArray
 from calm_edge.types import CalmEdgeError, Int
 from device.frame import Eye, Frame
 
-# Added to every stamp, so that a file starting at 0 s still gives positive nanoseconds.
+# added to every stamp, so that stamps from 0 s on are positive
 ORIGIN_NS = 1_000_000_000
 DEFAULT_RATE_HZ = 10.0
 
 _SUFFIXES = {".png", ".jpg", ".jpeg"}
 _PNG = b"\x89PNG\r\n\x1a\n"
-# Start-of-frame markers; C4, C8 and CC lie in the same range and mean something else.
+# start-of-frame markers of JPEG; C4, C8 and CC in this range have other meanings
 _JPEG_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 
 
 class SequenceError(CalmEdgeError):
-    """A sequence folder that cannot be replayed as it is."""
+    """A sequence folder is incomplete or invalid."""
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) px from a PNG's or JPEG's header alone; raises SequenceError."""
+    """Read (width, height) in px from the header of a PNG or JPEG; raises SequenceError."""
     try:
         with path.open("rb") as file:
             head = file.read(24)
@@ -55,9 +54,9 @@ def image_size(path: Path) -> tuple[int, int]:
 
 
 def read_times(path: Path) -> Int:
-    """Stamps (N,) ns from a file of seconds, one a line: round(s * 1e9) + ORIGIN_NS.
+    """Read stamps (N,) in ns from a file of seconds, one per line: round(s * 1e9) + ORIGIN_NS.
 
-    Raises SequenceError when a line is not a number or time does not grow.
+    Raises SequenceError if a line is not a number or the stamps do not increase.
     """
     stamps: list[int] = []
     try:
@@ -75,18 +74,18 @@ def read_times(path: Path) -> Int:
             raise SequenceError(f"{path}:{number}: {line.strip()} s is before -1 s; shift the file")
         if stamps and t_ns <= stamps[-1]:
             raise SequenceError(
-                f"{path}:{number}: time goes backwards or stands still ({line.strip()} s); "
-                "stamps must grow from line to line"
+                f"{path}:{number}: {line.strip()} s is not after the line before; "
+                "stamps must increase from line to line"
             )
         stamps.append(t_ns)
     return np.array(stamps, np.int64)
 
 
 class SequenceFolder:
-    """`cam0/ cam1/` (png or jpg, sorted by name) and optional `times0.txt times1.txt`.
+    """A folder with `cam0/ cam1/` (png or jpg, sorted by name), optional `times0.txt times1.txt`.
 
-    Stamps are round(seconds * 1e9) + ORIGIN_NS; without time files both eyes run at 10 Hz.
-    Headers of all images are checked when it is opened; raises SequenceError.
+    Stamps are round(seconds * 1e9) + ORIGIN_NS; without time files both cameras run at 10 Hz.
+    Opening checks the headers of all images; raises SequenceError.
     """
 
     def __init__(self, path: Path) -> None:
@@ -99,25 +98,25 @@ class SequenceFolder:
 
     @property
     def n_frames(self) -> int:
-        """How many primary frames there are; `count(eye)` tells of either eye."""
+        """Number of primary frames."""
         return self.count(Eye.PRIMARY)
 
     def count(self, eye: Eye) -> int:
-        """How many frames this eye has."""
+        """Number of frames of an eye."""
         return len(self._files[eye])
 
     def size(self, eye: Eye) -> tuple[int, int]:
-        """(width, height) px of every image of this eye."""
+        """(width, height) in px of all images of an eye."""
         return self._size[eye]
 
     def t_ns(self, eye: Eye) -> Int:
-        """Stamps (N,) ns of this eye's frames."""
+        """Stamps (N,) in ns of an eye's frames."""
         return self._t_ns[eye].copy()
 
     def frames(self, eye: Eye) -> Iterator[Frame]:
-        """This eye's frames in order: a JPEG as its untouched bytes, a PNG as (H, W, 3) BGR.
+        """Iterate over an eye's frames: a JPEG as its bytes, a PNG as (H, W, 3) BGR.
 
-        Raises SequenceError at the first image that cannot be read.
+        Raises SequenceError at an image that cannot be read.
         """
         for i, file in enumerate(self._files[eye]):
             yield Frame(eye, i, int(self._t_ns[eye][i]), _read_image(file))
@@ -128,7 +127,7 @@ class SequenceFolder:
             raise SequenceError(f"{folder}: missing; calm-edge needs both cam0/ and cam1/")
         files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES)
         if not files:
-            raise SequenceError(f"{folder}: holds no .png or .jpg; put this eye's images there")
+            raise SequenceError(f"{folder}: holds no .png or .jpg; put this camera's images there")
         return files
 
     def _one_size(self, eye: Eye) -> tuple[int, int]:
@@ -139,7 +138,7 @@ class SequenceFolder:
             if size != first:
                 raise SequenceError(
                     f"{file}: {size[0]}x{size[1]} px, but {files[0].name} has "
-                    f"{first[0]}x{first[1]}; one stream needs one size"
+                    f"{first[0]}x{first[1]}; all images of a camera must have one size"
                 )
         return first
 
@@ -149,7 +148,8 @@ class SequenceFolder:
         if any(there) and not all(there):
             missing = paths[there.index(False)]
             raise SequenceError(
-                f"{missing}: missing; give times of both eyes or of neither ({DEFAULT_RATE_HZ} Hz)"
+                f"{missing}: missing; give times of both cameras, or of neither for "
+                f"{DEFAULT_RATE_HZ} Hz"
             )
         stamps = []
         for eye, path in zip(Eye, paths, strict=True):
@@ -162,7 +162,7 @@ class SequenceFolder:
             if len(t_ns) != n:
                 raise SequenceError(
                     f"{path}: {len(t_ns)} times for {n} images in cam{int(eye)}/; "
-                    "one line an image is needed"
+                    "it must hold one line per image"
                 )
             stamps.append(t_ns)
         return stamps[0], stamps[1]
@@ -174,7 +174,7 @@ def _read_image(path: Path) -> NDArray[np.uint8] | bytes:
     except OSError as error:
         raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
     if data.startswith(b"\xff\xd8"):
-        # Decoders fill a cut JPEG with grey, so its end is looked for here.
+        # decoders fill a truncated JPEG with grey, so check for its end marker
         if b"\xff\xd9" in data[-4096:]:
             return data
     elif b"IEND" in data[-64:]:
@@ -183,4 +183,4 @@ def _read_image(path: Path) -> NDArray[np.uint8] | bytes:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
         if image is not None:
             return np.asarray(image, np.uint8)
-    raise SequenceError(f"{path}: cut short or damaged; replace it or remove it from the folder")
+    raise SequenceError(f"{path}: truncated or damaged; replace it or remove it from the folder")

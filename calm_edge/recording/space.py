@@ -1,4 +1,4 @@
-"""The disk under a recording as it was looked at last."""
+"""Free space on the disk that holds a recording."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """free_bytes: for an ordinary user, None where the disk does not say. floor_bytes: stay free.
+    """A measurement of the disk.
 
-    bytes_per_s: the present rate of recording. removes_old: old drives make room at the floor.
+    free_bytes: available to an unprivileged user, None if unknown. floor_bytes: have to stay
+    free. bytes_per_s: current rate of recording. removes_old: old drives are removed at the floor.
     """
 
     free_bytes: int | None = None
@@ -19,7 +20,7 @@ class Space:
 
     @property
     def left_s(self) -> float | None:
-        """Seconds to the floor at the present rate; None while that is not known."""
+        """Seconds until the floor is reached at the current rate; None if unknown."""
         if self.free_bytes is None or self.bytes_per_s <= 0:
             return None
         return max(0.0, (self.free_bytes - self.floor_bytes) / self.bytes_per_s)

@@ -1,4 +1,4 @@
-"""Which frames became one window: enough to build it again, bit for bit, from the recording."""
+"""Record of the frames in a window, from which it is rebuilt exactly out of a recording."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from device.frame import Eye, Frame
 
 @dataclass(frozen=True, slots=True)
 class WindowRecord:
-    """A SubmapWindow without its pixels (paper IV-A).
+    """A SubmapWindow without its images (paper IV-A).
 
-    ids, eyes, sequences, t_ns: (N,) in batch order; has_loop: the last one is the loop keyframe.
+    ids, eyes, sequences, t_ns: (N,) in batch order. has_loop: the last is the loop keyframe.
     """
 
     submap_id: int
@@ -30,7 +30,7 @@ class WindowRecord:
 
 
 def of_window(window: SubmapWindow) -> WindowRecord:
-    """The record of a window."""
+    """Return the record of a window."""
     keyframes = window.keyframes()
     return WindowRecord(
         window.submap_id,
@@ -45,7 +45,7 @@ def of_window(window: SubmapWindow) -> WindowRecord:
 
 
 def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> SubmapWindow:
-    """The window again; `frame(eye, sequence, t_ns)` fetches pixels and raises what it raises."""
+    """Rebuild a window; `frame(eye, sequence, t_ns)` reads its images, and its errors pass."""
     keyframes = [
         Keyframe(int(i), frame(Eye(int(eye)), int(sequence), int(t_ns)))
         for i, eye, sequence, t_ns in zip(
@@ -63,7 +63,7 @@ def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> Su
 
 
 def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
-    """What is known of a window's batch once it has been placed."""
+    """Return the backbone's hints for a window whose update has been recorded."""
     return Hints(
         record.eyes,
         record.t_ns,

@@ -1,7 +1,7 @@
-"""The recording's one writer: its own thread, a bounded mailbox, segments that survive a kill.
+"""Write a recording in a thread of its own, behind a bounded queue.
 
-At most a chunk, or what came since the last flush, is lost when the process dies; a full or
-failing disk costs what it costs and is reported, and never stops the caller.
+If the process is killed, at most one chunk or the time since the last flush is lost. A full or
+failing disk is reported and never blocks the caller.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _log = logging.getLogger(__name__)
 
 
 class RecordingWriter:
-    """Writes one recording folder; every `write_*` hands over and returns at once.
+    """Writer of one recording folder; every `write_*` queues its argument and returns at once.
 
-    metadata: text about this session (backbone, camera identities ...). now_ns: the clock of
-    the frames. lossless: `write_*` waits for room instead of dropping, and raises RecordingError
-    when the disk fails. root: the folder of all drives, whose oldest ones make room for this one.
-    What is handed over must not be changed afterwards.
-    Raises RecordingError when the folder already holds a recording or cannot be written.
+    metadata: texts about the session (backbone, camera identities ...). now_ns: clock of the
+    frames. lossless: `write_*` waits for room instead of dropping, and raises RecordingError if
+    the disk fails. root: folder of all drives, the oldest of which are removed to make room.
+    Arguments must not be changed after the call. Raises RecordingError if the folder already holds
+    a recording or cannot be written.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class RecordingWriter:
             },
         }
         self._mailbox: Mailbox[_Encode] = Mailbox(queue_bytes, lossless)
-        self._unwritable = self._said_dropped = 0
+        self._unwritable = self._reported_drops = 0
         self._chain = SegmentChain(
             folder,
             config.recording,
@@ -100,12 +100,12 @@ class RecordingWriter:
 
     @property
     def health(self) -> WriterHealth:
-        """A snapshot, from any thread."""
+        """Current state of the writer; may be called from any thread."""
         others, images = self._mailbox.dropped
         chain = self._chain
         return WriterHealth(
             chain.error,
-            chain.kept,
+            chain.written,
             images,
             others,
             self._unwritable,
@@ -115,47 +115,47 @@ class RecordingWriter:
         )
 
     def write_frame(self, frame: Frame) -> None:
-        """A frame of either eye; raw pixels are encoded on the writer's thread."""
+        """Record a frame of either eye; raw pixels are encoded in the writer's thread."""
         size = len(frame.image) if isinstance(frame.image, bytes) else frame.image.nbytes
         quality = self._config.recording.jpeg_quality
         self._mailbox.put(lambda: [schema.frame_message(frame, quality)], size, True)
 
     def write_pose(self, sample: PoseSample) -> None:
-        """A live pose."""
+        """Record a live pose."""
         self._mailbox.put(lambda: schema.pose_messages(sample), 1024, False)
 
     def write_update(self, update: LocalizerUpdate) -> None:
-        """A placed sub-map with the poses it changed; depth only with recording.log_depth."""
+        """Record a placed sub-map and the poses it changed; depth only with recording.log_depth."""
         log_depth = self._config.recording.log_depth
         size = sum(a.nbytes for a in flatten(update)[1].values())
         self._mailbox.put(lambda: schema.update_messages(update, log_depth), size, False)
 
     def write_window(self, record: WindowRecord) -> None:
-        """Which frames a window held; of two records of one sub-map the later holds."""
+        """Record which frames a window consists of; a later record of a sub-map replaces it."""
         self._mailbox.put(lambda: [schema.window_message(record)], 1024, False)
 
     def write_log(self, level: int, message: str, name: str = "calm-edge") -> None:
-        """A line of the log; level as in Python's logging."""
+        """Record a log line; level as in Python's logging."""
         now = self._now_ns()
         self._mailbox.put(lambda: [schema.log_message(now, level, message, name)], 512, False)
 
     def write_status(self, status: Mapping[str, Any], topic: str = schema.STATUS) -> None:
-        """A JSON object on /status, or on /health."""
+        """Record a JSON object on /status or /health."""
         now, copy = self._now_ns(), dict(status)
         self._mailbox.put(lambda: [schema.json_message(topic, now, copy)], 2048, False)
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Text about this session, new or changed: of one name the last holds."""
+        """Record texts about the session; a later record of the same name replaces it."""
         copy = dict(values)
 
-        def describe() -> list[LogMessage]:
-            self._chain.describe(name, copy)
+        def write() -> list[LogMessage]:
+            self._chain.write_metadata(name, copy)
             return []
 
-        self._mailbox.put(describe, 512, False)
+        self._mailbox.put(write, 512, False)
 
     def close(self) -> WriterHealth:
-        """Write what is queued, finish the segment; returns the last health. Idempotent."""
+        """Write what is queued, finish the segment, return the last state. Idempotent."""
         self._mailbox.close()
         self._thread.join()
         return self.health
@@ -168,11 +168,10 @@ class RecordingWriter:
                 self._loop()
                 return
             except Exception as error:
-                # a thread that died in silence would look like a recording; what tripped it
-                # is not carried on, or it would trip the next segment too
+                # go on recording, without the messages that may have caused the error
                 _log.exception("recording thread")
-                self._chain.fail(f"writer stumbled: {error!r}")
-                self._unwritable += self._chain.drop_carried()
+                self._chain.fail(f"error in the writer: {error!r}")
+                self._unwritable += self._chain.drop_unwritten()
                 if self._mailbox.wait_closed(RETRY_S):
                     self._give_up()
                     return
@@ -180,7 +179,7 @@ class RecordingWriter:
     def _loop(self) -> None:
         next_tick = time.monotonic()
         while True:
-            if not self._chain.is_open and not self._chain.try_again():
+            if not self._chain.is_open and not self._chain.reopen():
                 if self._mailbox.wait_closed(RETRY_S):
                     self._give_up()
                     return
@@ -200,28 +199,28 @@ class RecordingWriter:
         try:
             messages = encode()
         except Exception as error:
-            # one bad item must not cost the drive
+            # one bad item must not end the recording
             self._unwritable += 1
             now = self._now_ns()
             text = f"one item could not be recorded: {error}"
             messages = [schema.log_message(now, logging.ERROR, text, "recording")]
             _log.error("%s", text)
-        self._chain.put(messages)
+        self._chain.write(messages)
 
     def _tick(self) -> None:
-        """Once a flush_s: clock pair, drops, the disk."""
+        """Every flush_s: record a clock reading and the drops, sync, check the disk."""
         now = self._now_ns()
         messages = [schema.clock_message(now, time.time_ns(), time.monotonic_ns())]
         dropped = sum(self._mailbox.dropped)
-        if dropped > self._said_dropped:
-            text = f"queue full: {dropped - self._said_dropped} items not recorded"
+        if dropped > self._reported_drops:
+            text = f"queue full: {dropped - self._reported_drops} items not recorded"
             messages.append(schema.log_message(now, logging.WARNING, text, "recording"))
             _log.warning("%s", text)
-            self._said_dropped = dropped
-        self._chain.put(messages)
-        self._chain.settle()
+            self._reported_drops = dropped
+        self._chain.write(messages)
+        self._chain.sync()
 
     def _give_up(self) -> None:
-        """Closed: what the disk did not take until now is counted as lost."""
-        self._unwritable += self._chain.drop_carried()
+        """Discard and count what the disk has not taken when the recording is closed."""
+        self._unwritable += self._chain.drop_unwritten()
         self._mailbox.clear()

@@ -1,4 +1,4 @@
-"""Nouns with every field set to something that a careless encoding would lose."""
+"""Sample values whose every field would be altered by a lossy encoding."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def pose(i: int = 0) -> PoseSample:
 def update(i: int = 0, depth: bool = True) -> LocalizerUpdate:
     rng = np.random.default_rng(100 + i)
     n = 5
-    # values an fp16 and a uint8 hold, so that the trip is exact
+    # values that fp16 and uint8 represent exactly
     metres = rng.uniform(1, 80, (n, 6, 8)).astype(np.float16).astype(np.float32)
     steps = rng.integers(0, 256, (n, 6, 8)).astype(np.float32) / np.float32(255)
     kit = KitBelief(rng.normal(size=4), np.eye(4) / 3)
@@ -98,7 +98,7 @@ def config(**recording: Any) -> Config:
 
 
 def small_recording(folder: Path, n: int = 12, **recording: Any) -> Path:
-    """n frames an eye, poses, two updates and a window, in chunks of 8 kB."""
+    """Record n frames per eye, poses, two updates and a window, in chunks of 8 kB."""
     settings = config(**{"chunk_bytes": 8192, "log_depth": True, **recording})
     with RecordingWriter(folder, settings, {"camera_primary": "usb-1"}) as writer:
         for k in range(n):
@@ -112,7 +112,7 @@ def small_recording(folder: Path, n: int = 12, **recording: Any) -> Path:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Equal in type, dtype, shape and every bit."""
+    """Whether two values are equal in type, dtype, shape and every bit."""
     if isinstance(a, np.ndarray):
         return (
             isinstance(b, np.ndarray)

@@ -1,4 +1,4 @@
-"""Losses are told with file, time and count."""
+"""Losses are reported with file, time and count."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from device.frame import Eye
 from tests.recording import samples
 
 
-def test_a_cut_names_file_time_and_count(tmp_path: Path) -> None:
+def test_the_loss_of_a_truncated_file_names_file_time_and_count(tmp_path: Path) -> None:
     folder = samples.small_recording(tmp_path / "rec")
     whole = folder / "0000.mcap"
     assert describe(scan(whole)) == []
@@ -27,11 +27,11 @@ def test_a_cut_names_file_time_and_count(tmp_path: Path) -> None:
     assert 0 < index.n_messages < scan(whole).n_messages
 
 
-def test_a_cut_behind_the_last_message_loses_nothing(tmp_path: Path) -> None:
+def test_truncation_after_the_last_message_loses_nothing(tmp_path: Path) -> None:
     whole = samples.small_recording(tmp_path / "rec") / "0000.mcap"
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole.read_bytes()[:-4])
     index = scan(cut)
     assert index.n_messages == scan(whole).n_messages
     (line,) = describe(index)
-    assert "behind the last message" in line
+    assert "after the last message" in line

@@ -1,4 +1,4 @@
-"""Who goes first when there is no room."""
+"""What the mailbox drops when it is full."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def drain(mailbox: Mailbox[str]) -> list[str]:
     return items
 
 
-def test_order_of_arrival_is_kept_across_kinds() -> None:
+def test_items_of_both_kinds_come_out_in_order_of_arrival() -> None:
     mailbox: Mailbox[str] = Mailbox(100)
     for i, is_image in enumerate([True, False, False, True, False]):
         mailbox.put(str(i), 1, is_image)
     assert drain(mailbox) == list("01234")
 
 
-def test_the_oldest_that_is_no_image_goes_first() -> None:
+def test_the_oldest_item_that_is_not_an_image_is_dropped_first() -> None:
     mailbox: Mailbox[str] = Mailbox(4)
     for name, is_image in [("i0", True), ("p0", False), ("p1", False), ("i1", True)]:
         mailbox.put(name, 1, is_image)
@@ -38,7 +38,7 @@ def test_the_oldest_that_is_no_image_goes_first() -> None:
     assert drain(mailbox) == ["i1", "i2", "i3", "i4"]
 
 
-def test_images_never_make_room_for_anything_else() -> None:
+def test_an_image_is_not_dropped_for_another_item() -> None:
     mailbox: Mailbox[str] = Mailbox(2)
     mailbox.put("i0", 1, True)
     mailbox.put("i1", 1, True)
@@ -47,7 +47,7 @@ def test_images_never_make_room_for_anything_else() -> None:
     assert mailbox.dropped == (1, 0)
 
 
-def test_one_item_larger_than_the_room_still_passes() -> None:
+def test_a_single_item_larger_than_the_capacity_is_accepted() -> None:
     mailbox: Mailbox[str] = Mailbox(2)
     mailbox.put("huge", 10, True)
     assert drain(mailbox) == ["huge"]
@@ -68,7 +68,7 @@ def test_lossless_waits_for_room() -> None:
     assert mailbox.dropped == (0, 0)
 
 
-def test_lossless_says_so_when_the_disk_is_broken() -> None:
+def test_lossless_put_raises_if_the_disk_fails() -> None:
     mailbox: Mailbox[str] = Mailbox(1, lossless=True)
     mailbox.put("a", 1, True)
     threading.Timer(0.05, mailbox.set_broken, ["disk full"]).start()
@@ -76,7 +76,7 @@ def test_lossless_says_so_when_the_disk_is_broken() -> None:
         mailbox.put("b", 1, True)
 
 
-def test_closed_takes_nothing_more_but_gives_what_it_has() -> None:
+def test_a_closed_mailbox_rejects_items_but_can_be_emptied() -> None:
     mailbox: Mailbox[str] = Mailbox(5)
     mailbox.put("a", 1, False)
     mailbox.close()
@@ -85,7 +85,7 @@ def test_closed_takes_nothing_more_but_gives_what_it_has() -> None:
     assert drain(mailbox) == ["a"]
 
 
-def test_clear_counts_what_it_throws_away() -> None:
+def test_clear_counts_the_dropped_items() -> None:
     mailbox: Mailbox[str] = Mailbox(5)
     mailbox.put("a", 1, False)
     mailbox.put("b", 1, True)

@@ -1,4 +1,4 @@
-"""Reading whole, cut and damaged recordings."""
+"""Reading intact, truncated and damaged recordings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return samples.small_recording(tmp_path_factory.mktemp("recording") / "rec", N)
 
 
-def test_every_noun_comes_back_bit_for_bit(folder: Path) -> None:
+def test_everything_recorded_is_read_back_exactly(folder: Path) -> None:
     recording = Recording(folder)
     assert recording.losses == []
     for eye in Eye:
@@ -43,17 +43,17 @@ def test_every_noun_comes_back_bit_for_bit(folder: Path) -> None:
     assert recording.count(schema.POSE_LIVE) == N
 
 
-def test_frames_of_both_eyes_come_in_the_order_of_time(folder: Path) -> None:
+def test_frames_of_both_eyes_are_merged_by_time(folder: Path) -> None:
     times = [f.t_ns for f in Recording(folder).frames()]
     assert len(times) == 2 * N
     assert times == sorted(times)
 
 
-def test_a_single_file_opens_too(folder: Path) -> None:
+def test_a_single_file_can_be_opened(folder: Path) -> None:
     assert len(list(Recording(folder / "0000.mcap").poses())) == N
 
 
-def test_random_access_reads_few_bytes_and_keeps_little(folder: Path) -> None:
+def test_random_access_reads_and_caches_few_bytes(folder: Path) -> None:
     recording = Recording(folder)
     for k in random.Random(1).sample(range(N), N):
         for eye in Eye:
@@ -73,7 +73,7 @@ def test_the_cache_is_bounded(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert sum(map(len, recording._cache.values())) <= 20_000
 
 
-def test_missing_empty_and_foreign_files_are_one_line(tmp_path: Path) -> None:
+def test_missing_empty_and_foreign_files_raise_one_line(tmp_path: Path) -> None:
     empty, text, short = (tmp_path / n for n in ("empty.mcap", "text.mcap", "short.mcap"))
     empty.write_bytes(b"")
     text.write_text("not a recording, but longer than the magic")
@@ -99,14 +99,14 @@ def is_prefix(found: list, expected: list) -> bool:
     return len(found) <= len(expected) and all(map(samples.same, found, expected))
 
 
-def test_any_cut_gives_a_true_prefix_or_one_line(folder: Path, tmp_path: Path) -> None:
+def test_any_truncation_gives_a_prefix_or_one_error_line(folder: Path, tmp_path: Path) -> None:
     whole = (folder / "0000.mcap").read_bytes()
     cut_file = tmp_path / "0000.mcap.part"
     rng = random.Random(7)
     cuts = [0, 1, 8, 9, len(whole) - 1, *(rng.randrange(len(whole)) for _ in range(60))]
     recovered = 0
     for cut in cuts:
-        # half of them with the zeros that a power cut leaves behind
+        # half of them followed by zeros, as after a power cut
         cut_file.write_bytes(whole[:cut] + bytes(rng.choice([0, 5000])))
         try:
             recording = Recording(tmp_path)
@@ -125,11 +125,11 @@ def test_any_cut_gives_a_true_prefix_or_one_line(folder: Path, tmp_path: Path) -
                 assert samples.same(recording.window(window), samples.window(window.submap_id))
             except RecordingError as error:
                 assert "not in the recording" in str(error)
-    # a cut anywhere loses the half behind it on average, and not much more
+    # truncation at a random place loses half of the file on average, and not much more
     assert recovered > 0.3 * len(cuts) * 2 * N
 
 
-def test_a_flipped_bit_is_left_out_and_told(folder: Path, tmp_path: Path) -> None:
+def test_a_chunk_with_a_flipped_bit_is_left_out_and_reported(folder: Path, tmp_path: Path) -> None:
     whole = bytearray((folder / "0000.mcap").read_bytes())
     at = whole.index(samples.jpeg(2 * 6)) + 100
     whole[at] ^= 1
@@ -146,7 +146,7 @@ def test_a_flipped_bit_is_left_out_and_told(folder: Path, tmp_path: Path) -> Non
         recording.frame(Eye.PRIMARY, 6)
 
 
-def test_random_damage_never_raises_anything_else(folder: Path, tmp_path: Path) -> None:
+def test_random_damage_raises_only_recording_errors(folder: Path, tmp_path: Path) -> None:
     whole = (folder / "0000.mcap").read_bytes()
     rng = random.Random(3)
     path = tmp_path / "damaged.mcap"

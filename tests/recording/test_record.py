@@ -1,4 +1,4 @@
-"""The lossless encoding."""
+"""The encoding is lossless."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.recording import samples
         hnp.array_shapes(min_dims=0, max_dims=4, min_side=0),
     )
 )
-def test_any_array_comes_back_bit_for_bit(array: np.ndarray) -> None:
+def test_any_array_is_decoded_exactly(array: np.ndarray) -> None:
     _, arrays = record.decode("Submap", record.encode("Submap", {}, {"a": array}))
     assert samples.same(np.asarray(array), arrays["a"])
     assert arrays["a"].flags.writeable
@@ -35,7 +35,7 @@ def test_non_contiguous_and_big_endian_arrays_keep_their_values() -> None:
 
 
 @pytest.mark.parametrize("depth", [True, False])
-def test_nested_nouns_round_trip(depth: bool) -> None:
+def test_nested_dataclasses_round_trip(depth: bool) -> None:
     update = samples.update(depth=depth)
     data = record.encode("Submap", *record.flatten(update))
     again = record.unflatten(LocalizerUpdate, *record.decode("Submap", data))
@@ -52,13 +52,13 @@ def test_absent_optional_and_empty_values_round_trip() -> None:
     assert samples.same(bare, again)
 
 
-def test_fields_of_an_earlier_version_are_passed_over() -> None:
+def test_fields_of_an_earlier_version_are_ignored() -> None:
     header, arrays = record.flatten(samples.pose())
     again = record.unflatten(PoseSample, header | {"gone": 1}, arrays | {"T_gone": np.eye(4)})
     assert samples.same(samples.pose(), again)
 
 
-def test_a_missing_field_is_a_recording_error() -> None:
+def test_a_missing_field_raises_a_recording_error() -> None:
     header, arrays = record.flatten(samples.pose())
     del arrays["T_w_c"]
     with pytest.raises(RecordingError, match="PoseSample"):
@@ -66,12 +66,12 @@ def test_a_missing_field_is_a_recording_error() -> None:
 
 
 @pytest.mark.parametrize("data", [b"\xff\xff\xff", b"", b"\x0a\x03{,}"])
-def test_foreign_bytes_are_a_recording_error(data: bytes) -> None:
+def test_foreign_bytes_raise_a_recording_error(data: bytes) -> None:
     with pytest.raises(RecordingError):
         record.decode("PoseSample", data)
 
 
-def test_no_python_objects_are_ever_decoded() -> None:
+def test_python_objects_are_not_decoded() -> None:
     message = record.message_class("Submap")()
     message.header = "{}"  # type: ignore[attr-defined]
     message.arrays.add(name="a", dtype="|O", shape=[1], data=bytes(8))  # type: ignore[attr-defined]

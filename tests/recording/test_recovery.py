@@ -1,4 +1,4 @@
-"""Recovered copies hold exactly what the source still held."""
+"""Recovered copies hold exactly the intact messages of the source."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return samples.small_recording(tmp_path_factory.mktemp("recording") / "rec", N)
 
 
-def test_a_whole_recording_is_valid_and_copies_without_loss(folder: Path, tmp_path: Path) -> None:
+def test_an_intact_recording_is_valid_and_copies_without_loss(folder: Path, tmp_path: Path) -> None:
     report = validate(folder)
     assert (report.outcome, report.losses) == (Outcome.ALL, ())
     assert report.messages["/primary/image"] == N
@@ -37,7 +37,7 @@ def test_a_whole_recording_is_valid_and_copies_without_loss(folder: Path, tmp_pa
     )
 
 
-def test_cut_files_recover_to_files_any_reader_opens(folder: Path, tmp_path: Path) -> None:
+def test_truncated_files_are_recovered_to_valid_mcap(folder: Path, tmp_path: Path) -> None:
     whole = (folder / "0000.mcap").read_bytes()
     rng = random.Random(5)
     for i in range(8):
@@ -58,7 +58,7 @@ def test_cut_files_recover_to_files_any_reader_opens(folder: Path, tmp_path: Pat
         assert before.metadata == after.metadata
 
 
-def test_a_folder_recovers_segment_by_segment(folder: Path, tmp_path: Path) -> None:
+def test_a_folder_is_recovered_segment_by_segment(folder: Path, tmp_path: Path) -> None:
     source, whole = tmp_path / "rec", (folder / "0000.mcap").read_bytes()
     source.mkdir()
     (source / "0000.mcap").write_bytes(whole)
@@ -71,7 +71,7 @@ def test_a_folder_recovers_segment_by_segment(folder: Path, tmp_path: Path) -> N
     assert len(list(Recording(tmp_path / "out").frames(Eye.PRIMARY))) > N
 
 
-def test_nothing_is_ever_overwritten(folder: Path, tmp_path: Path) -> None:
+def test_existing_targets_are_not_overwritten(folder: Path, tmp_path: Path) -> None:
     target = tmp_path / "target.mcap"
     target.write_bytes(b"precious")
     with pytest.raises(RecordingError, match="exists already"):
@@ -83,7 +83,7 @@ def test_nothing_is_ever_overwritten(folder: Path, tmp_path: Path) -> None:
     assert (tmp_path / "other.mcap.part").read_bytes() == b"precious"
 
 
-def test_hopeless_sources_fail_in_one_line(folder: Path, tmp_path: Path) -> None:
+def test_unreadable_sources_fail_in_one_line(folder: Path, tmp_path: Path) -> None:
     empty = tmp_path / "empty.mcap"
     empty.touch()
     header = tmp_path / "header.mcap"
@@ -97,7 +97,7 @@ def test_hopeless_sources_fail_in_one_line(folder: Path, tmp_path: Path) -> None
     assert validate(tmp_path / "missing").outcome == Outcome.FAILED
 
 
-def test_validate_finds_a_single_flipped_bit(folder: Path, tmp_path: Path) -> None:
+def test_validate_detects_a_single_flipped_bit(folder: Path, tmp_path: Path) -> None:
     copy = tmp_path / "0000.mcap"
     shutil.copy(folder / "0000.mcap", copy)
     data = bytearray(copy.read_bytes())
@@ -109,7 +109,7 @@ def test_validate_finds_a_single_flipped_bit(folder: Path, tmp_path: Path) -> No
     assert recover(copy, tmp_path / "mended.mcap").messages == report.messages
 
 
-def test_a_copy_that_reads_back_differently_is_not_kept(
+def test_a_copy_that_reads_back_differently_is_removed(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = recovery._write
@@ -126,7 +126,9 @@ def test_a_copy_that_reads_back_differently_is_not_kept(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_default_target_lies_beside_and_is_no_segment(folder: Path, tmp_path: Path) -> None:
+def test_the_default_target_is_beside_the_source_and_not_a_segment(
+    folder: Path, tmp_path: Path
+) -> None:
     source = tmp_path / "rec"
     shutil.copytree(folder, source)
     part = source / "0001.mcap.part"

@@ -1,4 +1,4 @@
-"""Names of drives, the flag that keeps one, and the order in which files go."""
+"""Names of drives, the mark to keep one, and the order in which segments are removed."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def test_names_count_up_over_boots_and_removals(
     assert [p.name[:7] for p in drives(tmp_path / "root")] == ["000002-", "000003-", "1000000"]
 
 
-def test_a_root_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+def test_a_root_that_cannot_be_created_raises_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="cannot be written"):
         new_drive(tmp_path / "file")
 
 
-def test_the_oldest_goes_first_and_what_is_kept_or_not_ours_stays(tmp_path: Path) -> None:
+def test_the_oldest_is_removed_first_and_kept_or_foreign_files_stay(tmp_path: Path) -> None:
     old, kept, mine, present = (filled(tmp_path, 2) for _ in range(4))
     set_kept(kept, True)
     (old / "record_trajectory.tum").touch()
@@ -68,14 +68,14 @@ def test_the_oldest_goes_first_and_what_is_kept_or_not_ours_stays(tmp_path: Path
     assert remove_oldest(tmp_path, present) == (kept / "0000.mcap", 1)
 
 
-def test_a_drive_that_is_kept_while_it_is_recorded_loses_nothing(tmp_path: Path) -> None:
+def test_a_drive_marked_to_keep_while_recorded_loses_nothing(tmp_path: Path) -> None:
     present = filled(tmp_path, 3)
     set_kept(present, True)
     assert remove_oldest(tmp_path, present) is None
     assert is_kept(present)
 
 
-def test_a_drive_that_cannot_be_removed_does_not_hold_up_the_next(
+def test_a_drive_that_cannot_be_removed_is_skipped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stuck, loose, present = (filled(tmp_path, 1) for _ in range(3))
@@ -91,7 +91,7 @@ def test_a_drive_that_cannot_be_removed_does_not_hold_up_the_next(
     assert remove_oldest(tmp_path, present) is None
 
 
-def test_only_a_recording_can_be_kept(tmp_path: Path) -> None:
+def test_only_a_recording_can_be_marked_to_keep(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="holds no recording"):
         set_kept(tmp_path, True)
     with pytest.raises(RecordingError, match="holds no recording"):

@@ -1,4 +1,4 @@
-"""Walking files of other writers: compression, no chunks, no MCAP."""
+"""Indexing files of other writers: compressed, without chunks, not MCAP."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def write(path: Path, **options: object) -> None:
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_every_compression_reads_back(tmp_path: Path, compression: CompressionType) -> None:
+def test_every_compression_can_be_read(tmp_path: Path, compression: CompressionType) -> None:
     path = tmp_path / "a.mcap"
     write(path, compression=compression)
     index = scan(path)
@@ -39,7 +39,7 @@ def test_every_compression_reads_back(tmp_path: Path, compression: CompressionTy
     assert len(index.chunks) > 1
 
 
-def test_messages_outside_of_chunks_are_counted_not_hidden(tmp_path: Path) -> None:
+def test_messages_outside_of_chunks_are_counted(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write(path, use_chunking=False)
     index = scan(path)
@@ -47,7 +47,7 @@ def test_messages_outside_of_chunks_are_counted_not_hidden(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
-def test_a_chunk_that_swells_beyond_what_it_declares_is_damage(
+def test_a_chunk_larger_than_declared_counts_as_damaged(
     compression: CompressionType,
 ) -> None:
     zeros = bytes(64 << 20)

@@ -1,4 +1,4 @@
-"""Nouns to messages and back, and what a stock Foxglove reader sees."""
+"""Conversion to messages and back, and decoding by a standard Foxglove reader."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_jpeg_bytes_are_untouched() -> None:
     assert message.topic == "/assistant/image"
 
 
-def test_raw_pixels_are_encoded_once_at_the_given_quality() -> None:
+def test_raw_pixels_are_encoded_at_the_given_quality() -> None:
     pixels = cv2.imdecode(np.frombuffer(samples.jpeg(0), np.uint8), cv2.IMREAD_COLOR)
     frame = Frame(Eye.PRIMARY, 1, 7, np.asarray(pixels, np.uint8))
     expected = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 77])[1].tobytes()
@@ -33,14 +33,14 @@ def test_raw_pixels_are_encoded_once_at_the_given_quality() -> None:
     assert schema.read_frame(Eye.PRIMARY, 1, 7, message.data).image == expected
 
 
-def test_pixels_that_cannot_be_encoded_are_a_recording_error() -> None:
+def test_pixels_that_cannot_be_encoded_raise_a_recording_error() -> None:
     frame = Frame(Eye.PRIMARY, 9, 7, np.zeros((0, 0, 3), np.uint8))
     with pytest.raises(RecordingError, match="primary frame 9"):
         schema.frame_message(frame, 90)
 
 
 @pytest.mark.parametrize("t_ns", [-1, 1 << 63])
-def test_times_outside_the_format_are_refused(t_ns: int) -> None:
+def test_times_outside_the_range_of_mcap_raise(t_ns: int) -> None:
     with pytest.raises(RecordingError):
         schema.frame_message(Frame(Eye.PRIMARY, 0, t_ns, b"x"), 90)
 
@@ -53,12 +53,12 @@ def test_pose_and_update_round_trip() -> None:
     assert samples.same(schema.read_update(message.data), samples.update())
 
 
-def test_depth_is_left_out_unless_asked_for() -> None:
+def test_depth_is_left_out_unless_requested() -> None:
     message = schema.update_messages(samples.update(), log_depth=False)[0]
     assert samples.same(schema.read_update(message.data), samples.update(depth=False))
 
 
-def test_depth_beyond_half_precision_becomes_unknown_not_infinite() -> None:
+def test_depth_beyond_half_precision_becomes_unknown() -> None:
     update = samples.update()
     depth = np.full((5, 6, 8), 10.004, np.float32)
     depth[0, 0, :3] = [1e6, np.inf, np.nan]
@@ -72,7 +72,7 @@ def test_depth_beyond_half_precision_becomes_unknown_not_infinite() -> None:
     assert samples.same(once, twice)
 
 
-def test_a_stock_reader_decodes_every_message_and_the_poses_agree(tmp_path: Path) -> None:
+def test_a_standard_reader_decodes_every_message_to_the_same_poses(tmp_path: Path) -> None:
     samples.small_recording(tmp_path / "rec")
     seen: dict[str, list] = {}
     with (tmp_path / "rec" / "0000.mcap").open("rb") as file:

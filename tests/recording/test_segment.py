@@ -1,4 +1,4 @@
-"""One file: part until whole, nothing lost when the disk fails."""
+"""A segment is a .part file until finished, and loses nothing when the disk fails."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_the_final_name_appears_only_when_finished(tmp_path: Path) -> None:
     assert (index.n_messages, index.cut, index.metadata[0].metadata) == (1, "", {"b": "c"})
 
 
-def test_an_existing_part_is_never_overwritten(tmp_path: Path) -> None:
+def test_an_existing_part_file_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "0000.mcap.part").write_bytes(b"precious")
     with pytest.raises(FileExistsError):
         Segment(tmp_path, 0, 4096, {})
@@ -36,7 +36,7 @@ def test_an_existing_part_is_never_overwritten(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("room", [30_000, 33_333, 41_234])
-def test_what_the_disk_refused_is_given_back_and_the_rest_is_whole(
+def test_abandon_returns_unwritten_messages_and_leaves_a_valid_file(
     tmp_path: Path, room: int
 ) -> None:
     left = room

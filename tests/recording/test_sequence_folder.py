@@ -1,4 +1,4 @@
-"""A folder of pictures becomes frames, or one clear line."""
+"""A folder of images becomes frames, or one error line."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ def _drive(folder: Path, n: int = 3, suffix: str = ".jpg", times: bool = True) -
     return folder
 
 
-def test_jpeg_bytes_are_untouched_and_stamps_shifted(tmp_path: Path) -> None:
+def test_jpeg_bytes_are_unchanged_and_stamps_shifted(tmp_path: Path) -> None:
     folder = SequenceFolder(_drive(tmp_path / "d"))
     frames = list(folder.frames(Eye.ASSISTANT))
     assert [f.t_ns for f in frames] == [
@@ -51,12 +51,12 @@ def test_png_is_decoded_to_the_same_pixels(tmp_path: Path) -> None:
     assert np.array_equal(frames[1].image, _picture(1))
 
 
-def test_without_times_ten_frames_a_second(tmp_path: Path) -> None:
+def test_without_time_files_the_rate_is_ten_hertz(tmp_path: Path) -> None:
     folder = SequenceFolder(_drive(tmp_path / "d", times=False))
     assert folder.t_ns(Eye.PRIMARY).tolist() == [ORIGIN_NS + k * 100_000_000 for k in range(3)]
 
 
-def test_truth_is_never_opened(tmp_path: Path) -> None:
+def test_ground_truth_is_not_opened(tmp_path: Path) -> None:
     drive = _drive(tmp_path / "d")
     for name in ("poses0.txt", "calib.txt", "cloud.npy"):
         (drive / name).write_bytes(b"\xff not to be read")
@@ -125,7 +125,7 @@ def _one_time_file(drive: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("damage", "says"),
+    ("damage", "message"),
     [
         (_no_folder, "nowhere: no such folder"),
         (_one_camera, "cam1: missing"),
@@ -133,34 +133,34 @@ def _one_time_file(drive: Path) -> Path:
         (_unequal, "000002.jpg: 48x24 px"),
         (_not_an_image, "000001.jpg: not a readable image"),
         (_no_header, "000001.jpg: not a readable image"),
-        (_backwards, "times1.txt:3: time goes backwards"),
-        (_standing, "times0.txt:3: time goes backwards"),
+        (_backwards, "times1.txt:3: 0.1 s is not after the line before"),
+        (_standing, "times0.txt:3: 0.1 s is not after the line before"),
         (_words, "times0.txt:2: 'noon'"),
         (_infinite, "times0.txt:3: 'inf'"),
         (_too_few_times, "times1.txt: 2 times for 3 images"),
         (_one_time_file, "times0.txt: missing"),
     ],
 )
-def test_bad_folders_end_in_one_line(tmp_path: Path, damage, says: str) -> None:
+def test_invalid_folders_raise_one_line(tmp_path: Path, damage, message: str) -> None:
     with pytest.raises(SequenceError) as error:
         SequenceFolder(damage(_drive(tmp_path / "d")))
-    assert says in str(error.value)
+    assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_a_cut_image_is_told_when_its_turn_comes(tmp_path: Path, suffix: str) -> None:
+def test_a_truncated_image_raises_when_it_is_read(tmp_path: Path, suffix: str) -> None:
     drive = _drive(tmp_path / "d", suffix=suffix)
     file = drive / "cam0" / f"000001{suffix}"
     file.write_bytes(file.read_bytes()[:-300])
     frames = SequenceFolder(drive).frames(Eye.PRIMARY)
     assert next(frames).sequence == 0
-    with pytest.raises(SequenceError, match=r"000001.* cut short"):
+    with pytest.raises(SequenceError, match=r"000001.* truncated"):
         next(frames)
 
 
 @pytest.mark.parametrize("flags", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]])
-def test_image_size_reads_both_kinds_of_jpeg(tmp_path: Path, flags: list[int]) -> None:
+def test_image_size_reads_baseline_and_progressive_jpeg(tmp_path: Path, flags: list[int]) -> None:
     file = tmp_path / "a.jpg"
     cv2.imwrite(str(file), _picture(0, width=321, height=57), flags)
     assert image_size(file) == (321, 57)

@@ -1,4 +1,4 @@
-"""Windows come back from the recording, bit for bit."""
+"""Windows are rebuilt from the recording exactly."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.recording import samples
 
 
 @pytest.mark.parametrize("loop", [True, False])
-def test_rebuilt_window_is_the_window(loop: bool) -> None:
+def test_a_rebuilt_window_equals_the_original(loop: bool) -> None:
     window = samples.window(4, loop)
 
     def fetch(eye: Eye, sequence: int, t_ns: int) -> Frame:

@@ -1,4 +1,4 @@
-"""The writer's promises while the disk is well."""
+"""The recording writer while the disk works."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def until(condition: Callable[[], bool], timeout_s: float = 5) -> None:
         time.sleep(0.01)
 
 
-def test_an_existing_recording_is_refused_untouched(tmp_path: Path) -> None:
+def test_an_existing_recording_raises_and_is_not_changed(tmp_path: Path) -> None:
     for name in ("0000.mcap", "0007.mcap.part"):
         folder = tmp_path / name
         folder.mkdir()
@@ -47,7 +47,7 @@ def test_an_existing_recording_is_refused_untouched(tmp_path: Path) -> None:
         assert [p.read_bytes() for p in folder.iterdir()] == [b"precious"]
 
 
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_raises_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="cannot be written"):
         RecordingWriter(tmp_path / "file", samples.config())
@@ -55,7 +55,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
         RecordingWriter(tmp_path / "file" / "below", samples.config())
 
 
-def test_segments_are_cut_by_time_and_each_stands_alone(tmp_path: Path) -> None:
+def test_segments_end_by_time_and_can_be_read_alone(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path, samples.config(segment_s=0.25, flush_s=0.1)) as writer:
         for k in range(10):
             writer.write_frame(samples.frame(Eye.PRIMARY, k))
@@ -71,7 +71,7 @@ def test_segments_are_cut_by_time_and_each_stands_alone(tmp_path: Path) -> None:
         assert Recording(tmp_path / name).config == samples.config(segment_s=0.25, flush_s=0.1)
 
 
-def test_what_was_written_is_on_disk_within_the_flush_time_even_when_idle(tmp_path: Path) -> None:
+def test_messages_are_in_the_file_within_flush_s_even_when_idle(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path, samples.config(flush_s=0.1)) as writer:
         time.sleep(0.05)
         writer.write_pose(samples.pose())
@@ -82,7 +82,7 @@ def test_what_was_written_is_on_disk_within_the_flush_time_even_when_idle(tmp_pa
     assert max(offsets) - min(offsets) < 50_000_000
 
 
-def test_log_and_status_come_back(tmp_path: Path) -> None:
+def test_log_and_status_are_read_back(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path, samples.config(), now_ns=lambda: 42) as writer:
         writer.write_log(logging.WARNING, "a camera is gone")
         writer.write_status({"state": "lagging", "frames": 7, "where": Path("x")})
@@ -91,7 +91,7 @@ def test_log_and_status_come_back(tmp_path: Path) -> None:
     assert status == [{"state": "lagging", "frames": 7, "where": "x"}]
 
 
-def test_what_the_cameras_settled_on_is_in_every_segment_and_the_last_word_holds(
+def test_camera_settings_are_in_every_segment_and_the_last_ones_apply(
     tmp_path: Path,
 ) -> None:
     with RecordingWriter(tmp_path, samples.config(segment_s=0.1, flush_s=0.02)) as writer:
@@ -109,7 +109,7 @@ def test_what_the_cameras_settled_on_is_in_every_segment_and_the_last_word_holds
     assert [f.sequence for f in whole.frames(Eye.PRIMARY)] == [0, 1]
 
 
-def test_one_bad_item_costs_only_itself(tmp_path: Path) -> None:
+def test_an_item_that_cannot_be_encoded_loses_only_itself(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path, samples.config()) as writer:
         writer.write_frame(samples.frame(Eye.PRIMARY, 0))
         writer.write_frame(Frame(Eye.PRIMARY, 1, 5, np.zeros((0, 3, 3), np.uint8)))
@@ -121,7 +121,7 @@ def test_one_bad_item_costs_only_itself(tmp_path: Path) -> None:
 
 
 class SlowDisk:
-    """A disk that stands still until it is let go."""
+    """A disk whose writes block while `go` is cleared."""
 
     def __init__(self) -> None:
         self.go = threading.Event()
@@ -132,7 +132,7 @@ class SlowDisk:
         return os.write(fd, data)
 
 
-def test_a_slow_disk_never_blocks_the_caller_and_costs_images_last(tmp_path: Path) -> None:
+def test_a_slow_disk_does_not_block_and_images_are_dropped_last(tmp_path: Path) -> None:
     disk = SlowDisk()
     settings = samples.config(chunk_bytes=1024, flush_s=0.05)
     writer = RecordingWriter(tmp_path, settings, queue_bytes=60_000, write=disk)
@@ -159,7 +159,7 @@ def test_a_slow_disk_never_blocks_the_caller_and_costs_images_last(tmp_path: Pat
     assert len(list(recording.poses())) + health.dropped_others == 200
 
 
-def test_drops_are_said_in_the_log(tmp_path: Path) -> None:
+def test_drops_are_logged(tmp_path: Path) -> None:
     disk = SlowDisk()
     settings = samples.config(chunk_bytes=1024, flush_s=0.05)
     writer = RecordingWriter(tmp_path, settings, queue_bytes=5_000, write=disk)
@@ -172,7 +172,7 @@ def test_drops_are_said_in_the_log(tmp_path: Path) -> None:
     writer.close()
 
 
-def test_lossless_loses_nothing_however_slow_the_disk(tmp_path: Path) -> None:
+def test_lossless_mode_loses_nothing_with_a_slow_disk(tmp_path: Path) -> None:
     def slow(fd: int, data: bytes) -> int:
         time.sleep(0.001)
         return os.write(fd, data)
