@@ -28,6 +28,7 @@ COMMANDS = {
     "cost": ("bench.cost.command", "time and memory of each stage, and over a long drive"),
     "cost.load": ("bench.cost.load", "frame loss and pose age on a busy machine"),
     "cost.mapping": ("bench.cost.mapping", "processor time of anchors and mapping by stage"),
+    "cost.search": ("bench.cost.focal_search", "focal errors of the intrinsic search over sigma"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }

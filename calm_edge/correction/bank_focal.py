@@ -12,7 +12,7 @@ from calm_edge.correction.test_bank import TestBank, focal_range
 from calm_edge.types import Float
 
 # Pairs of one window share their views, hence their noise: true errors of the minimum over what
-# independent matrices would claim, measured on synthetic turns (tests/correction/time_search.py).
+# independent matrices would claim, measured on synthetic turns (bench/cost/focal_search.py).
 _SHARED_NOISE = 1.65
 # beyond it the verdict is "uninformative"; below, the damping follows the sigma
 INFORMATIVE_LOG_SIGMA = 0.1

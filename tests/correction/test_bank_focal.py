@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from bench.scripted.motions import K, group
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import bank_focal, spectral
 from calm_edge.correction.test_bank import TestBank
 from calm_edge.geometry import pinhole
-from tests.correction.motions import K, group
 
 GUESS = pinhole.matrix(805, 805, K[0, 2], K[1, 2])
 

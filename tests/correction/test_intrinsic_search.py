@@ -3,12 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.scripted.motions import group, motion, seen
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction.eye_search import MAX_CANDIDATES
 from calm_edge.correction.intrinsic_search import IntrinsicSearch, views_of
 from calm_edge.correction.pool import BIAS_LOG_SIGMA
 from device.frame import Eye
-from tests.correction.motions import both_eyes, group, motion, seen, submap
+from tests.correction.submaps import both_eyes, submap
 
 CONFIG = CorrectionConfig(group_every=2, n_group=2)
 N = 8

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from bench.scripted.motions import K, group, motion
 from calm_edge.correction import spectral
 from calm_edge.geometry import epipolar, pinhole, se3
-from tests.correction.motions import K, group, motion
 
 FOCALS = 700 * np.array([0.7, 0.85, 1.0, 1.15, 1.3])
 

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.scripted.motions import N_VIEWS, K, group, motion, seen
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import test_bank
 from calm_edge.correction.matches import from_landmarks
@@ -10,7 +11,6 @@ from calm_edge.correction.test_bank import GroupBuilder
 from calm_edge.geometry import epipolar, se3
 from calm_edge.types import Landmarks
 from device.frame import Eye
-from tests.correction.motions import N_VIEWS, K, group, motion, seen
 
 CONFIG = CorrectionConfig()
 AT = float(np.log(700))

@@ -1,4 +1,4 @@
-"""Motions on which a focal can and cannot be told, and the pixels a camera sees on them."""
+"""Motions on which a focal length is or is not observable, and the pixels a camera sees."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from calm_edge.config import CorrectionConfig
 from calm_edge.correction.matches import from_landmarks
 from calm_edge.correction.test_bank import BankGroup, GroupBuilder
 from calm_edge.geometry import pinhole, se3
-from calm_edge.types import Float, Landmarks, Submap
+from calm_edge.types import Float, Landmarks
 from device.frame import Eye
 
 SIZE = (1226, 370)
@@ -56,7 +56,7 @@ def seen(
     outliers: float = 0.0,
     points: int = 1500,
 ) -> Landmarks:
-    """What the views saw of points around the way; a share of the pixels lies anywhere."""
+    """Pixels of points around the path in every view; a share `outliers` of them is uniform."""
     rng = np.random.default_rng(seed)
     p = rng.uniform([-18, -6, 3], [18, 1.6, 50], (points, 3))
     p[np.abs(p[:, 0]) < 4, 1] = 1.6
@@ -92,9 +92,9 @@ def group(
     noise_px: float = 0.3,
     outliers: float = 0.0,
 ) -> BankGroup:
-    """A group of one motion; px of the camera's focal, of its principal point off the guess's.
+    """A group of one motion, its information computed at the guess.
 
-    Its information is weighed at the guess.
+    guess, focal: px. off_px: the true principal point relative to the guessed one.
     """
     camera = pinhole.matrix(focal, focal, K[0, 2] + off_px[0], K[1, 2] + off_px[1])
     landmarks = seen(motion(kind), seed, camera=camera, noise_px=noise_px, outliers=outliers)
@@ -103,38 +103,3 @@ def group(
     built = builder.finish(shape)
     assert built is not None
     return built
-
-
-def submap(number: int, focals: tuple[float, float], n: int = N_VIEWS) -> Submap:
-    """A sub-map of n views an eye whose backbone guessed these focals [px]; nothing else is told.
-
-    A loop keyframe of absurd focal trails the batch.
-    """
-    guesses = np.repeat([*focals, 1e5], [n, n, 1])
-    shapes = np.stack([pinhole.matrix(f, f, K[0, 2], K[1, 2]) for f in guesses])
-    poses = np.tile(np.eye(4), (2 * n + 1, 1, 1))
-    ids = tuple(range(number * n, (number + 1) * n))
-    return Submap(
-        id=number,
-        primary_ids=ids,
-        assistant_ids=ids,
-        n_overlap=0,
-        t_ns=np.arange(2 * n + 1),
-        T_s_c_raw=poses,
-        K_raw=shapes,
-        T_s_c=poses,
-        K=shapes,
-        scale=1.0,
-        T_w_s=np.eye(4),
-        focal_log_sigma=np.full(2, np.inf),
-    )
-
-
-def both_eyes(landmarks: Landmarks, other: Landmarks, n: int = N_VIEWS) -> Landmarks:
-    """One batch of the primary's and the assistant's landmarks."""
-    return Landmarks(
-        points_s=np.concatenate([landmarks.points_s, other.points_s]),
-        index=np.concatenate([landmarks.index, other.index + len(landmarks.points_s)]),
-        view=np.concatenate([landmarks.view, other.view + n]),
-        uv=np.concatenate([landmarks.uv, other.uv]),
-    )

@@ -1,0 +1,81 @@
+"""Errors of the intrinsic search (paper V-A) over their claimed sigma, by motion, and its time.
+
+Scripted motions with 0.3 px of pixel noise and the principal point drawn within its prior; the
+initial focal length is 10 % too long.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+from bench.scripted.motions import SIZE, K, group
+from bench.tables import OUT, Table, publish
+from calm_edge.config import CorrectionConfig
+from calm_edge.correction import bank_focal
+from calm_edge.correction.spectral import PRINCIPAL_POINT_SHARE
+from calm_edge.correction.test_bank import TestBank
+from calm_edge.geometry import pinhole
+
+GUESS = pinhole.matrix(1.1 * K[0, 0], 1.1 * K[1, 1], K[0, 2], K[1, 2])
+# Motions of the groups of one bank, see `bench.scripted.motions.motion`.
+BANKS = (
+    ("general",),
+    ("ahead", "-ahead"),
+    ("general", "-ahead", "straight", "ahead", "-general"),
+    ("tangent", "-tangent", "straight", "tangent", "tangent"),
+)
+COLUMNS = (
+    "motions",
+    "informative",
+    "log error rms",
+    "log sigma median",
+    "error / sigma rms",
+    "processor ms",
+)
+
+
+def row(kinds: Sequence[str], seeds: int) -> tuple[str | float | None, ...]:
+    """Of the banks drawn by each seed: figures of the informative ones, and the median time."""
+    found, milliseconds = [], []
+    for seed in range(seeds):
+        rng = np.random.default_rng([seed, len(kinds)])
+        dx, dy = (rng.normal(size=2) * PRINCIPAL_POINT_SHARE * SIZE[0]).tolist()
+        bank = TestBank(CorrectionConfig())
+        for n, kind in enumerate(kinds):
+            made = group(kind, seed * 10 + n, guess=GUESS[0, 0], off_px=(dx, dy))
+            bank.add(made, np.log(GUESS[0, 0]))
+        start = process_time()
+        found.append(bank_focal.minimise(bank, GUESS, GUESS[0, 0], weighted=True))
+        milliseconds.append(1e3 * (process_time() - start))
+    error = np.array([one.log_focal for one in found]) - np.log(K[0, 0])
+    sigma = np.array([one.log_sigma for one in found])
+    informative = np.isfinite(sigma)
+    error, sigma = error[informative], sigma[informative]
+    figures: tuple[float | None, ...] = (None,) * 3
+    if len(error):
+        ratio = error / sigma
+        figures = tuple(
+            map(float, (np.sqrt((error**2).mean()), np.median(sigma), np.sqrt((ratio**2).mean())))
+        )
+    count = f"{len(error)} of {seeds}"
+    return (" ".join(kinds), count, *figures, float(np.median(milliseconds)))
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
+    parser.add_argument("--seeds", type=int, default=200, help="banks of each kind")
+    parser.add_argument("--out", type=Path, default=OUT)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print and keep the table."""
+    title = "Focal lengths of the intrinsic search"
+    rows = tuple(row(kinds, options.seeds) for kinds in BANKS)
+    notes = ("error / sigma is 1 where the claimed sigma is right",)
+    table = Table("bench_search", title, options.command, COLUMNS, rows, (), notes)
+    return publish(table, options.out)

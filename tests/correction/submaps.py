@@ -1,0 +1,44 @@
+"""Sub-maps of guessed focals, and landmarks of both eyes in one batch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.scripted.motions import N_VIEWS, K
+from calm_edge.geometry import pinhole
+from calm_edge.types import Landmarks, Submap
+
+
+def submap(number: int, focals: tuple[float, float], n: int = N_VIEWS) -> Submap:
+    """A sub-map of n views an eye whose backbone guessed these focals [px]; nothing else is told.
+
+    A loop keyframe of absurd focal trails the batch.
+    """
+    guesses = np.repeat([*focals, 1e5], [n, n, 1])
+    shapes = np.stack([pinhole.matrix(f, f, K[0, 2], K[1, 2]) for f in guesses])
+    poses = np.tile(np.eye(4), (2 * n + 1, 1, 1))
+    ids = tuple(range(number * n, (number + 1) * n))
+    return Submap(
+        id=number,
+        primary_ids=ids,
+        assistant_ids=ids,
+        n_overlap=0,
+        t_ns=np.arange(2 * n + 1),
+        T_s_c_raw=poses,
+        K_raw=shapes,
+        T_s_c=poses,
+        K=shapes,
+        scale=1.0,
+        T_w_s=np.eye(4),
+        focal_log_sigma=np.full(2, np.inf),
+    )
+
+
+def both_eyes(landmarks: Landmarks, other: Landmarks, n: int = N_VIEWS) -> Landmarks:
+    """One batch of the primary's and the assistant's landmarks."""
+    return Landmarks(
+        points_s=np.concatenate([landmarks.points_s, other.points_s]),
+        index=np.concatenate([landmarks.index, other.index + len(landmarks.points_s)]),
+        view=np.concatenate([landmarks.view, other.view + n]),
+        uv=np.concatenate([landmarks.uv, other.uv]),
+    )
