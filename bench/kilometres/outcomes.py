@@ -1,7 +1,7 @@
-"""What every run of the kilometre tables gave, one small file a run, so that a stop loses one run.
+"""Outcomes of the runs behind the kilometre tables, one file each: a stop loses one run.
 
-A file is named by the code, the dials and the settings that made it: what other code gave is not
-read, unless it is asked for.
+A file is named by a hash of the code, the error model and the settings that made it. Outcomes of
+other code are not read unless asked for.
 """
 
 from __future__ import annotations
@@ -22,37 +22,16 @@ from bench.kilometres.drives import Drive
 from bench.kilometres.loops import ScriptedLoops
 from bench.kilometres.predictions import CACHE, CachedBackbone
 from bench.kilometres.runs import Variant, run
+from bench.kilometres.sources import digest
 from bench.kilometres.streams import Streams
 from calm_edge.config import Config
-from calm_edge.estimator import scale
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.evaluation.trajectory import scale_consistency
 from calm_edge.types import CalmEdgeError
 
 OUTCOMES = CACHE / "outcomes"
-_PACKAGE = Path(scale.__file__).parent
-# What of the package bears on an outcome; the tables themselves do not.
-_PARTS = (
-    "*.py",
-    "baselines/*.py",
-    "backbones/*.py",
-    "backbones/scripted/*.py",
-    "correction/*.py",
-    "frontend/association.py",
-    "geometry/*.py",
-    "posegraph/*.py",
-)
-_OF_KILOMETRES = ("dials", "drives", "loops", "rivals", "runs", "streams")
-
-
-def _code() -> bytes:
-    files = [f for part in _PARTS for f in sorted(_PACKAGE.glob(part))]
-    files += [Path(__file__).with_name(f"{name}.py") for name in _OF_KILOMETRES]
-    return b"".join(f.read_bytes() for f in files)
-
-
-# As it was loaded: what is edited while a run goes on must not pass for what the run did.
-_CODE = hashlib.sha256(_code()).hexdigest()
+# Hashed when loaded: an edit during a long run must not change the key of its outcomes.
+_CODE = digest(("bench.kilometres.outcomes", "bench.kilometres.rivals"))
 
 
 class OutcomeError(CalmEdgeError):

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import scripted
 from bench.drives import ROOT
 from bench.kilometres.drives import Drive
+from bench.kilometres.sources import digest
 from bench.scripted import ScriptedBackbone, ScriptedErrors
 from calm_edge.types import Float32, Hints, Int, Landmarks, Prediction
 
 CACHE = ROOT / "build" / "kilometres"
 
 
-# As it was loaded: what is edited while a run goes on must not pass for what the run did.
-_CODE = b"".join(f.read_bytes() for f in sorted(Path(scripted.__path__[0]).glob("*.py")))
+# Hashed when loaded: an edit during a long run must not change the key of its predictions.
+_CODE = digest(("bench.scripted",))
 
 
 class CachedBackbone:
@@ -54,15 +54,14 @@ class CachedBackbone:
 
 
 def cached(drive: Drive, dials: ScriptedErrors, folder: Path = CACHE) -> CachedBackbone:
-    """The drive seen through the dials; what another code, drive or dial said is not read."""
-    digest = hashlib.sha256(repr(dials).encode())
-    digest.update(_CODE)
+    """The drive seen through the dials. Predictions of other code, drives or dials are not read."""
+    made_by = hashlib.sha256(f"{_CODE}{dials}".encode())
     scene = drive.scene
     for array in (scene.t_ns, scene.T_w_p, scene.T_p_a, scene.K, scene.size):
-        digest.update(array.tobytes())
+        made_by.update(array.tobytes())
     for eye in scene.exposures or ():
-        digest.update(eye.stamp_ns.tobytes() + eye.t_ns.tobytes())
-    name = f"{drive.name}_{dials.seed}_{digest.hexdigest()[:12]}"
+        made_by.update(eye.stamp_ns.tobytes() + eye.t_ns.tobytes())
+    name = f"{drive.name}_{dials.seed}_{made_by.hexdigest()[:12]}"
     return CachedBackbone(ScriptedBackbone(scene, dials), folder / name)
 
 
