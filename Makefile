@@ -13,8 +13,13 @@ DEMO_PACE ?= lockstep
 
 setup: .venv/.stamp
 
-.venv/.stamp: requirements.txt requirements-dev.txt requirements-systemd.txt deploy/setup.sh
-	@deploy/setup.sh
+DECLARED := pyproject.toml constraints.txt deploy/setup.sh
+.venv/.stamp: $(DECLARED)
+	@deploy/setup.sh oak,report && touch $@
+
+# what tests and lints besides
+.venv/.stamp-dev: $(DECLARED)
+	@deploy/setup.sh oak,report,dev && touch .venv/.stamp $@
 
 demo: setup
 	@rm -rf $(DEMO_OUT) && mkdir -p $(DEMO_OUT)
@@ -30,22 +35,22 @@ demo: setup
 # Freed memory is kept: giving pages back and asking for them anew is half the time of the tests
 test: export MALLOC_MMAP_MAX_ := 0
 test: export MALLOC_TRIM_THRESHOLD_ := 8000000000
-test: setup
+test: .venv/.stamp-dev
 	.venv/bin/python -m pytest -n 2 --dist loadfile --ignore tests/faults
 	.venv/bin/python -m pytest tests/faults
 
-lint: setup
+lint: .venv/.stamp-dev
 	.venv/bin/ruff check $(PYTHON_SOURCES)
 	.venv/bin/ruff format --check $(PYTHON_SOURCES)
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
 # what is done to the daemon, and what comes of it; FAULTS="kill disk" does some rows only
-faults: setup
+faults: .venv/.stamp-dev
 	.venv/bin/python -m tests.faults.table $(FAULTS)
 
 # what we send over the serial line, read by a Rust and a Node decoder; skips what is not here
-interop: setup
+interop: .venv/.stamp-dev
 	.venv/bin/python -m tests.interop.mavlink_decoders
 
 # 3: completed with loss, which a machine that is too slow or too busy does
@@ -77,18 +82,18 @@ eval: setup
 
 # the packages for this release and machine, into build/deb
 deb: setup
-	@.venv/bin/python deploy/build_deb.py
+	@.venv/bin/python -m deploy.build_deb
 
 # installs, uses, upgrades and removes them in a Debian tree of its own; needs root and debootstrap
-deb-test: setup
-	@.venv/bin/python deploy/try_deb.py
+deb-test: .venv/.stamp-dev
+	@.venv/bin/python -m deploy.try_deb
 
 # bring-up of a real kit: hil_tests/README.md says what to plug in; HIL="2 3" picks tests
 hil: setup
 	@.venv/bin/python -m hil_tests $(HIL)
 
 # the package, power cuts and failing disks on an emulated machine; hil_tests/vm/README.md
-vm-test: setup
+vm-test: .venv/.stamp-dev
 	@.venv/bin/python -m hil_tests.vm $(VM)
 
 # what the learned model has to beat, on pictures and on whole drives, and whether it does

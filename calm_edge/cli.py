@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Sequence
 
+from calm_edge import __version__
 from calm_edge.commands.exit_codes import ERROR
 
 COMMANDS = {
@@ -33,6 +34,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="Calibration-free SLAM with two ordinary cameras.",
         epilog="exit codes: 0 ok, 1 error, 2 usage, 3 completed with loss",
     )
+    parser.add_argument("--version", action="version", version=f"calm-edge {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
         module = importlib.import_module(f"calm_edge.commands.{name.replace('-', '_')}")

@@ -1,8 +1,8 @@
-"""Builds calm-edge_VERSION_ARCH.deb and calm-edge-oak_VERSION_ARCH.deb out of one commit.
+"""Build calm-edge_VERSION_ARCH.deb and calm-edge-oak_VERSION_ARCH.deb from one commit.
 
-The packages hold a virtual environment with every wheel they need under /opt/calm-edge: nothing is
-downloaded when they are installed. They fit the release and the machine that they are built on,
-and the same commit gives the same bytes.
+The packages hold a virtual environment with all dependencies under /opt/calm-edge: nothing is
+downloaded when they are installed. They fit the release and the architecture that they are built
+on, and the same commit, built with the same tools, gives the same bytes.
 """
 
 from __future__ import annotations
@@ -17,28 +17,21 @@ import tarfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from deb_archive import SCRIPTS, control_folder, pack
+from deploy.deb_archive import SCRIPTS, control_folder, pack
 
 ROOT = Path(__file__).resolve().parents[1]
 PREFIX = Path("opt/calm-edge")
-# drawings in reports alone: `map` is at home on a bigger machine
-LEFT_OUT = {
-    *("matplotlib", "contourpy", "cycler", "fonttools", "kiwisolver", "pillow"),
-    *("pyparsing", "python-dateutil"),
-}
-OAK = "depthai"
-# what a wheel brings along for its own developers
+# parts of wheels that nothing imports at run time; gtsam declares pytest for tests of its own
 UNUSED = (
-    *("**/tests", "*/include", "numpy/_core/include", "**/*.pyi", "bin", "share", "pylab.py"),
+    *("**/tests", "*/include", "numpy/_core/include", "**/*.pyi", "bin", "share"),
     *("gtsam/Data", "gtsam/examples", "onnxruntime/transformers", "onnxruntime/tools"),
     *("onnxruntime/quantization", "onnxruntime/datasets", "depthai_cli"),
+    *("pytest*", "_pytest", "py.py", "pluggy*", "iniconfig*"),
 )
-# of models/: what is needed to run one, not to make it; a model without its licence is refused
-MODEL_SUFFIXES = {".toml", ".json", ".onnx", ".npz"}
 MAINTAINER = "calm-edge maintainers <maintainers@calm-edge.invalid>"
 ABOUT = {
     "Suggests": "calm-edge-oak",
-    "Description": "SLAM with two ordinary cameras that nobody calibrated\n"
+    "Description": "SLAM with two uncalibrated cameras\n"
     " Records both cameras, sends poses to a flight controller, and makes a dense\n"
     " map of the recording afterwards. Runs as a service from boot.",
 }
@@ -49,7 +42,7 @@ ABOUT_OAK = {
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What the packages are for: the interpreter of the release, and the machine."""
+    """What the packages are built for: the release's interpreter, architecture and C library."""
 
     python: Path
     version: tuple[int, int]
@@ -62,11 +55,11 @@ class Target:
 
     @property
     def site(self) -> Path:
-        """site-packages below the file system's root."""
+        """site-packages, relative to the root of the file system."""
         return PREFIX / "lib" / self.name / "site-packages"
 
 
-def say(text: str) -> None:
+def report(text: str) -> None:
     print(f"deb: {text}", file=sys.stderr)
 
 
@@ -75,11 +68,11 @@ def output(*command: str | Path) -> str:
 
 
 def target_of(python: Path) -> Target:
-    """The release's own interpreter; exits with a line when there is none that will do."""
+    """Describe the release's own interpreter; exits with one line if there is none that will do."""
     if not python.exists():
-        sys.exit(f"deb: {python} is missing. Mend: apt-get install python3 python3-dev")
-    ask = "import sys, platform; print(*sys.version_info[:2], platform.libc_ver()[1])"
-    major, minor, libc = output(python, "-I", "-c", ask).split()
+        sys.exit(f"deb: {python} is missing. Remedy: apt-get install python3 python3-dev")
+    script = "import sys, platform; print(*sys.version_info[:2], platform.libc_ver()[1])"
+    major, minor, libc = output(python, "-I", "-c", script).split()
     if (int(major), int(minor)) < (3, 11):
         sys.exit(f"deb: {python} is {major}.{minor}; calm-edge needs 3.11 (Debian 12) or newer")
     architecture = output("dpkg", "--print-architecture").strip()
@@ -87,25 +80,15 @@ def target_of(python: Path) -> Target:
     return Target(real, (int(major), int(minor)), architecture, libc)
 
 
-def requirements(commit: str) -> tuple[list[str], list[str]]:
-    """Pinned lines for the main package and for the OAK one."""
-    text = "\n".join(
-        (ROOT / n).read_text() for n in ("requirements.txt", "requirements-systemd.txt")
-    )
-    lines = [line.strip() for line in text.splitlines() if line.strip() and line[0] != "#"]
-    named = [(line, line.partition("==")[0].lower()) for line in lines]
-    return (
-        [line for line, name in named if name not in LEFT_OUT and name != OAK],
-        [line for line, name in named if name == OAK],
-    )
+def install_packages(target: Target, site: Path, commit: Path, *what: str) -> None:
+    """Install into a site-packages folder as pip does for the target, less what is unused.
 
-
-def install_wheels(target: Target, site: Path, lines: list[str]) -> None:
-    """The pinned wheels, unpacked by pip for the target's interpreter, less what is unused."""
+    commit: the unpacked commit, whose pins hold.
+    """
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "-q"]
     where = ["--python", str(target.python), "install", "--target", str(site)]
-    how = ["--no-deps", "--no-compile", "--no-warn-script-location"]
-    done = subprocess.run([*pip, *where, *how, *lines], capture_output=True, text=True, check=False)
+    how = ["--no-compile", "--no-warn-script-location", "-c", str(commit / "constraints.txt")]
+    done = subprocess.run([*pip, *where, *how, *what], capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(
             f"deb: pip failed: {done.stderr.strip().splitlines()[-1]}. systemd-python is built "
@@ -119,55 +102,44 @@ def install_wheels(target: Target, site: Path, lines: list[str]) -> None:
         if tag not in path.name:
             path.unlink()
     for info in site.glob("*.dist-info"):
-        # pip writes down where it was run and with what; neither belongs into the package
+        # these record paths of the build
         for name in ("RECORD", "direct_url.json", "REQUESTED"):
             (info / name).unlink(missing_ok=True)
 
 
-def unpack_commit(stage: Path, target: Target, commit: str) -> None:
-    """Our own files, as committed, to where each belongs."""
-    kept = stage.parent / "commit"
-    with tarfile.open(fileobj=io.BytesIO(archive(commit))) as tar:
-        tar.extractall(kept, filter="data")
-    app = stage / PREFIX / "app"
-    for name in ("calm_edge", "device"):
-        shutil.copytree(kept / name, app / name)
-    for path in (kept / "models").rglob("*"):
-        if path.suffix in MODEL_SUFFIXES or path.name == "LICENSE":
-            place = app / path.relative_to(kept)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(path, place)
-    (stage / target.site / "calm-edge.pth").write_text("../../../app\n")
-    deploy = kept / "deploy"
-    for source, place in {
-        "calm-edge.service": "usr/lib/systemd/system/calm-edge.service",
-        "99-calm-edge.rules": "usr/lib/udev/rules.d/99-calm-edge.rules",
-        "calm-edge.modules-load.conf": "usr/lib/modules-load.d/calm-edge.conf",
-        "calm-edge.toml": "etc/calm-edge/calm-edge.toml",
-        "debian/copyright": "usr/share/doc/calm-edge/copyright",
-        "../README.md": "usr/share/doc/calm-edge/README.md",
-        "../docs/deploy.md": "usr/share/doc/calm-edge/deploy.md",
-        "../docs/serial.md": "usr/share/doc/calm-edge/serial.md",
-    }.items():
-        (stage / place).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(deploy / source, stage / place)
-    for script in SCRIPTS:
-        shutil.copy(deploy / "debian" / script, control_folder(stage) / script)
-
-
-def archive(commit: str) -> bytes:
-    """What is packed of a commit, as a tar file."""
+def unpack(commit: str, folder: Path) -> Path:
+    """Unpack what the packages hold of a commit; returns the folder."""
     documents = ("docs/deploy.md", "docs/serial.md", "README.md")
-    parts = ["calm_edge", "device", "models", "deploy", *documents]
+    parts = ["calm_edge", "device", "deploy", "pyproject.toml", "constraints.txt", *documents]
     command = ["git", "archive", commit, *parts]
     done = subprocess.run(command, check=False, capture_output=True, cwd=ROOT)
     if done.returncode:
         sys.exit(f"deb: git archive: {done.stderr.decode().strip()}")
-    return done.stdout
+    with tarfile.open(fileobj=io.BytesIO(done.stdout)) as tar:
+        tar.extractall(folder, filter="data")
+    return folder
+
+
+def place_files(stage: Path, commit: Path) -> None:
+    """Copy the unit, device rules, configuration, documents and maintainer scripts into place."""
+    for name, place in {
+        "deploy/calm-edge.service": "usr/lib/systemd/system/calm-edge.service",
+        "deploy/99-calm-edge.rules": "usr/lib/udev/rules.d/99-calm-edge.rules",
+        "deploy/calm-edge.modules-load.conf": "usr/lib/modules-load.d/calm-edge.conf",
+        "deploy/calm-edge.toml": "etc/calm-edge/calm-edge.toml",
+        "deploy/debian/copyright": "usr/share/doc/calm-edge/copyright",
+        "README.md": "usr/share/doc/calm-edge/README.md",
+        "docs/deploy.md": "usr/share/doc/calm-edge/deploy.md",
+        "docs/serial.md": "usr/share/doc/calm-edge/serial.md",
+    }.items():
+        (stage / place).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(commit / name, stage / place)
+    for script in SCRIPTS:
+        shutil.copy(commit / "deploy" / "debian" / script, control_folder(stage) / script)
 
 
 def make_environment(stage: Path, target: Target) -> None:
-    """A virtual environment as `python3 -m venv` leaves it, without pip, and the command."""
+    """Make a virtual environment as `python3 -m venv --without-pip` does, and the command."""
     folder = stage / PREFIX
     (folder / "bin").mkdir(parents=True)
     (folder / "bin" / "python3").symlink_to(target.python)
@@ -188,7 +160,7 @@ def make_environment(stage: Path, target: Target) -> None:
 
 
 def compile_modules(stage: Path, target: Target) -> None:
-    """Byte code that needs no check of times, for root file systems that are read-only."""
+    """Compile to byte code that is used unchecked, for root file systems that are read-only."""
     how = ["-q", "--invalidation-mode", "unchecked-hash", "-s", str(stage), "-p", "/"]
     subprocess.run(
         [str(target.python), "-I", "-m", "compileall", *how, str(stage / PREFIX)],
@@ -198,21 +170,20 @@ def compile_modules(stage: Path, target: Target) -> None:
 
 
 def build(out: Path, version: str, python: Path, with_oak: bool, commit: str) -> list[Path]:
-    """Both packages, or the main one alone."""
+    """Build both packages, or the main one alone; returns their paths."""
     target = target_of(python)
     committed = output("git", "log", "-1", "--format=%ct", commit).strip()
     epoch = os.environ.get("SOURCE_DATE_EPOCH", committed)
-    say(f"calm-edge {version} for {target.name} on {target.architecture}, of commit {commit[:10]}")
+    report(f"calm-edge {version} for {target.name} on {target.architecture}, commit {commit[:10]}")
     work = out / "stage"
     shutil.rmtree(work, ignore_errors=True)
     out.mkdir(parents=True, exist_ok=True)
     main, oak = work / "main", work / "oak"
     (main / target.site).mkdir(parents=True)
-    control_folder(main)
-    lines, oak_lines = requirements(commit)
-    install_wheels(target, main / target.site, lines)
+    source = unpack(commit, work / "commit")
+    install_packages(target, main / target.site, source, f"{source}[systemd]")
     make_environment(main, target)
-    unpack_commit(main, target, commit)
+    place_files(main, source)
     compile_modules(main, target)
     following = f"{target.version[0]}.{target.version[1] + 1}"
     python_version = ".".join(map(str, target.version))
@@ -232,19 +203,20 @@ def build(out: Path, version: str, python: Path, with_oak: bool, commit: str) ->
     ]
     if with_oak:
         (oak / target.site).mkdir(parents=True)
-        install_wheels(target, oak / target.site, oak_lines)
+        # numpy, which it needs, is in the main package
+        install_packages(target, oak / target.site, source, "--no-deps", "depthai")
         compile_modules(oak, target)
         needs = f"calm-edge (= {version})"
         fields = {"Package": "calm-edge-oak", **common, "Depends": needs, **ABOUT_OAK}
         made.append(pack(oak, out, fields, epoch))
     for _, line in made:
-        say(line)
+        report(line)
     shutil.rmtree(work)
     return [deb for deb, _ in made]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(prog="make deb", description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "deb")
     parser.add_argument("--version", default="", help="default: that of calm_edge/__init__.py")
     parser.add_argument("--python", type=Path, default=Path("/usr/bin/python3"))

@@ -1,7 +1,9 @@
 #!/bin/sh
-# Makes .venv and fills it. Safe to run again; asks nothing. PYTHON picks the interpreter.
+# setup.sh [EXTRAS]: makes .venv and installs the checkout into it with these extras of pyproject.toml,
+# in the versions of constraints.txt. Safe to run again; asks nothing. PYTHON picks the interpreter.
 set -eu
 cd "$(dirname "$0")/.."
+extras=${1:-oak,report}
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 
@@ -36,7 +38,7 @@ if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
     if ! python=$(find_python); then
         apt_install python3-venv python3 || true
         python=$(find_python) || {
-            say "no Python 3.11 or newer with venv. Mend: apt-get install python3-venv, or PYTHON=/path make setup"
+            say "no Python 3.11 or newer with venv. Remedy: apt-get install python3-venv, or PYTHON=/path make setup"
             exit 1
         }
     fi
@@ -46,9 +48,8 @@ if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
 fi
 
 pip=".venv/bin/python -m pip --disable-pip-version-check --no-input -q"
-say "installing the pinned requirements (a few minutes the first time)"
-$pip install -r requirements.txt -r requirements-dev.txt
-$pip install --no-deps -e . >.venv/install.log 2>&1 || { cat .venv/install.log >&2; exit 1; }
+say "installing calm-edge[$extras] (a few minutes the first time)"
+$pip install -c constraints.txt -e ".[$extras]" >.venv/install.log 2>&1 || { cat .venv/install.log >&2; exit 1; }
 
 if ! .venv/bin/python -c 'import systemd.daemon' 2>/dev/null; then
     header=$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
@@ -56,10 +57,8 @@ if ! .venv/bin/python -c 'import systemd.daemon' 2>/dev/null; then
         apt_install gcc pkg-config libsystemd-dev || true
     fi
     [ -f "$header" ] || apt_install python3-dev || true
-    $pip install -r requirements-systemd.txt >/dev/null 2>&1 || say "systemd-python is missing (it builds from \
-source; mend: apt-get install gcc pkg-config libsystemd-dev python3-dev && make setup). \
-What it costs: no watchdog and no readiness under systemd; all else works."
+    $pip install -c constraints.txt -e ".[systemd]" >/dev/null 2>&1 || say "systemd-python is missing: no watchdog \
+and no readiness under systemd; all else works. Remedy: apt-get install gcc pkg-config libsystemd-dev python3-dev && make setup"
 fi
 
-touch .venv/.stamp
 say "done: .venv/bin/calm-edge --help"

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+import calm_edge
 from calm_edge.cli import COMMANDS, main
 from calm_edge.config import Config
 from calm_edge.mapping import cloud_file
@@ -51,6 +52,13 @@ def test_help_names_every_command_and_loads_nothing_heavy() -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.splitlines()[-1] == "LOADED 0 []"
     assert all(name in run.stdout for name in COMMANDS)
+
+
+def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out == f"calm-edge {calm_edge.__version__}\n"
 
 
 @pytest.mark.parametrize("arguments", [[], ["nonsense"], ["record"], ["map", "x"], ["eval", "x"]])
@@ -207,6 +215,24 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
     assert "already holds" in only_line(capsys)
 
 
+def test_map_without_matplotlib_writes_all_but_the_report(
+    recorded: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    out = tmp_path / "map"
+    assert main(["map", str(recorded), "--out", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {
+        "map.ply",
+        "trajectory.tum",
+        "trajectory.kitti",
+        "summary.json",
+    }
+    assert "report.html: not written; it needs matplotlib" in capsys.readouterr().err
+
+
 def test_a_truncated_recording_is_mapped_with_loss(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -233,10 +259,3 @@ def test_what_is_no_recording_is_one_line(
     assert main(["map", str(empty), "--out", str(tmp_path / "map")]) == 1
     only_line(capsys)
     assert not (tmp_path / "map").exists()
-
-
-def test_doctor_finds_nothing_fatal_here(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["doctor", "--out", str(tmp_path)]) == 0
-    assert "missing" not in capsys.readouterr().out.replace("nothing is missing", "")

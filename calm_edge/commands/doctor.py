@@ -1,16 +1,18 @@
-"""`calm-edge doctor`: what this machine lacks, and what that costs."""
+"""`calm-edge doctor`: what is missing on this machine, what that costs, and the remedy."""
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import shutil
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 from calm_edge.commands.exit_codes import ERROR, OK
 
+PLAIN = "only the backbone without one works (--set backbone.name=bundle)"
+# module -> what does not work without it
 NEEDED = {
     "cv2": "no images can be decoded",
     "numpy": "nothing works",
@@ -18,14 +20,14 @@ NEEDED = {
     "gtsam": "no trajectory",
     "mcap": "no recording",
     "foxglove_schemas_protobuf": "no recording",
+    "onnxruntime": f"no networks; {PLAIN}",
 }
 OPTIONAL = {
-    "systemd": "no watchdog and no readiness under systemd "
-    "(apt-get install gcc pkg-config libsystemd-dev python3-dev && make setup)",
-    "serial": "no pose on a serial port",
-    "depthai": "no OAK cameras",
-    "matplotlib": "no drawings in reports",
-    "onnxruntime": "no models of models/ (bundle needs none)",
+    "serial": "no pose on a serial port (pip install pyserial)",
+    "systemd": "no watchdog and no readiness under systemd (pip install systemd-python, "
+    "after apt-get install gcc pkg-config libsystemd-dev python3-dev)",
+    "depthai": "no OAK cameras (pip install depthai, or the package calm-edge-oak)",
+    "matplotlib": "no report.html (pip install matplotlib)",
 }
 FREE_GB = 2.0
 
@@ -38,11 +40,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def findings(out: Path) -> Iterator[tuple[bool, str]]:
-    """(is it fatal, one line) for each thing that is missing."""
+    """Yield (is it fatal, one line) for each thing that is missing."""
     for table, fatal in ((NEEDED, True), (OPTIONAL, False)):
         for module, cost in table.items():
-            if importlib.util.find_spec(module) is None:
-                yield fatal, f"{module}: not installed (make setup): {cost}"
+            if find_spec(module) is None:
+                yield fatal, f"{module}: not installed: {cost}"
+    yield from _default_model()
     cores = len(os.sched_getaffinity(0))
     if cores < 2:
         yield False, f"{cores} core: the estimator will lag behind; map catches up"
@@ -58,8 +61,20 @@ def findings(out: Path) -> Iterator[tuple[bool, str]]:
         yield False, "no /dev/video*: only replays (--sequence, --replay) can be recorded"
 
 
+def _default_model() -> Iterator[tuple[bool, str]]:
+    """Yield a finding if the default backbone's network is missing or damaged."""
+    from calm_edge.backbones.onnx.manifest import ManifestError
+    from calm_edge.backbones.onnx.model_folder import find_model, read_manifest, verify
+    from calm_edge.config import BackboneConfig
+
+    try:
+        verify(read_manifest(find_model(BackboneConfig().name.partition(":")[2])))
+    except ManifestError as error:
+        yield True, f"{error}: {PLAIN}"
+
+
 def run(arguments: argparse.Namespace) -> int:
-    """Prints a line a finding."""
+    """Print a line for each finding."""
     found = list(findings(arguments.out))
     for fatal, line in found:
         print(f"{'missing' if fatal else 'note':8} {line}")

@@ -6,6 +6,7 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,7 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
     losses = [*recording.losses, *drive.losses]
     recorded = arguments.recording.resolve()
     title = f"{recorded.parent.name}/{recorded.name}"
-    write_report(title, estimate, color, drive, truth, losses, out)
+    drawn = find_spec("matplotlib") is not None
+    if drawn:
+        write_report(title, estimate, color, drive, truth, losses, out)
     print(f"map         {out / MAP} ({n_points:,} points)")
     if seams is not None:
         print(
@@ -68,7 +71,10 @@ def run(arguments: argparse.Namespace) -> int:
             f" {seams.median_after:.3g} after deformation (median of {seams.n_anchors:,} anchors)"
         )
     print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
-    print(f"report      {out / REPORT}")
+    if drawn:
+        print(f"report      {out / REPORT}")
+    else:
+        say(f"{out / REPORT}: not written; it needs matplotlib (pip install matplotlib)")
     print(f"took        {time.monotonic() - started:.0f} s")
     if drive.unsolved:
         say(f"windows {drive.unsolved} could not be solved; they are bridged")

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import onnx
 import onnxruntime
 import torch
 from network import FINE_STRIDE, WINDOW, Encoder, Refine, correlations
@@ -96,6 +97,14 @@ def export_refine(graph: RefineGraph, path: Path) -> None:
         output_names=["offset", "sigma"],
         dynamic_shapes={"there": {0: points}, "here": {0: points}},
     )  # fmt: skip
+
+
+def drop_stack_traces(path: Path) -> None:
+    """Drop the exporter's notes on nodes: they name files of the machine that it ran on."""
+    model = onnx.load(path)
+    for node in model.graph.node:
+        del node.metadata_props[:]
+    onnx.save(model, path)
 
 
 def quantise(fp32: Path, int8: Path, clips: Clips) -> None:
@@ -187,6 +196,8 @@ def main() -> None:
     refine = RefineGraph(model.refine).eval()
     export_encoder(encoder, arguments.out / "encoder.onnx")
     export_refine(refine, arguments.out / "refine.onnx")
+    for name in ("encoder.onnx", "refine.onnx"):
+        drop_stack_traces(arguments.out / name)
     quantise(arguments.out / "encoder.onnx", arguments.out / "encoder.int8.onnx", clips)
     np.savez_compressed(arguments.out / "golden.npz", **golden(encoder, refine, clips))
     write_manifest(arguments.out, int8_encoder=True)
