@@ -1,4 +1,4 @@
-"""Whether a pose goes on from the one before, or jumped."""
+"""Detect a jump between two consecutive poses."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from calm_edge.geometry import se3
 from calm_edge.types import PoseSample
 
-# What no car and no bad road does between two frames: off constant velocity by so much, and more
-# the longer the time between them.
+# larger deviations from constant velocity, growing with the time between two poses, are beyond
+# what a car does even on a bad road
 JUMP_M, ACCELERATION_M_S2 = 0.5, 20.0
 JUMP_RAD, ACCELERATION_RAD_S2 = math.radians(5.0), 10.0
 
 
 def jumped(before: PoseSample, after: PoseSample) -> bool:
-    """Whether `after` is where the motion of `before` cannot have brought a car; metres.
+    """Whether a car moving as in `before` cannot have reached `after`; lengths in metres.
 
-    Without a velocity to go by it is held to be possible.
+    False if the velocity is unknown (NaN).
     """
     dt = (after.t_ns - before.t_ns) * 1e-9
     T = se3.inverse(before.T_w_c) @ after.T_w_c

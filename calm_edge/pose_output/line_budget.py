@@ -1,4 +1,4 @@
-"""What the line has to carry each second, and whether it can."""
+"""Check that the serial line can carry the messages at the configured pose rate."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from calm_edge.pose_output.mavlink import (
     wire_bytes,
 )
 
-# a text of several chunks, and answers, a second at most
+# at most so many texts (each of several chunks) and TIMESYNC replies per second
 TEXTS_HZ, ANSWERS_HZ = 1, 20
-# a byte is ten bits with its start and stop; a tenth of the line stays free
+# a byte takes ten bits with its start and stop bit; a tenth of the line stays free
 _BITS_A_BYTE, _LINE_SHARE = 10, 0.9
 _BESIDE_POSES = (
     wire_bytes(Heartbeat)
@@ -23,19 +23,19 @@ _BESIDE_POSES = (
 )
 
 
-def bytes_a_second(rate_hz: float) -> float:
-    """All that is sent at most, at a rate of poses."""
+def bytes_per_second(rate_hz: float) -> float:
+    """Upper bound of bytes sent per second at a given pose rate."""
     return rate_hz * wire_bytes(Odometry) + _BESIDE_POSES
 
 
 def check_rate(config: PoseOutputConfig) -> None:
-    """Raises ConfigError when the line cannot carry the rate."""
+    """Raise ConfigError if the line cannot carry pose_output.rate_hz at pose_output.baud."""
     if not config.rate_hz > 0:
         raise ConfigError(f"pose_output.rate_hz = {config.rate_hz:g}: must be above 0")
     capacity = config.baud / _BITS_A_BYTE * _LINE_SHARE
-    if bytes_a_second(config.rate_hz) > capacity:
+    if bytes_per_second(config.rate_hz) > capacity:
         most = max(0, int((capacity - _BESIDE_POSES) / wire_bytes(Odometry)))
         raise ConfigError(
-            f"pose_output.baud = {config.baud}: carries {most} poses a second, but "
+            f"pose_output.baud = {config.baud}: carries {most} poses per second, but "
             f"pose_output.rate_hz = {config.rate_hz:g}; raise baud or lower rate_hz"
         )

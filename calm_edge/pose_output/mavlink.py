@@ -1,6 +1,7 @@
-"""The four MAVLink 2 messages that leave the car, encoded: https://mavlink.io/en/guide/serialization.
+"""Encode HEARTBEAT, STATUSTEXT, TIMESYNC and ODOMETRY as MAVLink 2 frames.
 
-Fields are packed little-endian, larger types first, as the message definitions order them.
+Format: https://mavlink.io/en/guide/serialization. Fields are packed little-endian, larger types
+first, in the order of the message definitions.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ ESTIMATOR_VISION = 2
 TYPE_ONBOARD_CONTROLLER = 18
 AUTOPILOT_INVALID = 8
 COMPONENT_VISUAL_ODOMETRY = 197
-# around a payload: the header of 10 and the checksum of 2
+# frame around a payload: header of 10 and checksum of 2 bytes
 FRAME_BYTES = 12
 STATUS_TEXT_BYTES, MAX_STATUS_TEXTS = 50, 4
 
@@ -27,7 +28,7 @@ UNKNOWN_COVARIANCE: tuple[float, ...] = (NAN,) + (0.0,) * 20
 
 
 class Severity(IntEnum):
-    """MAV_SEVERITY, as far as we raise our voice."""
+    """The values of MAV_SEVERITY in use."""
 
     WARNING = 4
     NOTICE = 5
@@ -35,7 +36,7 @@ class Severity(IntEnum):
 
 
 class SystemState(IntEnum):
-    """MAV_STATE, as far as we have it. BOOT: no pose yet. CRITICAL: lost. POWEROFF: stopping."""
+    """The values of MAV_STATE in use. BOOT: no pose yet. CRITICAL: lost. POWEROFF: stopping."""
 
     BOOT = 1
     ACTIVE = 4
@@ -44,20 +45,20 @@ class SystemState(IntEnum):
 
 
 class Message(Protocol):
-    """A payload and what the frame around it needs."""
+    """A message: its payload, id and CRC_EXTRA, and the struct format of the payload."""
 
     ID: ClassVar[int]
     CRC_EXTRA: ClassVar[int]
     FORMAT: ClassVar[str]
 
     def payload(self) -> bytes:
-        """The whole payload, zeros at its end included."""
+        """Pack the payload, trailing zeros included."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Heartbeat:
-    """HEARTBEAT of an onboard computer."""
+    """HEARTBEAT of an onboard controller."""
 
     system_state: SystemState
 
@@ -72,9 +73,9 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """STATUSTEXT, or a chunk of one: text is at most 50 bytes of UTF-8.
+    """STATUSTEXT, or one chunk of a longer text: at most 50 bytes of UTF-8.
 
-    text_id: shared by the chunks of one text, 0 for a text of one piece. chunk: counts from 0.
+    text_id: shared by the chunks of a text, 0 for a text in one message. chunk: counts from 0.
     """
 
     severity: Severity
@@ -91,10 +92,10 @@ class StatusText:
 
 
 def status_texts(severity: Severity, text: str, text_id: int) -> tuple[StatusText, ...]:
-    """A text as one message, or as up to MAX_STATUS_TEXTS chunks that bear text_id, 1 to 65535.
+    """Encode a text as one message, or as up to MAX_STATUS_TEXTS chunks with text_id (1 to 65535).
 
-    A zero byte ends a text, so that all chunks but the last are full; what has no end by itself
-    gets an empty one. In chunks a character of several bytes could be torn: it becomes "?".
+    A chunk that is not full ends the text, so an empty one is added after a full last chunk. In
+    chunked texts non-ASCII characters become "?", as chunks could split them. Longer texts are cut.
     """
     text = text.replace("\0", " ")
     whole = text.encode(errors="replace")
@@ -111,8 +112,10 @@ def status_texts(severity: Severity, text: str, text_id: int) -> tuple[StatusTex
 
 @dataclass(frozen=True, slots=True)
 class Timesync:
-    """TIMESYNC. A request has a tc1_ns of 0; a reply has its sender's own time there, and the
-    request's ts1_ns. target: system and component meant, (0, 0) for anyone; of a reply, who asked.
+    """TIMESYNC: a request has tc1_ns = 0; a reply has the replier's time there.
+
+    ts1_ns: the time of the requester, copied to the reply. target: (system, component) addressed,
+    (0, 0) for all; in a reply the requester.
     """
 
     tc1_ns: int
@@ -128,7 +131,7 @@ class Timesync:
 
     @classmethod
     def from_payload(cls, payload: bytes) -> Timesync:
-        """From a payload of any length: zeros at its end may be missing."""
+        """Unpack a payload, whose trailing zeros may be missing."""
         size = struct.calcsize(cls.FORMAT)
         tc1_ns, ts1_ns, *target = struct.unpack(cls.FORMAT, payload[:size].ljust(size, b"\0"))
         return cls(tc1_ns, ts1_ns, (target[0], target[1]))
@@ -136,12 +139,12 @@ class Timesync:
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """ODOMETRY, local FRD <- body FRD.
+    """ODOMETRY of the body FRD frame in the local FRD frame.
 
-    position: m, local. quaternion: (w, x, y, z), local <- body. velocity: m/s, body.
-    turn_rate: rad/s, body. pose_covariance: 21 values, the upper triangle by rows of (x, y, z,
-    roll, pitch, yaw), m and rad. velocity_covariance: the same of (velocity, turn_rate), m/s and
-    rad/s. The first of either is NaN if unknown. quality: -1 failed, 0 unknown, 1 worst, 100 best.
+    position: m, local axes. quaternion: (w, x, y, z), local <- body. velocity: m/s, body axes.
+    turn_rate: rad/s, body axes. pose_covariance: 21 values, the upper triangle by rows of (x, y, z,
+    roll, pitch, yaw), m and rad. velocity_covariance: likewise of (velocity, turn_rate), m/s and
+    rad/s. Their first value is NaN if unknown. quality: -1 failed, 0 unknown, 1 worst, 100 best.
     """
 
     time_usec: int
@@ -177,7 +180,7 @@ class Odometry:
 
 
 def wire_bytes(kind: type[Message]) -> int:
-    """Bytes a message of a kind takes on the line at most."""
+    """Largest number of bytes that a type of message takes on the line."""
     return FRAME_BYTES + struct.calcsize(kind.FORMAT)
 
 
@@ -195,7 +198,7 @@ _CRC_TABLE = _crc_table()
 
 
 def checksum(data: bytes) -> int:
-    """CRC-16/MCRF4XX, which MAVLink calls X.25."""
+    """CRC-16/MCRF4XX, called X.25 by MAVLink."""
     crc = 0xFFFF
     for byte in data:
         crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
@@ -203,16 +206,16 @@ def checksum(data: bytes) -> int:
 
 
 class Encoder:
-    """Messages -> bytes of one sender, numbered."""
+    """Encoder of one sender, which numbers its messages."""
 
     def __init__(self, system_id: int = 1, component_id: int = COMPONENT_VISUAL_ODOMETRY) -> None:
         self._sender = (system_id, component_id)
         self._sequence = 0
 
     def encode(self, message: Message) -> bytes:
-        """The MAVLink 2 frame, unsigned, zeros at the payload's end left out."""
+        """Return the unsigned MAVLink 2 frame, without trailing zeros in the payload."""
         payload = message.payload()
-        # the first byte stays, even as a zero
+        # the first byte is sent even if zero
         payload = payload[:1] + payload[1:].rstrip(b"\0")
         low, high = message.ID & 0xFFFF, message.ID >> 16
         header = struct.pack(

@@ -1,4 +1,4 @@
-"""MAVLink in: the messages we know, out of bytes in pieces of any size with anything in between."""
+"""Extract MAVLink messages of given types from a byte stream with arbitrary other content."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SIGNED = 0x01
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message whose checksum was right. payload: as sent, zeros at its end left out."""
+    """A message with a valid checksum. payload: as sent, so trailing zeros may be missing."""
 
     system_id: int
     component_id: int
@@ -23,11 +23,10 @@ class Received:
 
 
 class MavlinkParser:
-    """Owner of the bytes that may yet become a message; both versions of the protocol.
+    """Incremental parser of MAVLink 1 and 2; buffers the bytes of an incomplete message.
 
-    Only headers of the `known` kinds are looked for, anywhere: what merely looks like the start of
-    another message never hides one. A signature is skipped, not checked: what is answered here
-    changes nothing.
+    known: the types of messages to find. Only their headers are searched for, at every byte, so
+    bytes that look like another message never hide one. Signatures are skipped without a check.
     """
 
     def __init__(self, known: tuple[type[Message], ...]) -> None:
@@ -36,7 +35,7 @@ class MavlinkParser:
         self._pending = b""
 
     def feed(self, data: bytes) -> list[Received]:
-        """The messages that these bytes complete."""
+        """Return the messages that are complete with these bytes."""
         data = self._pending + data
         found: list[Received] = []
         at = 0
@@ -48,12 +47,12 @@ class MavlinkParser:
             if message is not None:
                 found.append(message)
             at = start.start() + (size if message is not None else 1)
-        # a header that is not complete yet
+        # may be an incomplete header
         self._pending = data[max(at, len(data) - _HEADER + 1) :]
         return found
 
     def _message(self, data: bytes, at: int) -> tuple[int, Received | None]:
-        """How many bytes the message that starts here takes, and the message if it is sound."""
+        """Return the length of the message that starts at `at`, and the message if it is valid."""
         if data[at] == MAGIC:
             header, sender = _HEADER, data[at + 5 : at + 7]
             message_id = int.from_bytes(data[at + 7 : at + 10], "little")
@@ -74,8 +73,10 @@ class MavlinkParser:
 
 
 def _headers(message_id: int) -> bytes:
-    """The pattern of both versions' headers of a message; of flags only a signature is known, and
-    what has others must be dropped.
+    """Pattern of a message's header in both versions.
+
+    Of the incompatibility flags only the signature is accepted; messages with others must be
+    dropped.
     """
     version_2 = re.escape(bytes([MAGIC])) + b".[\x00\x01].{4}"
     patterns = [version_2 + re.escape(message_id.to_bytes(3, "little"))]

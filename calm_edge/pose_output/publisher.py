@@ -1,4 +1,4 @@
-"""Pose samples -> MAVLink on a serial line: what to say, how often, and how sure."""
+"""Send poses, state and clock replies as MAVLink messages to a serial port."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from calm_edge.types import PoseSample, PoseStatus
 log = logging.getLogger(__name__)
 
 NS_PER_S = 1_000_000_000
-# what else but the state's name changes is news of less weight
+# least time between status texts: after a change of state, or of its reasons alone
 _TEXT_PERIOD_NS, _REASONS_PERIOD_NS = NS_PER_S, 10 * NS_PER_S
 
 _STATES = {
@@ -44,27 +44,31 @@ _STATES = {
     "LOST": (SystemState.CRITICAL, Severity.WARNING),
     "STOPPING": (SystemState.POWEROFF, Severity.NOTICE),
 }
-_OF_POSE = {PoseStatus.LIVE: "RUNNING", PoseStatus.LAGGING: "LAGGING", PoseStatus.LOST: "LOST"}
+_STATE_OF_POSE = {
+    PoseStatus.LIVE: "RUNNING",
+    PoseStatus.LAGGING: "LAGGING",
+    PoseStatus.LOST: "LOST",
+}
 
 
 class Port(Protocol):
-    """Where messages go; never blocks, never raises."""
+    """Output of messages; never blocks, never raises."""
 
     def write(self, message: bytes) -> bool:
-        """False if the message was not taken."""
+        """Queue a message; False if it was rejected."""
         ...
 
 
 class PosePublisher:
-    """Owner of what the consumer was told.
+    """Publisher of poses and state to an autopilot.
 
-    spacing_known: the world is in metres. Without it every pose is sent with quality -1, for a
-    consumer that took spacings for metres would be misled, and a warning says why.
-    lost_after_ms: without a new sample for so long the pose is lost. now_ns: the clock of the
-    samples' stamps, which TIMESYNC is answered by. Its `receive` may be called by another thread.
+    spacing_known: the world unit is metres. If not, poses are sent with quality -1, since they are
+    not in metres, and a warning text gives the remedy. lost_after_ms: the pose is lost after this
+    long without a new sample. now_ns: clock of the samples' stamps, used to answer TIMESYNC.
+    `receive` may be called in another thread.
 
-    A lost pose is silence: an old one must not look new, and of a message without numbers a
-    consumer may keep these (ArduPilot lines up what follows a reset with the last place told).
+    No ODOMETRY is sent while the pose is lost: an old pose must not look new, and NaN would persist
+    in some receivers (ArduPilot aligns the pose after a reset to the last one received).
     """
 
     def __init__(
@@ -91,36 +95,36 @@ class PosePublisher:
         self._newest: PoseSample | None = None
         self._newest_pose: PoseSample | None = None
         self._sent_t_ns = -1
-        self._heard_ns = 0
+        self._last_sample_ns = 0
         self._reset_counter = 1
         self._reported: tuple[str, tuple[str, ...]] | None = None
-        self._told: tuple[str, tuple[str, ...]] = ("", ())
-        self._told_ns = -_REASONS_PERIOD_NS
+        self._sent_state: tuple[str, tuple[str, ...]] = ("", ())
+        self._sent_state_ns = -_REASONS_PERIOD_NS
         self._texts = 0
 
     @property
     def reset_counter(self) -> int:
-        """How often the published pose has jumped, plus one."""
+        """Number of jumps of the published pose, plus one."""
         return self._reset_counter
 
     def report(self, state: str, reasons: tuple[str, ...] = ()) -> None:
-        """What the daemon is doing and why; until it is said, the pose's own state is told."""
+        """Set the daemon's state and its reasons; before the first call the pose's is sent."""
         self._reported = state, reasons
 
     def last_words(self, reasons: tuple[str, ...], now_ns: int) -> None:
-        """Nothing follows: the state with a heartbeat of its own, and why if there is a reason."""
+        """Send the state STOPPING with a heartbeat and its reasons; call it last."""
         self.report("STOPPING", reasons)
         self._next_heartbeat_ns = now_ns
         self.publish(None, now_ns)
 
     def publish(self, sample: PoseSample | None, now_ns: int) -> None:
-        """To be called every tick, with a sample if there is a new one; sends what is due."""
+        """Send the messages that are due; call it every tick, with the new sample if any."""
         if sample is not None:
             self._take(sample, now_ns)
         if now_ns >= self._next_heartbeat_ns:
             self._next_heartbeat_ns = _following(self._next_heartbeat_ns, NS_PER_S, now_ns)
             self._send(Heartbeat(self._system_state(now_ns)))
-        self._tell(now_ns)
+        self._send_state(now_ns)
         if self._newest is None or now_ns < self._next_pose_ns:
             return
         newest, status = self._newest, self._status(self._newest, now_ns)
@@ -131,40 +135,40 @@ class PosePublisher:
         self._send(self._odometry(newest, status))
 
     def receive(self, data: bytes) -> None:
-        """Bytes that came in; a request for our time is answered at once."""
-        # before anything else: what passes until then makes the clocks look apart
+        """Parse received bytes and answer TIMESYNC requests at once."""
+        # read the clock first: any delay would appear as a clock offset
         now_ns = self._clock()
         for message in self._parser.feed(data):
-            asked = Timesync.from_payload(message.payload)
-            system, component = asked.target
-            meant = system in (0, self._address[0]) and component in (0, self._address[1])
-            if asked.tc1_ns == 0 and meant and now_ns >= self._next_answer_ns:
+            request = Timesync.from_payload(message.payload)
+            system, component = request.target
+            for_us = system in (0, self._address[0]) and component in (0, self._address[1])
+            if request.tc1_ns == 0 and for_us and now_ns >= self._next_answer_ns:
                 self._next_answer_ns = now_ns + NS_PER_S // ANSWERS_HZ
                 sender = message.system_id, message.component_id
-                self._send(Timesync(now_ns, asked.ts1_ns, sender))
+                self._send(Timesync(now_ns, request.ts1_ns, sender))
 
     def _take(self, sample: PoseSample, now_ns: int) -> None:
         if self._newest is not None and sample.t_ns <= self._newest.t_ns:
             return
-        self._heard_ns, self._newest = now_ns, sample
+        self._last_sample_ns, self._newest = now_ns, sample
         if sample.status is PoseStatus.LOST:
             return
         before, self._newest_pose = self._newest_pose, sample
         if before is not None:
-            # one jump, however many corrections it took
+            # a jump and a new epoch together count once
             moved = self._spacing_known and jumped(before, sample)
             self._reset_counter += moved or sample.epoch != before.epoch
 
     def _status(self, newest: PoseSample, now_ns: int) -> PoseStatus:
-        silent = now_ns - self._heard_ns > self._lost_after_ns
-        return PoseStatus.LOST if silent else newest.status
+        timed_out = now_ns - self._last_sample_ns > self._lost_after_ns
+        return PoseStatus.LOST if timed_out else newest.status
 
     def _state(self, now_ns: int) -> tuple[str, tuple[str, ...]]:
         if self._reported is not None:
             return self._reported
         if self._newest is None:
             return "STARTING", ()
-        return _OF_POSE[self._status(self._newest, now_ns)], ()
+        return _STATE_OF_POSE[self._status(self._newest, now_ns)], ()
 
     def _system_state(self, now_ns: int) -> SystemState:
         state = _STATES.get(self._state(now_ns)[0], (SystemState.ACTIVE,))[0]
@@ -174,14 +178,14 @@ class PosePublisher:
         lost = self._status(newest, now_ns) is PoseStatus.LOST
         return SystemState.CRITICAL if lost else state
 
-    def _tell(self, now_ns: int) -> None:
-        """A status text when the state has changed, at most one a second, but for the last."""
-        state, reasons = news = self._state(now_ns)
-        period = _TEXT_PERIOD_NS if state != self._told[0] else _REASONS_PERIOD_NS
-        too_soon = now_ns < self._told_ns + period and state != "STOPPING"
-        if news == self._told or too_soon:
+    def _send_state(self, now_ns: int) -> None:
+        """Send a status text if the state has changed; at most one per second, but for the last."""
+        state, reasons = current = self._state(now_ns)
+        period = _TEXT_PERIOD_NS if state != self._sent_state[0] else _REASONS_PERIOD_NS
+        too_soon = now_ns < self._sent_state_ns + period and state != "STOPPING"
+        if current == self._sent_state or too_soon:
             return
-        self._told, self._told_ns = news, now_ns
+        self._sent_state, self._sent_state_ns = current, now_ns
         _, severity = _STATES.get(state, (SystemState.ACTIVE, Severity.NOTICE))
         if not self._spacing_known:
             severity, reasons = Severity.WARNING, ("set scale.spacing_m", *reasons)
@@ -213,13 +217,13 @@ class PosePublisher:
         )
 
     def _send(self, message: Message) -> None:
-        # numbered in the order they leave in, whichever thread sends
+        # numbers must follow the order of sending, from whichever thread
         with self._sending:
             self._port.write(self._encoder.encode(message))
 
 
 def _mounting(config: PoseOutputConfig) -> np.ndarray:
-    """T_b_c (4, 4); raises ConfigError."""
+    """Return T_b_c (4, 4) of the configured mounting; raises ConfigError for invalid values."""
     for key, what in (("mounting_rpy_deg", "roll, pitch and yaw"), ("mounting_xyz_m", "x, y, z")):
         values = getattr(config, key)
         if len(values) != 3 or not np.isfinite(values).all():
@@ -230,8 +234,6 @@ def _mounting(config: PoseOutputConfig) -> np.ndarray:
 
 
 def _following(due_ns: int, period_ns: int, now_ns: int) -> int:
-    """When it is due next: a period after this due time, so that the mean rate is kept, or
-    after now when that has passed, so that a pause is not made up for.
-    """
+    """Next due time: a period after due_ns, which keeps the mean rate; after a pause, after now."""
     next_ns = due_ns + period_ns
     return next_ns if next_ns > now_ns else now_ns + period_ns

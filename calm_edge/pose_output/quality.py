@@ -1,4 +1,4 @@
-"""One number for how good a pose is, as ODOMETRY has it."""
+"""Quality of a pose as one number, for the field `quality` of ODOMETRY."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import numpy as np
 from calm_edge.types import Float, PoseStatus
 
 FAILED, UNKNOWN = -1, 0
-# a pose as uncertain as this is worth half of a perfect one
+# sigmas at which the quality is half of the maximum
 HALF_SIGMA_M, HALF_SIGMA_RAD = 0.05, math.radians(0.25)
 _LAGGING_SHARE = 0.5
 
 
 def quality(covariance: Float, status: PoseStatus) -> int:
-    """-1 failed, 0 unknown, else 1 to 100: 100 / (1 + (sigma_t / 5 cm)^2 + (sigma_r / 0.25 deg)^2).
+    """Return -1 (lost), 0 (unknown), else 100 / (1 + (sigma_t / 5 cm)^2 + (sigma_r / 0.25 deg)^2).
 
-    covariance: (6, 6) of (translation, rotation), metres and rad; each sigma is that of its worst
-    direction. Half of that while the estimator lags, for the map ahead is then growing old.
+    covariance: (6, 6) of (translation, rotation), metres and rad; each sigma is that of its most
+    uncertain direction. Halved while the estimator lags, as the pose then refers to an old
+    sub-map; rounded, at least 1.
     """
     if status is PoseStatus.LOST:
         return FAILED

@@ -21,7 +21,7 @@ RIGHT, DOWN, FORWARD = np.eye(3)
 angles = st.floats(-3.1, 3.1)
 
 
-def test_a_straight_camera_sees_forward_right_down_where_the_body_has_them() -> None:
+def test_a_camera_mounted_straight_maps_its_axes_to_forward_right_down() -> None:
     R = mounting((0, 0, 0))[:3, :3]
     assert np.allclose(R @ FORWARD, [1, 0, 0])
     assert np.allclose(R @ RIGHT, [0, 1, 0])
@@ -51,21 +51,21 @@ def test_mounting_is_the_aerospace_sequence(roll: float, pitch: float, yaw: floa
     assert np.allclose(mounting(degrees)[:3, :3], expected @ mounting((0, 0, 0))[:3, :3])
 
 
-def test_the_camera_sits_where_the_mounting_says() -> None:
+def test_mounting_sets_the_camera_position() -> None:
     T_b_c = mounting((0, -10, 20), (1.5, -0.25, -1.25))
     assert np.allclose(se3.transform(T_b_c, np.zeros(3)), [1.5, -0.25, -1.25])
 
 
 @pytest.mark.parametrize("xyz", [(0, 0, 0), (1.5, 0.5, -1)])
 @pytest.mark.parametrize("rpy_deg", [(0, 0, 0), (3, -12, 40)])
-def test_the_first_body_is_the_origin_level_and_ahead(
+def test_the_first_body_pose_is_the_identity(
     rpy_deg: tuple[float, float, float], xyz: tuple[float, float, float]
 ) -> None:
     assert np.allclose(body_pose(mounting(rpy_deg, xyz), np.eye(4)), np.eye(4))
 
 
-def test_a_tilted_camera_driving_ahead_on_level_ground_stays_level() -> None:
-    # pitched down by 10 degrees, the car's forward is up in the picture
+def test_driving_on_level_ground_stays_level_with_a_tilted_camera() -> None:
+    # pitched down by 10 degrees, the car's forward direction is up in the image
     T_b_c = mounting((0, -10, 0))
     ahead_c = T_b_c[:3, :3].T @ [5.0, 0, 0]
     assert ahead_c[1] < 0
@@ -73,8 +73,8 @@ def test_a_tilted_camera_driving_ahead_on_level_ground_stays_level() -> None:
     assert np.allclose(T_l_b, compose(np.eye(3), np.array([5.0, 0, 0])))
 
 
-def test_a_right_turn_of_the_car_is_positive_yaw_and_moves_to_positive_y() -> None:
-    # the camera's y axis points down: turning right about it is positive
+def test_a_right_turn_is_positive_yaw_and_positive_y() -> None:
+    # the camera's y axis points down, so a right turn about it is positive
     T_w_c = compose(so3_exp(DOWN * np.radians(30)), RIGHT * 2 + FORWARD * 7)
     T_l_b = body_pose(mounting((0, 0, 0)), T_w_c)
     assert np.allclose(T_l_b[:3, 3], [7, 2, 0])
@@ -82,8 +82,8 @@ def test_a_right_turn_of_the_car_is_positive_yaw_and_moves_to_positive_y() -> No
     assert yaw == pytest.approx(30)
 
 
-def test_a_car_that_turns_on_the_spot_has_a_moving_camera_and_stands() -> None:
-    # the camera a metre ahead of the axle goes to the right, the body's origin stays
+def test_a_car_turning_on_the_spot_has_zero_body_velocity() -> None:
+    # a camera one metre ahead of the axle moves to the right, the body's origin does not move
     T_b_c = mounting((0, 0, 0), (1, 0, 0))
     yaw = so3_exp(DOWN * np.radians(90))
     T_w_c = compose(yaw, RIGHT - FORWARD)
@@ -92,7 +92,7 @@ def test_a_car_that_turns_on_the_spot_has_a_moving_camera_and_stands() -> None:
     assert np.allclose(velocity, 0) and np.allclose(turn_rate, [0, 0, 0.5])
 
 
-def test_the_body_moves_as_its_poses_do() -> None:
+def test_body_velocity_is_the_derivative_of_the_body_pose() -> None:
     random = np.random.default_rng(4)
     T_b_c = mounting((4, -15, 30), (1.2, -0.4, -1.1))
     T_w_c = se3.exp(random.normal(size=6))
@@ -103,7 +103,7 @@ def test_the_body_moves_as_its_poses_do() -> None:
     assert np.allclose(np.concatenate(body_twist(T_b_c, twist_c[:3], twist_c[3:])), moved)
 
 
-def test_without_a_lever_an_unknown_turn_rate_leaves_the_velocity_known() -> None:
+def test_velocity_without_lever_arm_needs_no_turn_rate() -> None:
     unknown = np.full(3, np.nan)
     velocity, turn_rate = body_twist(mounting((0, 0, 0)), FORWARD, unknown)
     assert np.allclose(velocity, [1, 0, 0]) and np.isnan(turn_rate).all()
@@ -111,12 +111,12 @@ def test_without_a_lever_an_unknown_turn_rate_leaves_the_velocity_known() -> Non
 
 
 @given(angles, angles, angles)
-def test_quaternion_is_scipys_with_w_first_and_not_negative(a: float, b: float, c: float) -> None:
+def test_quaternion_equals_scipy_with_nonnegative_w_first(a: float, b: float, c: float) -> None:
     R = so3_exp(np.array([a, b, c]))
     expected = Rotation.from_matrix(R).as_quat(canonical=True)
     got = np.array(quaternion(R))
     assert got[0] >= 0
-    # at half a turn either sign is canonical
+    # at half a turn both signs are valid
     assert abs(abs(got @ expected[[3, 0, 1, 2]]) - 1) < 1e-9
 
 
@@ -125,8 +125,8 @@ def test_quaternion_of_no_rotation_and_of_half_a_turn() -> None:
     assert np.allclose(quaternion(np.diag([1.0, -1, -1])), [0, 1, 0, 0])
 
 
-def test_covariance_turns_into_local_axes_by_upper_rows() -> None:
-    # uncertain along the camera's view, and about its vertical axis
+def test_pose_covariance_is_rotated_to_local_axes() -> None:
+    # uncertain along the optical axis, and about the vertical axis
     covariance = np.diag([0.01, 0.02, 9.0, 0.1, 0.7, 0.2])
     level = mounting((0, 0, 0))
     diagonal = [0, 6, 11, 15, 18, 20]
@@ -138,8 +138,8 @@ def test_covariance_turns_into_local_axes_by_upper_rows() -> None:
     assert np.allclose(got[diagonal], [0.01, 9, 0.02, 0.1, 0.2, 0.7])
 
 
-def test_a_lever_makes_turning_uncertainty_one_of_position() -> None:
-    # yaw about a camera two metres ahead swings the body's origin sideways
+def test_a_lever_arm_turns_yaw_uncertainty_into_position_uncertainty() -> None:
+    # yaw about a camera two metres ahead moves the body's origin sideways
     T_b_c = mounting((0, 0, 0), (2, 0, 0))
     got = local_covariance(T_b_c, np.eye(4), np.diag([0, 0, 0, 0, 0.01, 0.0]))
     assert got[6] == pytest.approx(0.04) and got[20] == pytest.approx(0.01)

@@ -1,4 +1,4 @@
-"""Our encoder against pymavlink, field by field and byte by byte."""
+"""The encoder against pymavlink, field by field and byte by byte."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def odometry(**changes: Any) -> Odometry:
 
 
 def decode(data: bytes) -> Any:
-    """The one message in the bytes, its checksum verified."""
+    """Decode the one message in the bytes, with its checksum."""
     (message,) = peer.MAVLink(None).parse_buffer(data)
     assert message.get_type() != "BAD_DATA", message
     return message
@@ -98,7 +98,7 @@ def test_heartbeat_field_by_field() -> None:
     assert got.get_srcComponent() == peer.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY
 
 
-def test_the_enums_are_the_standards() -> None:
+def test_enums_match_the_standard() -> None:
     assert {s.name: s.value for s in SystemState} == {
         s.name: getattr(peer, f"MAV_STATE_{s.name}") for s in SystemState
     }
@@ -108,14 +108,14 @@ def test_the_enums_are_the_standards() -> None:
 
 
 def reassembled(messages: tuple[StatusText, ...]) -> tuple[str, list[tuple[int, int]]]:
-    """What a receiver makes of the texts: chunks are joined until one has a zero byte."""
+    """Join the chunks as a receiver does: a chunk with a zero byte ends the text."""
     parts = [decode(Encoder().encode(m)) for m in messages]
     fields = [m.payload()[1:51] for m in messages]
     assert all(b"\0" not in field for field in fields[:-1])
     assert len(parts) == 1 or b"\0" in fields[-1]
     assert {p.severity for p in parts} == {4}
     text = b"".join(fields).rstrip(b"\0").decode()
-    # the peer reads ASCII only
+    # pymavlink decodes ASCII only
     assert "".join(p.text for p in parts) == text or not text.isascii()
     return text, [(p.id, p.chunk_seq) for p in parts]
 
@@ -128,7 +128,7 @@ def reassembled(messages: tuple[StatusText, ...]) -> tuple[str, list[tuple[int, 
         ("x" * 50, "x" * 50, [(0, 0)]),
         ("é" * 25, "é" * 25, [(0, 0)]),
         ("x" * 49 + "yz", "x" * 49 + "yz", [(7, 0), (7, 1)]),
-        # the end of a text whose last chunk is full is told by an empty one
+        # an empty chunk ends a text whose last chunk is full
         ("x" * 100, "x" * 100, [(7, 0), (7, 1), (7, 2)]),
         ("é" * 26, "?" * 26, [(0, 0)]),
         ("né" * 40, "n?" * 40, [(7, 0), (7, 1)]),
@@ -137,7 +137,9 @@ def reassembled(messages: tuple[StatusText, ...]) -> tuple[str, list[tuple[int, 
         ("x" * 5000, "x" * 196 + "...", [(7, k) for k in range(4)]),
     ],
 )
-def test_a_text_of_any_length_arrives(text: str, received: str, ids: list[tuple[int, int]]) -> None:
+def test_texts_of_any_length_are_reassembled(
+    text: str, received: str, ids: list[tuple[int, int]]
+) -> None:
     assert reassembled(status_texts(Severity.WARNING, text, 7)) == (received, ids)
 
 
@@ -145,7 +147,7 @@ def test_timesync_reply() -> None:
     data = Encoder().encode(Timesync(tc1_ns=-5, ts1_ns=2**40, target=(3, 1)))
     got = decode(data)
     assert (got.tc1, got.ts1) == (-5, 2**40)
-    # the peer's dialect is from before the target
+    # the dialect of pymavlink predates the target fields
     assert data[-4:-2] == bytes([3, 1])
     assert Timesync.from_payload(data[10:-2]) == Timesync(-5, 2**40, (3, 1))
 
@@ -170,18 +172,18 @@ def test_timesync_reply() -> None:
         ),
     ],
 )
-def test_bytes_are_those_of_the_peer(message: Message, twin: Any) -> None:
+def test_bytes_equal_those_of_pymavlink(message: Message, twin: Any) -> None:
     link = peer.MAVLink(None, srcSystem=1, srcComponent=197)
     assert Encoder().encode(message) == bytes(twin.pack(link))
 
 
-def test_zeros_at_the_end_are_left_out_but_for_one_byte() -> None:
+def test_trailing_zeros_are_left_out_but_for_one_byte() -> None:
     assert Encoder().encode(Timesync(0, 0))[1] == 1
     assert Encoder().encode(Timesync(0x0100, 0))[1] == 2
     assert Encoder().encode(odometry(quality=0))[1] == 232
 
 
-def test_the_sequence_counts_every_message_and_wraps() -> None:
+def test_the_sequence_number_counts_messages_and_wraps() -> None:
     encoder = Encoder()
     sequences = [encoder.encode(Heartbeat(SystemState.ACTIVE))[4] for _ in range(258)]
     assert sequences == [k % 256 for k in range(258)]

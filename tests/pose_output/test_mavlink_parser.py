@@ -1,4 +1,4 @@
-"""What comes in on the line, against pymavlink's encoder, and whatever else a line may carry."""
+"""The parser against pymavlink's encoder, and on arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def times(messages: list[Received]) -> list[int]:
 
 
 @pytest.mark.parametrize("dialect", [peer, peer_1])
-def test_a_request_is_read_with_its_sender(dialect: Any) -> None:
+def test_a_request_is_parsed_with_its_sender(dialect: Any) -> None:
     (got,) = parser().feed(request(123_456_789_012_345, dialect))
     assert (got.system_id, got.component_id, got.message_id) == (9, 1, Timesync.ID)
     assert Timesync.from_payload(got.payload) == Timesync(0, 123_456_789_012_345)
 
 
-def test_a_target_is_read() -> None:
+def test_the_target_is_parsed() -> None:
     asked = Timesync(0, 77, (1, 197))
     (got,) = parser().feed(Encoder().encode(asked))
     assert Timesync.from_payload(got.payload) == asked
 
 
-def test_a_signed_message_is_read_and_what_follows_it_too() -> None:
+def test_a_signed_message_and_the_one_after_it_are_parsed() -> None:
     sender = link()
     sender.signing.secret_key = bytes(32)
     sender.signing.sign_outgoing = True
@@ -57,13 +57,13 @@ def test_a_signed_message_is_read_and_what_follows_it_too() -> None:
     assert times(parser().feed(signed + request(6))) == [5, 6]
 
 
-def test_unknown_flags_make_a_message_unreadable() -> None:
+def test_messages_with_unknown_flags_are_dropped() -> None:
     data = bytearray(request(5))
     data[2] = 0x02
     assert parser().feed(bytes(data)) == []
 
 
-def test_pieces_of_one_byte_give_the_same() -> None:
+def test_feeding_single_bytes_gives_the_same_messages() -> None:
     data = b"\xfd\xfe" + request(1) + other() + request(2, peer_1) + b"\xfd"
     by_byte = parser()
     got = [m for k in range(len(data)) for m in by_byte.feed(data[k : k + 1])]
@@ -71,21 +71,21 @@ def test_pieces_of_one_byte_give_the_same() -> None:
     assert times(got) == [1, 2]
 
 
-def test_a_false_start_hides_nothing() -> None:
-    # headers that claim 255 bytes: of a kind not known, and of the one that is
+def test_a_false_header_hides_no_message() -> None:
+    # headers that announce 255 bytes: of an unknown type, and of the known one
     unknown = b"\xfd\xff\x00\x00\x00\x01\x01\x00\x00\x00"
     known = b"\xfd\xff\x00\x00\x00\x01\x01\x6f\x00\x00"
     one = parser()
     assert times(one.feed(unknown + request(3))) == [3]
     got = one.feed(known + request(4))
-    # it has to wait for what the header promised, and no longer
+    # the parser waits for the announced bytes, and no longer
     got += one.feed(bytes(260))
     assert times(got) == [4]
 
 
 @given(st.lists(st.integers(0, 2**62), max_size=5), st.data())
 @settings(deadline=None)
-def test_every_request_between_other_messages_is_found_however_it_is_cut(
+def test_every_request_is_found_among_other_messages_in_any_pieces(
     asked: list[int], data: st.DataObject
 ) -> None:
     stream = b"".join(other() + request(t) for t in asked)
@@ -109,7 +109,7 @@ SOUND = b"".join(
 
 @st.composite
 def mutated(draw: st.DrawFn) -> bytes:
-    """A sound stream with bytes flipped, cut out, doubled or put in."""
+    """A valid stream with bytes flipped, removed, repeated or inserted."""
     data = bytearray(SOUND)
     for _ in range(draw(st.integers(1, 6))):
         at = draw(st.integers(0, max(0, len(data) - 1)))
@@ -125,26 +125,26 @@ def mutated(draw: st.DrawFn) -> bytes:
     return bytes(data)
 
 
-# one parser for all of them, so that what one leaves behind meets the next
+# one parser for all examples, so that bytes left over from one precede the next
 _hardened = MavlinkParser((Timesync, Heartbeat))
 
 
 @given(mutated())
 @settings(max_examples=10_000, deadline=None, database=None, derandomize=True)
-def test_no_bytes_harm_the_parser(data: bytes) -> None:
+def test_arbitrary_bytes_do_not_harm_the_parser(data: bytes) -> None:
     for message in _hardened.feed(data):
         assert message.message_id in (Timesync.ID, Heartbeat.ID)
         Timesync.from_payload(message.payload)
     assert len(_hardened._pending) < 300
 
 
-def test_the_hardened_parser_still_reads() -> None:
-    # flushes what a false header may still wait for
+def test_the_parser_still_works_after_arbitrary_bytes() -> None:
+    # enough bytes to complete any false header
     _hardened.feed(bytes(300))
     assert times(_hardened.feed(request(7))) == [7]
 
 
-def test_the_worst_bytes_cost_a_bounded_share(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_checksum_work_per_byte_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     checked = 0
 
     def counting(data: bytes) -> int:
@@ -153,8 +153,8 @@ def test_the_worst_bytes_cost_a_bounded_share(monkeypatch: pytest.MonkeyPatch) -
         return checksum(data)
 
     monkeypatch.setattr(mavlink_parser, "checksum", counting)
-    # every tenth byte starts a header that is right, of a message that is not
+    # every tenth byte starts a valid header of a message with a wrong checksum
     liar = b"\xfd\xff\x00\x00\x00\x01\x01\x6f\x00\x00"
     assert parser().feed(liar * 1000) == []
-    # each byte is checked once for every header that claims it
+    # each byte is summed once for every header that covers it
     assert 0 < checked <= 28 * len(liar) * 1000

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as peer
 
 from calm_edge.config import ConfigError, PoseOutputConfig
 from calm_edge.geometry.se3 import compose, so3_exp
-from calm_edge.pose_output.line_budget import bytes_a_second
+from calm_edge.pose_output.line_budget import bytes_per_second
 from calm_edge.pose_output.mavlink import Encoder, Timesync
 from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.types import PoseSample, PoseStatus
@@ -22,22 +22,22 @@ START = 50_000 * MS
 
 
 class Recorder:
-    """A port that decodes what it is given."""
+    """A port that decodes the messages written to it."""
 
     def __init__(self) -> None:
         self._link = peer.MAVLink(None)
         self.bytes = 0
-        self.heard: list[Any] = []
+        self.messages: list[Any] = []
 
     def write(self, message: bytes) -> bool:
         self.bytes += len(message)
-        self.heard += self._link.parse_buffer(message) or []
+        self.messages += self._link.parse_buffer(message) or []
         return True
 
     def take(self, kind: str) -> list[Any]:
-        """The messages of a kind since the last take."""
-        taken = [m for m in self.heard if m.get_type() == kind]
-        self.heard = [m for m in self.heard if m.get_type() != kind]
+        """Return the messages of a type since the last call."""
+        taken = [m for m in self.messages if m.get_type() == kind]
+        self.messages = [m for m in self.messages if m.get_type() != kind]
         return taken
 
 
@@ -53,7 +53,7 @@ class Bench:
         )
 
     def at(self, ms: float, given: PoseSample | None) -> list[Any]:
-        """One tick; the odometry it sent."""
+        """Run one tick and return the ODOMETRY messages it sent."""
         self.now_ns = START + round(ms * MS)
         self.publisher.publish(given, self.now_ns)
         return self.port.take("ODOMETRY")
@@ -63,7 +63,7 @@ def sample(ms: float, **changes: Any) -> PoseSample:
     fields: dict[str, Any] = {
         "t_ns": START + round(ms * MS),
         "T_w_c": compose(so3_exp(np.array([0.0, 0.5, 0.0])), np.array([2.0, 0.25, 7.0])),
-        # it stands, and says it moves a little
+        # the same pose each time, with a small velocity
         "velocity_c": np.array([0.5, 0.25, 2.0]),
         "turn_rate_c": np.array([0.125, 0.5, 0.25]),
         "covariance": np.diag([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]) * 1e-7,
@@ -74,7 +74,7 @@ def sample(ms: float, **changes: Any) -> PoseSample:
     return PoseSample(**fields | changes)
 
 
-def test_a_pose_arrives_in_the_local_frame_with_its_own_stamp() -> None:
+def test_a_pose_is_sent_in_the_local_frame_with_its_stamp() -> None:
     (got,) = Bench().at(80, sample(0))
     assert got.time_usec == START // 1000
     assert (got.x, got.y, got.z) == (7.0, 2.0, 0.25)
@@ -83,21 +83,21 @@ def test_a_pose_arrives_in_the_local_frame_with_its_own_stamp() -> None:
     assert (got.rollspeed, got.pitchspeed, got.yawspeed) == (0.25, 0.125, 0.5)
     assert got.quality == 100 and got.reset_counter == 1
     diagonal = [0, 6, 11, 15, 18, 20]
-    # forward, right, down of the camera's right, down, forward
+    # body forward, right, down are the camera's z, x, y
     assert np.allclose(np.array(got.velocity_covariance)[diagonal], [6, 4, 5, 9, 7, 8])
     assert got.pose_covariance[20] * 1e7 == pytest.approx(0.2)
     assert got.pose_covariance[0] < 3e-7
 
 
-def test_the_mounting_turns_velocity_and_pose() -> None:
+def test_the_mounting_rotates_velocity_and_pose() -> None:
     (got,) = Bench(mounting_rpy_deg=(0.0, 0.0, 90.0)).at(0, sample(0, T_w_c=np.eye(4)))
     assert np.allclose((got.vx, got.vy, got.vz), (-0.5, 2.0, 0.25))
     assert np.allclose(got.q, [1, 0, 0, 0], atol=1e-7)
 
 
-def test_a_lever_moves_pose_and_velocity_to_the_body() -> None:
+def test_a_lever_arm_moves_pose_and_velocity_to_the_body() -> None:
     bench = Bench(mounting_xyz_m=(2.0, 0.0, -1.0))
-    # the car has turned right by half a radian about its own origin
+    # the car has turned right by half a radian about its origin
     turned = so3_exp(np.array([0.0, 0.5, 0.0]))
     T_w_c = compose(turned, turned @ [0, 0, 2.0] - [0, 0, 2.0])
     spin = {"velocity_c": np.array([0.6, 0, 0]), "turn_rate_c": np.array([0, 0.3, 0])}
@@ -107,55 +107,55 @@ def test_a_lever_moves_pose_and_velocity_to_the_body() -> None:
 
 
 @pytest.mark.parametrize("name", ["covariance", "twist_covariance"])
-def test_an_unknown_covariance_is_said_to_be_unknown(name: str) -> None:
+def test_an_unknown_covariance_is_sent_as_nan(name: str) -> None:
     (got,) = Bench().at(0, sample(0, **{name: np.full((6, 6), np.nan)}))
-    told = {"covariance": got.pose_covariance, "twist_covariance": got.velocity_covariance}
-    unknown = told.pop(name)
+    others = {"covariance": got.pose_covariance, "twist_covariance": got.velocity_covariance}
+    unknown = others.pop(name)
     assert math.isnan(unknown[0]) and unknown[1] == 0
-    assert all(np.isfinite(other).all() for other in told.values())
+    assert all(np.isfinite(other).all() for other in others.values())
     assert got.quality == (0 if name == "covariance" else 100)
 
 
-def test_the_reset_counter_starts_at_one_and_grows_with_each_jump() -> None:
+def test_the_reset_counter_starts_at_one_and_counts_jumps() -> None:
     bench = Bench(rate_hz=1.0)
     counters = []
-    # most samples fall to the rate limit, their jumps still count
+    # most samples are dropped by the rate limit, but their jumps count
     for k, epoch in enumerate([4, 4, 5, 5, 8, 8, 9, 9, 9, 9, 9, 9]):
         counters += [m.reset_counter for m in bench.at(100 * k, sample(100 * k, epoch=epoch))]
     assert counters == [1, 4]
     assert bench.publisher.reset_counter == 4
 
 
-def test_a_leap_of_the_pose_is_a_reset_though_nobody_said_so() -> None:
+def test_a_jump_without_a_new_epoch_is_a_reset() -> None:
     bench = Bench()
     leap = compose(so3_exp(np.array([0.0, 0.5, 0.0])), np.array([2.0, 0.25, 8.5]))
     ticks = [sample(0), sample(100), sample(200, T_w_c=leap), sample(300, T_w_c=leap)]
-    told = [m.reset_counter for k, s in enumerate(ticks) for m in bench.at(100 * k, s)]
-    assert told == [1, 1, 2, 2]
+    sent = [m.reset_counter for k, s in enumerate(ticks) for m in bench.at(100 * k, s)]
+    assert sent == [1, 1, 2, 2]
 
 
-def test_a_leap_over_a_loss_and_a_new_epoch_are_one_reset() -> None:
+def test_a_jump_after_a_loss_with_a_new_epoch_is_one_reset() -> None:
     bench = Bench()
     leap = compose(np.eye(3), np.array([90.0, 0, 8.5]))
     lost = {"T_w_c": np.full((4, 4), np.nan), "status": PoseStatus.LOST}
     ticks = [sample(0), sample(100, **lost), sample(200, epoch=1, **lost)]
     ticks += [sample(300, T_w_c=leap, epoch=1), sample(400, T_w_c=leap, epoch=1)]
-    told = [m.reset_counter for k, s in enumerate(ticks) for m in bench.at(100 * k, s)]
-    assert told[0] == 1 and told[-2:] == [2, 2]
+    sent = [m.reset_counter for k, s in enumerate(ticks) for m in bench.at(100 * k, s)]
+    assert sent[0] == 1 and sent[-2:] == [2, 2]
 
 
-def test_lost_is_silence_and_every_number_sent_is_one() -> None:
+def test_no_odometry_is_sent_while_lost_and_none_holds_nan() -> None:
     bench = Bench()
     lost = {"T_w_c": np.full((4, 4), np.nan), "status": PoseStatus.LOST}
     ticks = [sample(100 * k, **(lost if 3 <= k < 9 else {})) for k in range(12)]
-    told = [m for k, given in enumerate(ticks) for m in bench.at(100 * k, given)]
-    # a consumer that keeps the last message through a loss must not be left with nonsense
-    assert all(np.isfinite([m.x, m.y, m.z, *m.q]).all() and m.quality > 0 for m in told)
-    at_ms = [(m.time_usec - START // 1000) // 1000 for m in told]
+    sent = [m for k, given in enumerate(ticks) for m in bench.at(100 * k, given)]
+    # a receiver may keep the last message while the pose is lost
+    assert all(np.isfinite([m.x, m.y, m.z, *m.q]).all() and m.quality > 0 for m in sent)
+    at_ms = [(m.time_usec - START // 1000) // 1000 for m in sent]
     assert at_ms == [0, 100, 200, 900, 1000, 1100]
 
 
-def test_an_old_pose_is_never_sent_again() -> None:
+def test_a_pose_is_not_sent_twice() -> None:
     bench = Bench()
     given = sample(0)
     assert len(bench.at(0, given)) == 1
@@ -164,17 +164,17 @@ def test_an_old_pose_is_never_sent_again() -> None:
     assert bench.at(250, sample(-50)) == []
 
 
-def test_silence_is_a_loss_that_ends_with_the_next_sample() -> None:
+def test_missing_samples_mean_lost_until_the_next_sample() -> None:
     bench = Bench()
     bench.at(0, sample(0))
     assert bench.at(301, None) == []
-    # no longer a pose, though it may not have been sent before
+    # a LOST sample is not sent, although its stamp is new
     assert bench.at(650, sample(301, status=PoseStatus.LOST)) == []
     (found,) = bench.at(700, sample(690))
     assert found.quality == 100 and found.x == 7.0
 
 
-def test_a_repeated_or_late_sample_is_silence_too() -> None:
+def test_repeated_or_old_samples_do_not_end_a_loss() -> None:
     bench = Bench()
     bench.at(0, sample(0))
     bench.at(150, sample(0))
@@ -184,7 +184,7 @@ def test_a_repeated_or_late_sample_is_silence_too() -> None:
     assert bench.port.take("HEARTBEAT")[-1].system_status == peer.MAV_STATE_CRITICAL
 
 
-def test_lagging_is_worth_less_than_live_and_more_than_nothing() -> None:
+def test_quality_while_lagging_is_between_live_and_zero() -> None:
     (got,) = Bench().at(0, sample(0, status=PoseStatus.LAGGING))
     assert 0 < got.quality < 100 and got.x == 7.0
 
@@ -192,7 +192,7 @@ def test_lagging_is_worth_less_than_live_and_more_than_nothing() -> None:
 @pytest.mark.parametrize(
     ("tick_hz", "rate_hz", "expected"), [(30, 20, 20), (10, 20, 10), (60, 7, 7)]
 )
-def test_the_mean_rate_is_the_limit_or_the_samples(
+def test_the_mean_rate_is_that_of_the_samples_up_to_the_limit(
     tick_hz: int, rate_hz: int, expected: int
 ) -> None:
     bench = Bench(rate_hz=float(rate_hz))
@@ -209,7 +209,7 @@ def test_a_pause_is_not_followed_by_a_burst() -> None:
     assert sum(sent) == 2
 
 
-def test_heartbeat_once_a_second_from_the_start_with_the_state() -> None:
+def test_heartbeats_with_the_state_are_sent_every_second() -> None:
     bench = Bench()
     for k in range(31):
         bench.at(100 * k, sample(100 * k) if 10 < k <= 15 else None)
@@ -224,27 +224,27 @@ def test_heartbeat_once_a_second_from_the_start_with_the_state() -> None:
     assert bench.port.take("HEARTBEAT")[0].system_status == peer.MAV_STATE_ACTIVE
 
 
-def test_changes_of_state_are_said_at_most_once_a_second() -> None:
+def test_state_texts_are_limited_to_one_per_second() -> None:
     bench = Bench()
     states = [PoseStatus.LIVE] * 3 + [PoseStatus.LOST, PoseStatus.LAGGING] * 15
     for k, status in enumerate(states):
         bench.at(100 * k, sample(100 * k, status=status))
-    said = [(m.severity, m.text) for m in bench.port.take("STATUSTEXT")]
-    assert said[0] == (peer.MAV_SEVERITY_INFO, "calm-edge running")
-    assert 2 <= len(said) <= 4
-    assert set(said[1:]) <= {
+    texts = [(m.severity, m.text) for m in bench.port.take("STATUSTEXT")]
+    assert texts[0] == (peer.MAV_SEVERITY_INFO, "calm-edge running")
+    assert 2 <= len(texts) <= 4
+    assert set(texts[1:]) <= {
         (peer.MAV_SEVERITY_WARNING, "calm-edge lost"),
         (peer.MAV_SEVERITY_NOTICE, "calm-edge lagging"),
     }
 
 
-def test_what_the_daemon_reports_goes_before_what_the_pose_shows() -> None:
+def test_the_state_of_the_daemon_takes_precedence_over_that_of_the_pose() -> None:
     bench = Bench()
     reports = {
         0: ("STARTING", ()),
         2_000: ("RUNNING", ()),
         4_000: ("DEGRADED", ("assistant camera silent for 3 s", "recording stopped: disk full")),
-        # other reasons are news of less weight
+        # a change of reasons alone has a longer period
         5_000: ("DEGRADED", ("recording stopped: disk full",)),
         20_000: ("STOPPING", ()),
     }
@@ -252,9 +252,9 @@ def test_what_the_daemon_reports_goes_before_what_the_pose_shows() -> None:
         if ms in reports:
             bench.publisher.report(*reports[ms])
         bench.at(ms, sample(ms) if ms > 1_000 else None)
-    said = [(m.severity, m.text, m.id, m.chunk_seq) for m in bench.port.take("STATUSTEXT")]
+    texts = [(m.severity, m.text, m.id, m.chunk_seq) for m in bench.port.take("STATUSTEXT")]
     long = "calm-edge degraded: assistant camera silent for 3 s; recording stopped: disk full"
-    assert said == [
+    assert texts == [
         (peer.MAV_SEVERITY_INFO, "calm-edge starting", 0, 0),
         (peer.MAV_SEVERITY_INFO, "calm-edge running", 0, 0),
         (peer.MAV_SEVERITY_WARNING, long[:50], 3, 0),
@@ -267,7 +267,7 @@ def test_what_the_daemon_reports_goes_before_what_the_pose_shows() -> None:
     assert beats[-1] == peer.MAV_STATE_POWEROFF and len(beats) == 21
 
 
-def test_a_lost_pose_is_critical_whatever_the_daemon_says() -> None:
+def test_a_lost_pose_is_critical_in_every_state_of_the_daemon() -> None:
     bench = Bench()
     bench.publisher.report("RUNNING")
     for k in range(20):
@@ -275,7 +275,7 @@ def test_a_lost_pose_is_critical_whatever_the_daemon_says() -> None:
     assert bench.port.take("HEARTBEAT")[-1].system_status == peer.MAV_STATE_CRITICAL
 
 
-def test_the_last_word_does_not_wait_its_turn() -> None:
+def test_the_stopping_state_is_sent_at_once() -> None:
     bench = Bench()
     bench.at(0, sample(0))
     bench.publisher.report("STOPPING")
@@ -286,29 +286,29 @@ def test_the_last_word_does_not_wait_its_turn() -> None:
     ]
 
 
-def test_the_last_words_say_why() -> None:
+def test_the_stopping_state_is_sent_with_its_reasons() -> None:
     bench = Bench()
     bench.publisher.report("RUNNING")
     bench.at(0, None)
     bench.publisher.last_words(("camera x: no such camera",), START + 10 * MS)
     states = [m.system_status for m in bench.port.take("HEARTBEAT")]
     assert states == [peer.MAV_STATE_ACTIVE, peer.MAV_STATE_POWEROFF]
-    said = bench.port.take("STATUSTEXT")[-1].text
-    assert said == "calm-edge stopping: camera x: no such camera"
+    text = bench.port.take("STATUSTEXT")[-1].text
+    assert text == "calm-edge stopping: camera x: no such camera"
 
 
-def asked(ts1: int, **changes: Any) -> bytes:
-    """A request of an autopilot, as the wire has it."""
+def timesync_request(ts1: int, **changes: Any) -> bytes:
+    """The bytes of an autopilot's TIMESYNC request."""
     request = Timesync(**{"tc1_ns": 0, "ts1_ns": ts1, **changes})
     return Encoder(system_id=1, component_id=1).encode(request)
 
 
-def test_a_request_for_our_time_is_answered_by_the_clock_of_the_poses() -> None:
+def test_a_timesync_request_is_answered_with_the_clock_of_the_poses() -> None:
     bench = Bench()
     (pose,) = bench.at(40, sample(40))
-    bench.publisher.receive(asked(987)[:9])
+    bench.publisher.receive(timesync_request(987)[:9])
     assert bench.port.take("TIMESYNC") == []
-    bench.publisher.receive(asked(987)[9:])
+    bench.publisher.receive(timesync_request(987)[9:])
     (answer,) = bench.port.take("TIMESYNC")
     assert (answer.tc1 // 1000, answer.ts1) == (pose.time_usec, 987)
     target = answer.get_msgbuf()[-4:-2]
@@ -318,53 +318,55 @@ def test_a_request_for_our_time_is_answered_by_the_clock_of_the_poses() -> None:
 @pytest.mark.parametrize(
     ("request_", "answers"),
     [
-        (asked(5, target=(1, 197)), 1),
-        (asked(5, target=(1, 0)), 1),
-        (asked(5, target=(2, 197)), 0),
-        (asked(5, target=(1, 100)), 0),
-        # somebody's answer to somebody
-        (asked(5, tc1_ns=77), 0),
-        (b"\xfd" * 300 + asked(5), 1),
+        (timesync_request(5, target=(1, 197)), 1),
+        (timesync_request(5, target=(1, 0)), 1),
+        (timesync_request(5, target=(2, 197)), 0),
+        (timesync_request(5, target=(1, 100)), 0),
+        # a reply between two others
+        (timesync_request(5, tc1_ns=77), 0),
+        (b"\xfd" * 300 + timesync_request(5), 1),
     ],
 )
-def test_only_what_is_asked_of_us_is_answered(request_: bytes, answers: int) -> None:
+def test_only_timesync_requests_for_this_component_are_answered(
+    request_: bytes, answers: int
+) -> None:
     bench = Bench()
     bench.publisher.receive(request_)
     assert len(bench.port.take("TIMESYNC")) == answers
 
 
-def test_a_flood_of_requests_does_not_fill_the_line() -> None:
+def test_timesync_replies_are_rate_limited() -> None:
     bench = Bench()
     for ms in range(1000):
         bench.now_ns = START + ms * MS
-        bench.publisher.receive(asked(ms))
+        bench.publisher.receive(timesync_request(ms))
     assert len(bench.port.take("TIMESYNC")) == 20
 
 
-def test_a_state_that_stays_is_said_once() -> None:
+def test_an_unchanged_state_is_sent_once() -> None:
     bench = Bench()
     for k in range(50):
         bench.at(100 * k, sample(100 * k))
     assert len(bench.port.take("STATUSTEXT")) == 1
 
 
-def test_without_metres_no_pose_is_trusted_and_the_mend_is_said() -> None:
+def test_without_a_spacing_quality_is_failed_and_the_text_names_the_remedy() -> None:
     bench = Bench(spacing_known=False)
     (got,) = bench.at(0, sample(0))
     assert got.quality == -1 and got.x == 7.0
-    (said,) = bench.port.take("STATUSTEXT")
-    assert said.severity == peer.MAV_SEVERITY_WARNING and "scale.spacing_m" in said.text
+    (text,) = bench.port.take("STATUSTEXT")
+    assert text.severity == peer.MAV_SEVERITY_WARNING and "scale.spacing_m" in text.text
 
 
-def test_a_busy_second_on_the_fastest_line_leaves_a_tenth_of_it_free() -> None:
+def test_the_busiest_second_leaves_a_tenth_of_the_line_free() -> None:
     bench = Bench(baud=57_600, rate_hz=17.0)
     for k in range(1000):
         status = PoseStatus.LAGGING if k // 40 % 2 else PoseStatus.LIVE
         bench.publisher.report("LOST" if k // 100 % 2 else "DEGRADED", ("x" * 300,))
         bench.at(10 * k, sample(10 * k, status=status))
-        bench.publisher.receive(asked(k))
+        bench.publisher.receive(timesync_request(k))
     sent = bench.port.bytes / 10
-    assert 0.8 * bytes_a_second(17.0) < sent <= bytes_a_second(17.0) <= 0.9 * 57_600 / 10
+    assert 0.8 * bytes_per_second(17.0) < sent <= bytes_per_second(17.0) <= 0.9 * 57_600 / 10
 
 
 @pytest.mark.parametrize(
@@ -377,12 +379,12 @@ def test_a_busy_second_on_the_fastest_line_leaves_a_tenth_of_it_free() -> None:
         ({"baud": 57_600, "rate_hz": 30.0}, "carries 17 poses"),
     ],
 )
-def test_nonsense_is_a_config_error(changes: dict[str, Any], words: str) -> None:
+def test_invalid_settings_raise_a_config_error(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         PosePublisher(Recorder(), PoseOutputConfig(**changes), spacing_known=True)
 
 
-def test_over_a_real_line() -> None:
+def test_over_a_pseudo_terminal() -> None:
     master, slave = os.openpty()
     port = SerialPort(os.ttyname(slave), 115_200)
     publisher = PosePublisher(port, PoseOutputConfig(), spacing_known=True)
@@ -390,7 +392,7 @@ def test_over_a_real_line() -> None:
     autopilot = peer.MAVLink(None, srcSystem=1, srcComponent=1)
     received: list[Any] = []
 
-    def hear(count: int) -> None:
+    def read_until(count: int) -> None:
         limit = time.monotonic() + 5
         while len(received) < count and time.monotonic() < limit:
             received.extend(autopilot.parse_buffer(os.read(master, 4096)) or [])
@@ -398,12 +400,12 @@ def test_over_a_real_line() -> None:
     try:
         for k in range(5):
             publisher.publish(sample(50 * k), START + 50 * k * MS)
-        hear(7)
+        read_until(7)
         before = time.monotonic_ns()
-        # noise of a line being plugged in, then the request
+        # noise as from plugging in, then the request
         os.write(master, bytes(range(256)))
         os.write(master, peer.MAVLink_timesync_message(0, 4711).pack(autopilot))
-        hear(8)
+        read_until(8)
         after = time.monotonic_ns()
     finally:
         port.stop()
@@ -415,9 +417,9 @@ def test_over_a_real_line() -> None:
     assert received[-1].ts1 == 4711 and before < received[-1].tc1 < after
 
 
-def test_time_on_the_line_never_runs_backwards_after_a_loss() -> None:
+def test_stamps_sent_increase_across_a_loss() -> None:
     bench = Bench()
-    # the fourth one was exposed before the loss was noticed
+    # the fourth was exposed before the loss was detected
     ticks = [
         (0, sample(0)),
         (60, sample(10, status=PoseStatus.LOST)),
@@ -425,5 +427,5 @@ def test_time_on_the_line_never_runs_backwards_after_a_loss() -> None:
         (180, sample(110)),
         (280, sample(210)),
     ]
-    told = [m for ms, given in ticks for m in bench.at(ms, given)]
-    assert [m.time_usec - START // 1000 for m in told] == [0, 110_000, 210_000]
+    sent = [m for ms, given in ticks for m in bench.at(ms, given)]
+    assert [m.time_usec - START // 1000 for m in sent] == [0, 110_000, 210_000]

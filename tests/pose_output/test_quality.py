@@ -8,7 +8,7 @@ from calm_edge.types import PoseStatus
 
 
 def covariance(sigma_m: float, sigma_rad: float) -> np.ndarray:
-    """Uncertain in one direction that is no axis."""
+    """A covariance that is uncertain in one direction off the axes."""
     along = np.array([1.0, 2.0, -2.0]) / 3
     out = np.outer(along, along)
     return np.kron(np.diag([sigma_m**2, sigma_rad**2]), out)
@@ -25,16 +25,18 @@ def covariance(sigma_m: float, sigma_rad: float) -> np.ndarray:
         (100.0, 1.0, 1),
     ],
 )
-def test_the_worst_direction_rules(sigma_m: float, sigma_rad: float, expected: int) -> None:
+def test_quality_is_that_of_the_most_uncertain_direction(
+    sigma_m: float, sigma_rad: float, expected: int
+) -> None:
     assert quality(covariance(sigma_m, sigma_rad), PoseStatus.LIVE) == expected
 
 
-def test_the_estimator_behind_halves_it_and_never_to_nothing() -> None:
+def test_quality_while_lagging_is_halved_and_at_least_one() -> None:
     assert quality(covariance(0.0, 0.0), PoseStatus.LAGGING) == 50
     assert quality(covariance(100.0, 1.0), PoseStatus.LAGGING) == 1
 
 
-def test_unknown_and_failed_have_their_own_numbers() -> None:
+def test_quality_of_unknown_covariance_and_of_a_lost_pose() -> None:
     unknown = np.full((6, 6), np.nan)
     assert quality(unknown, PoseStatus.LIVE) == UNKNOWN == 0
     assert quality(np.eye(6), PoseStatus.LOST) == FAILED == -1
