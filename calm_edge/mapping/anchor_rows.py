@@ -1,4 +1,4 @@
-"""Building and joining the rows of an AnchorTable."""
+"""Create and concatenate AnchorTables."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from calm_edge.types import AnchorTable, Float, Int
 
 
 def empty() -> AnchorTable:
-    """No anchors."""
+    """An AnchorTable without rows."""
     none = np.empty(0, np.int64)
     unseen, no_uv = np.empty(0, np.int32), np.empty((0, 2), np.float32)
     return AnchorTable(none, none, np.empty((0, 3)), unseen, unseen, unseen, no_uv)
 
 
 def from_sightings(submap_id: int, anchor: Int, p_s: Float, sightings: Sightings) -> AnchorTable:
-    """Rows of anchors (M,) at p_s (M, 3) in one sub-map, with every view that agrees."""
+    """Rows of anchors of one sub-map, with an observation in each view that agrees.
+
+    anchor: (M,) ids. p_s: (M, 3) sub-map frame, world units.
+    """
     row, view = np.nonzero(sightings.agrees)
     return AnchorTable(
         anchor,
@@ -32,7 +35,7 @@ def from_sightings(submap_id: int, anchor: Int, p_s: Float, sightings: Sightings
 
 
 def join(tables: Iterable[AnchorTable]) -> AnchorTable:
-    """The rows of all tables, in order."""
+    """Concatenate tables in the given order."""
     tables = [empty(), *tables]
     return AnchorTable(
         np.concatenate([t.anchor for t in tables]),

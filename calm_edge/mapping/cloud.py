@@ -1,4 +1,4 @@
-"""Coloured points of a sub-map, and voxels that keep a cloud from repeating itself."""
+"""Coloured point cloud of a sub-map, downsampled to one point per voxel."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 from calm_edge.mapping.views import DenseViews, lift_all
 from calm_edge.types import Bytes, Float32, Int
 
-# 21 bits an axis: a million voxels to either side of the origin
+# 21 bits per axis: +-2^20 voxels from the origin
 HALF = 1 << 20
-# odd 64-bit multipliers: one hash a round of `first_of_each`, by multiplication
+# odd 64-bit multipliers of multiplicative hashing, one per round of `first_of_each`
 MULTIPLIERS = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0x27D4EB2F165667C5)
 
 
 def voxel_keys(points: NDArray[np.floating], voxel: float) -> Int:
-    """(M,) one integer a voxel of edge `voxel` (the points' unit), for points (M, 3).
+    """Voxel index of each point, packed into one integer: (M, 3) -> (M,).
 
-    Points beyond a million voxels from the origin share the outermost ones.
+    voxel: edge, in the unit of points. Indices beyond +-2^20 are clamped.
     """
     key = np.zeros(len(points), np.int64)
     for axis in range(3):
@@ -27,10 +27,11 @@ def voxel_keys(points: NDArray[np.floating], voxel: float) -> Int:
 
 
 def first_of_each(keys: Int) -> Int:
-    """(U,) index of the first occurrence of every distinct key (M,), in no particular order.
+    """Indices (U,) of the first occurrence of each distinct key (M,), unordered.
 
-    By hashing: several times faster than sorting. In a round a slot goes to its first key, which
-    settles all that share the key; keys that lost their slot to another go to the next round.
+    Uses hashing, which is several times faster than np.unique. In each round a slot is taken by
+    its first key, which settles all equal keys; keys that collide with another go to the next
+    round, and to np.unique after the last one.
     """
     left = np.arange(len(keys))
     bits = max(8, len(keys).bit_length() + 1)
@@ -39,7 +40,7 @@ def first_of_each(keys: Int) -> Int:
     for multiplier in MULTIPLIERS:
         own = keys[left]
         slot = (own.view(np.uint64) * np.uint64(multiplier)) >> np.uint64(64 - bits)
-        # of several assignments to one slot the last one stays, so the first key comes last
+        # numpy keeps the last of several assignments to a slot, hence the reversed order
         holder[slot[::-1]] = left[::-1]
         held = holder[slot]
         found.append(left[held == left])
@@ -53,13 +54,13 @@ def first_of_each(keys: Int) -> Int:
 def submap_points(
     views: DenseViews, color: Bytes, voxel: float, most: int, rng: np.random.Generator
 ) -> tuple[Float32, Bytes]:
-    """Points (P, 3), sub-map frame, world units, and colours (P, 3) of all usable pixels.
+    """Points (P, 3), sub-map frame, world units, and colours (P, 3) of the usable pixels.
 
-    color: (N, h, w, 3). Of the pixels in one voxel the one seen from nearest stays (depth errors
-    grow with depth), to a 65,535th of the range; above `most` points a random subset stays.
+    color: (N, h, w, 3). Per voxel the pixel with the smallest depth is kept, since depth errors
+    grow with depth. If more than `most` points remain, a random subset of that size is taken.
     """
     pixel, points, depth = lift_all(views)
-    # 16 bits are sorted by radix, in linear time
+    # quantised to 16 bits, for which numpy's stable sort is a radix sort
     step = np.float32(65535 / depth.max(initial=1e-6))
     nearest_first = np.argsort((depth * step).astype(np.uint16), kind="stable")
     keys = voxel_keys(points, voxel)[nearest_first]

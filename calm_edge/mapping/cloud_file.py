@@ -1,4 +1,4 @@
-"""Binary PLY: points and colours, written tile by tile."""
+"""Read and write point clouds with colours as binary PLY, written tile by tile."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ PROPERTIES = [f"property float {a}" for a in "xyz"] + [
 
 
 class CloudError(CalmEdgeError):
-    """A cloud that cannot be written or read."""
+    """A point cloud file cannot be written or read."""
 
 
 def _header(count: int) -> bytes:
-    # the comment pads the header to one length, so the count can be patched at the end
+    # a comment pads the header to a fixed length, so that the count can be rewritten at the end
     pad = "." * (20 - len(str(count)))
     lines = ["ply", "format binary_little_endian 1.0", f"comment calm-edge {pad}"]
     lines += [f"element vertex {count}", *PROPERTIES, "end_header", ""]
@@ -29,9 +29,10 @@ def _header(count: int) -> bytes:
 
 
 class CloudWriter:
-    """Writes tiles to `path`.part; the file takes its name on a clean exit. Context manager.
+    """Context manager that writes tiles to `path`.part and renames it to `path` on success.
 
-    Raises CloudError when the disk refuses or the file exists. count: points so far.
+    After an exception the file is removed. count: points written so far. Raises CloudError if
+    the file exists or cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -47,7 +48,7 @@ class CloudWriter:
             raise CloudError(f"{path}: cannot be written ({error.strerror})") from None
 
     def write(self, tile: MapTile) -> None:
-        """Append one tile's points."""
+        """Append the points of a tile."""
         vertices = np.empty(len(tile.points_w), VERTEX)
         vertices["p"], vertices["color"] = tile.points_w, tile.color
         try:
@@ -79,7 +80,10 @@ class CloudWriter:
 
 
 def read_cloud(path: Path) -> tuple[Float32, Bytes]:
-    """Points (P, 3) and colours (P, 3) RGB of a PLY that CloudWriter wrote; raises CloudError."""
+    """Read points (P, 3) and colours (P, 3) RGB from a PLY written by CloudWriter.
+
+    Raises CloudError.
+    """
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -89,11 +93,12 @@ def read_cloud(path: Path) -> tuple[Float32, Bytes]:
     counts = [line.split()[2] for line in lines if line.startswith("element vertex ")]
     ours = [line for line in lines if line.startswith("property")] == PROPERTIES
     if not (end and ours and len(counts) == 1 and counts[0].isdigit()):
-        raise CloudError(f"{path}: not a cloud that calm-edge wrote")
+        raise CloudError(f"{path}: not a cloud of calm-edge map; give its map.ply")
     count = int(counts[0])
     if len(body) != count * VERTEX.itemsize:
         raise CloudError(
-            f"{path}: holds {len(body) // VERTEX.itemsize} of {count} points; map it again"
+            f"{path}: holds {len(body) // VERTEX.itemsize} of {count} points; "
+            "run calm-edge map again"
         )
     vertices = np.frombuffer(body, VERTEX)
     return vertices["p"].copy(), vertices["color"].copy()

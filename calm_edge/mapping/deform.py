@@ -1,4 +1,4 @@
-"""From active anchors to a deformed cloud, guarded against folds (paper VI-D)."""
+"""Thin-plate deformation of a sub-map by its active anchors, checked for folding (paper VI-D)."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from calm_edge.geometry import thin_plate
 from calm_edge.geometry.thin_plate import ThinPlate
 from calm_edge.types import Float, Int
 
-# a control point that would move farther than this share of its distance to the central camera
-# is a wrong association, not a depth distortion
+# anchors that would move by more than this share of their distance to the central camera are
+# wrong associations, not depth distortions
 MAX_RELATIVE_SHIFT = 0.25
-# shifts are compared with those of this many shared anchors around; a difference counts as torn
-# above three robust sigmas of all of them, and only above this share of the distance
+# an anchor's shift is compared with the median of this many neighbours; the anchor is torn if the
+# difference exceeds three robust sigmas and TORN_SHIFT of its distance to the central camera
 NEIGHBOURS = 8
 TORN_SHIFT = 0.002
-# below this volume ratio the map counts as folding
+# Jacobian determinant (local volume ratio) of the deformation below which it counts as folding
 MIN_DETERMINANT = 0.1
-STIFFER = 10.0 ** np.arange(7)
+STIFFNESS_FACTORS = 10.0 ** np.arange(7)
 
 
 @dataclass(frozen=True, slots=True)
 class Deformation:
-    """A thin plate in the sub-map frame that moves no point by more than `limit`, world units.
+    """A thin-plate spline in the sub-map frame that moves no point by more than `limit`.
 
-    stiffness: the one that was used, without unit; larger than asked where the map folded.
+    limit: world units. stiffness: value used (dimensionless), larger than configured if the
+    deformation folded with that; inf for a rigid motion.
     """
 
     plate: ThinPlate
@@ -35,10 +36,10 @@ class Deformation:
     stiffness: float
 
     def apply(self, points: NDArray[np.floating]) -> Float:
-        """(M, 3) -> (M, 3), sub-map frame, world units.
+        """Deform points (M, 3), sub-map frame, world units.
 
-        Away from the controls the affine part extrapolates without bound, so a displacement is
-        shortened to the largest one any control point makes.
+        Displacements are clipped to the largest one of a control point, because the affine part
+        extrapolates without bound.
         """
         points = np.asarray(points, np.float64)
         shift = self.plate.apply(points) - points
@@ -47,13 +48,16 @@ class Deformation:
 
 
 def unchanged() -> Deformation:
-    """Every point stays where its sub-map puts it."""
+    """The identity deformation."""
     none = np.empty((0, 3))
     return Deformation(thin_plate.fit(none, none, 0.0), 0.0, float("inf"))
 
 
 def cells(points: Float, most: int) -> Int:
-    """(M,) labels from 0 of the finest cubic lattice, by bisection, with at most `most` cells."""
+    """Cell label (M,) of each point (M, 3) in a cubic lattice with at most `most` filled cells.
+
+    The finest such lattice is found by bisection of its cell size. Labels count from 0.
+    """
     if len(points) <= most:
         return np.arange(len(points))
     low = points.min(0)
@@ -72,11 +76,11 @@ def cells(points: Float, most: int) -> Int:
 
 
 def control_points(p_s: Float, target_s: Float, n: Int, most: int) -> tuple[Float, Float]:
-    """At most `most` pairs (C, 3), (C, 3) of source and target, evenly over the anchors' volume.
+    """Source and target control points (C, 3), (C, 3), C <= `most`, evenly over the volume.
 
     p_s, target_s: (M, 3) sub-map frame. n: (M,) observation counts. A control point is the mean
-    of the most observed anchors of its lattice cell: a single anchor would hand its own depth
-    noise to everything around it.
+    of the most observed anchors of its lattice cell, which averages the depth noise of single
+    anchors.
     """
     label = cells(p_s, most)
     best = np.zeros(label.max(initial=-1) + 1, np.int64)
@@ -92,11 +96,11 @@ def control_points(p_s: Float, target_s: Float, n: Int, most: int) -> tuple[Floa
 
 
 def torn(p_s: Float, shift: Float, n: Int, centre_s: Float) -> NDArray[np.bool_]:
-    """(M,) shared anchors whose shift (M, 3) disagrees with the shared anchors around them.
+    """Mask (M,) of anchors whose shift differs from that of their neighbours.
 
-    An anchor on an occlusion edge gets a depth that passes the verification's tolerance and still
-    is off by most of it; interpolated by a plate this soft it would dent the map. p_s: (M, 3),
-    centre_s: (3,), n: (M,) observation counts; anchors of a single sub-map are never torn.
+    Anchors on occlusion edges can have a depth error just within the tolerance of verification,
+    and would dent the map. p_s: (M, 3). shift: (M, 3) target minus source. n: (M,) observation
+    counts; only anchors of several sub-maps are compared and marked. centre_s: (3,) central camera.
     """
     from scipy.spatial import cKDTree
 
@@ -120,20 +124,20 @@ def fit_deformation(
     stiffness: float,
     most: int,
 ) -> Deformation:
-    """The deformation taking anchors p_s (M, 3) to target_s (M, 3), sub-map frame, world units.
+    """Fit the deformation that takes anchors p_s (M, 3) to target_s (M, 3) (paper VI-D).
 
-    n: (M,) observation counts. centre_s: (3,) central camera. probes: (P, 3) points of the cloud at
-    which folding is looked for, besides the controls. stiffness: inf asks for the best rigid
-    motion. most: control points at most. Where det dPhi/dx falls below 0.1 the stiffness is raised
-    tenfold up to a million times (which is an affine fit), and if that folds too the best rigid
-    motion is used.
+    Sub-map frame, world units. n: (M,) observation counts. centre_s: (3,) central camera.
+    probes: (P, 3) points of the cloud at which, besides the control points, folding is checked.
+    stiffness: lambda of VI-D, inf for the best rigid motion. most: maximum number of control
+    points. While det dPhi/dx < 0.1 anywhere, the stiffness is raised tenfold, up to 10^6 times
+    (practically affine); if that folds too, the best rigid motion is used.
     """
     shift = np.linalg.norm(target_s - p_s, axis=-1)
     likely = shift <= MAX_RELATIVE_SHIFT * np.linalg.norm(p_s - centre_s, axis=-1)
     likely &= ~torn(p_s, target_s - p_s, n, centre_s)
     source, target = control_points(p_s[likely], target_s[likely], n[likely], most)
     limit = float(np.linalg.norm(target - source, axis=-1).max(initial=0.0))
-    for factor in STIFFER if np.isfinite(stiffness) else ():
+    for factor in STIFFNESS_FACTORS if np.isfinite(stiffness) else ():
         plate = thin_plate.fit(source, target, stiffness * factor)
         worst = min(
             plate.determinants(probes).min(initial=1.0), plate.worst_at_controls().min(initial=1.0)

@@ -1,4 +1,4 @@
-"""Anchors of one sub-map: a random confident pixel a grid cell, verified (paper VI-A)."""
+"""Anchor extraction of one sub-map: a random confident pixel per grid cell, verified (VI-A)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Bool = NDArray[np.bool_]
 
 
 def cell_of(views: DenseViews, view: Int | Int32, uv: NDArray[np.floating], grid: int) -> Int:
-    """Grid cell (...) in [0, grid^2) of image pixels uv (..., 2) in views (...)."""
+    """Grid cell index (...) in [0, grid^2) of image pixels uv (..., 2) in views (...)."""
     height, width = views.inverse_depth.shape[1:]
     share = (views.to_map(view, uv) + 0.5) / [width, height]
     column, row = np.moveaxis(np.clip((share * grid).astype(np.int64), 0, grid - 1), -1, 0)
@@ -23,7 +23,7 @@ def cell_of(views: DenseViews, view: Int | Int32, uv: NDArray[np.floating], grid
 def draw_candidates(
     usable: Bool, wanted: Bool, grid: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Flat pixel indices (M,): one random usable pixel of each wanted cell that has any.
+    """Draw one random usable pixel of each wanted cell that has any: flat pixel indices (M,).
 
     usable: (h, w). wanted: (grid^2,).
     """
@@ -48,11 +48,12 @@ def extract(
     tolerance: float,
     rng: np.random.Generator,
 ) -> AnchorTable:
-    """`seeds` (already placed in this sub-map) and new anchors numbered from first_id.
+    """Extract anchors of a sub-map by grid sampling and densification (paper VI-A.1, VI-A.2).
 
-    Frame by frame (both eyes, batch order) the cells without an anchor get a candidate (paper
-    VI-A.2). Every anchor is projected into all frames when it is made, so "project the established
-    anchors onto frame t" is a look-up; an anchor hidden in frame t does not fill its cell there.
+    seeds: anchors propagated from earlier sub-maps; part of the result. first_id: id of the first
+    new anchor. Frame by frame (both cameras, batch order) each cell without an anchor gets a
+    candidate. An anchor occupies its cell only in frames that agree with it: one that is occluded
+    in a frame does not.
     """
     n_views, _, width = views.inverse_depth.shape
     filled = np.zeros((n_views, grid * grid), bool)

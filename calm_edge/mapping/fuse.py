@@ -1,4 +1,4 @@
-"""One position a global anchor, and which anchors may steer the map (paper VI-C)."""
+"""Fusion of anchor positions over sub-maps, and local suppression (paper VI-C)."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from calm_edge.geometry import se3
 from calm_edge.mapping.views import MappingError
 from calm_edge.types import AnchorTable, Float, Int, Submap
 
-# an anchor at the optical centre itself would weigh infinitely, world units^2
+# lower bound of the squared distance in the weight, world units^2
 MIN_DISTANCE2 = 1e-6
-# anchors suppressed at a time
+# anchors processed at a time by `Fusion.active`
 SLAB = 100_000
-# rows the file grows by
+# rows by which the file grows
 BLOCK = 1 << 16
 # columns of a row
 WEIGHTED, WEIGHT, COUNT = slice(0, 3), 3, 4
 
 
 def central_centre(submap: Submap) -> Float:
-    """(3,) optical centre of the central primary keyframe, sub-map frame, world units."""
+    """Optical centre (3,) of the central primary keyframe, sub-map frame, world units."""
     return np.asarray(submap.T_s_c[submap.n_primary // 2, :3, 3])
 
 
 def weights(p_s: Float, centre_s: Float) -> Float:
-    """(M,) w = 1 / |p - centre|^2 of points (M, 3), world units (paper VI-C.1)."""
+    """Fusion weights (M,), 1 / |p - centre|^2, of points (M, 3), world units (paper VI-C.1)."""
     return np.asarray(1 / np.maximum(((p_s - centre_s) ** 2).sum(-1), MIN_DISTANCE2))
 
 
 class Fusion:
-    """Running sums over sub-maps, a row an anchor id, in a file.
+    """Incremental weighted mean of the world positions of all anchors, in a memory-mapped file.
 
-    A row holds the sum of w p_w, the sum of w and the number of sub-maps. New rows touch their own
-    anchors only, and the file is mapped for the length of a call, so neither the time nor the
-    memory of `add` grows with the drive. distance_weight: off, every observation weighs the same.
+    Row k, anchor k: sum of w p_w, sum of w, number of sub-maps. `add` touches only the rows of
+    its anchors, so that its time and memory do not grow with the drive. distance_weight: False
+    weighs all observations equally.
     """
 
     def __init__(self, path: Path, distance_weight: bool = True) -> None:
-        """path: a scratch file, made new; the caller removes it. Raises MappingError."""
+        """path: scratch file, overwritten; the caller removes it. Raises MappingError."""
         self._path = path
         self._distance_weight = distance_weight
         self._size = 0
@@ -50,19 +50,21 @@ class Fusion:
         self.clear()
 
     def __len__(self) -> int:
-        """Anchors so far: one more than the largest id."""
+        """Number of anchors: the largest id plus one."""
         return self._size
 
     def clear(self) -> None:
-        """Forget every observation."""
+        """Remove all observations."""
         try:
             self._path.write_bytes(b"")
         except OSError as error:
-            raise MappingError(f"{self._path}: cannot be written ({error.strerror})") from None
+            raise MappingError(
+                f"{self._path}: cannot be written ({error.strerror}); check the disk"
+            ) from None
         self._size = self._capacity = 0
 
     def add(self, rows: AnchorTable, submap: Submap) -> None:
-        """Take in new rows of one sub-map, each anchor at most once (paper VI-C.1)."""
+        """Add observations of anchors by one sub-map, each anchor at most once (paper VI-C.1)."""
         if not len(rows.anchor):
             return
         self._size = max(self._size, int(rows.anchor.max()) + 1)
@@ -82,9 +84,10 @@ class Fusion:
         return rows[:, WEIGHTED] / rows[:, [WEIGHT]], rows[:, COUNT].astype(np.int64)
 
     def active(self, radius: float) -> NDArray[np.bool_]:
-        """(A,) anchors that no neighbour suppresses (paper VI-C.2); radius in world units.
+        """Mask (A,) of the anchors that are not suppressed (paper VI-C.2).
 
-        Slab by slab along the map's longest axis: beside the slab it takes 25 bytes an anchor.
+        radius: world units. Works in slabs along the longest axis of the map: memory is one slab
+        and 25 bytes per anchor.
         """
         active = np.ones(self._size, bool)
         if not self._size:
@@ -106,7 +109,7 @@ class Fusion:
 
     @contextmanager
     def _rows(self) -> Iterator[NDArray[np.float64]]:
-        """The file as (capacity, 5); what it grows by is zero, and nothing is copied."""
+        """The file as a memory map (capacity, 5), extended with zeros as needed."""
         try:
             if self._size > self._capacity:
                 self._capacity = -(-self._size // BLOCK) * BLOCK
@@ -117,20 +120,23 @@ class Fusion:
                 return
             sums = np.memmap(self._path, np.float64, "r+", shape=(self._capacity, 5))
         except OSError as error:
-            raise MappingError(f"{self._path}: cannot be written ({error.strerror})") from None
+            raise MappingError(
+                f"{self._path}: cannot be written ({error.strerror}); check the disk"
+            ) from None
         yield sums
 
 
 def suppress(p_w: Float, n: Int, radius: float) -> NDArray[np.bool_]:
-    """(A,) active: no neighbour within `radius` was observed by more sub-maps (paper VI-C.2).
+    """Mask (A,) of active anchors: no neighbour within `radius` has more observations (VI-C.2).
 
-    p_w: (A, 3) and radius in world units; the boundary counts as within. One tree a distinct
-    count, asked for the nearest better anchor: memory stays O(A) however dense the anchors are.
+    p_w: (A, 3), radius: world units, inclusive. n: (A,) observation counts. For each distinct
+    count, one KD-tree of the anchors with more; only the nearest is queried, so memory is O(A)
+    at any density.
     """
     from scipy.spatial import cKDTree
 
     active = np.ones(len(n), bool)
-    # the tree's own bound is exclusive, so it gets a little more and the comparison is ours
+    # distance_upper_bound is exclusive: query slightly further and compare ourselves
     bound = radius * (1 + 1e-9) + 1e-12
     for count in np.unique(n)[:-1]:
         tree = cKDTree(p_w[n > count])

@@ -1,4 +1,4 @@
-"""The one owner of mapping state: sub-maps in, tiles out (paper VI)."""
+"""Globally consistent mapping (paper VI): takes sub-maps, yields deformed map tiles."""
 
 from __future__ import annotations
 
@@ -18,20 +18,22 @@ from calm_edge.mapping.views import MappingError
 from calm_edge.mapping.voxel_filter import VoxelFilter
 from calm_edge.types import AnchorTable, Bytes, Float32, MapTile, Submap
 
+# points of a sub-map at which its deformation is checked for folding
 PROBES = 2000
 
 
 class Mapper:
-    """Add sub-maps in order, then take the tiles. All that grows with the drive waits on disk.
+    """Owner of the mapping state: `add` each sub-map in order, then iterate over `finish`.
 
-    In memory stay the sub-maps and deformations, some tens of kilobytes each, the depth of three
-    sub-maps and the anchors of eight; `finish` adds 25 bytes an anchor and the voxels around.
+    Depth, anchors and voxels of the drive are kept on disk. In memory: sub-maps and deformations
+    (some ten kilobytes each), depth of three sub-maps, anchors of eight; during `finish` also 25
+    bytes per anchor and the voxels nearby.
     """
 
     def __init__(
         self, config: MappingConfig, spacing: float, spool_folder: Path, seed: int = 0
     ) -> None:
-        """spacing: world units a map unit. spool_folder: scratch, the caller removes it."""
+        """spacing: world units per map unit. spool_folder: for scratch; the caller removes it."""
         self._config = config
         self._spacing = spacing
         self._folder = spool_folder
@@ -41,8 +43,9 @@ class Mapper:
         self._deformations: dict[int, Deformation] = {}
 
     def variant(self, config: MappingConfig, folder: Path) -> Mapper:
-        """A Mapper of the sub-maps added so far, and of their anchors, that fuses and deforms by
-        another config; what extraction takes from a config stays as it was. folder: its scratch.
+        """A second Mapper on the same sub-maps and anchors, for comparing configurations.
+
+        config: of fusion and deformation; extraction is not repeated. folder: its scratch folder.
         """
         other = Mapper.__new__(Mapper)
         folder.mkdir(parents=True, exist_ok=True)
@@ -60,9 +63,9 @@ class Mapper:
         confidence: Float32,
         images: Sequence[NDArray[np.uint8]],
     ) -> None:
-        """A sub-map with its depth (N, h, w), raw unit, confidence (N, h, w) and N BGR images.
+        """Add a sub-map with depth (N, h, w), raw unit, confidence (N, h, w) and N BGR images.
 
-        Raises MappingError when they do not fit each other, or the id was added before.
+        Raises MappingError if their sizes do not match or the id has been added before.
         """
         fresh = self._skeleton.add(submap, depth, confidence, images)
         self._placed[submap.id] = submap
@@ -70,10 +73,10 @@ class Mapper:
             self._fusion.add(rows, self._placed[submap_id])
 
     def finish(self, submaps: Iterable[Submap] = ()) -> Iterator[MapTile]:
-        """Tiles in sub-map order, no two points of the map in one voxel.
+        """Yield one tile per sub-map, in order of ids; over all tiles one point per voxel.
 
-        submaps: placements newer than those added; only T_w_s may differ. Raises MappingError for
-        a sub-map that is unknown or whose scale or rectified geometry changed.
+        submaps: sub-maps with newer poses; only T_w_s may differ from those added. Raises
+        MappingError for an unknown sub-map or one with another scale or rectified geometry.
         """
         self._move(submaps)
         active = self._active()
@@ -87,7 +90,7 @@ class Mapper:
             yield MapTile(points_w[keep].astype(np.float32), color[keep], submap_id)
 
     def points(self, submap_id: int) -> tuple[Float32, Bytes]:
-        """A sub-map's points (P, 3), its frame, world units, before the deformation; RGB (P, 3)."""
+        """Points (P, 3), sub-map frame, world units, before deformation, and RGB colours (P, 3)."""
         return submap_points(
             self._skeleton.views(submap_id),
             self._skeleton.color(submap_id),
@@ -97,18 +100,18 @@ class Mapper:
         )
 
     def table(self) -> AnchorTable:
-        """The rows of all sub-maps."""
+        """Anchor rows of all sub-maps."""
         return anchor_rows.join(self._skeleton.tables[i] for i in sorted(self._placed))
 
     def seams(self) -> tuple[seams.Seam, ...]:
-        """Seams of the sub-maps that share a picture, once `finish` has handed out both tiles."""
+        """Seams between sub-maps with common images, for those whose tiles have been yielded."""
         done = self._deformations
         pairs = [(a, b) for a, b in self._skeleton.linked() if a in done and b in done]
         T_w_s = {i: s.T_w_s for i, s in self._placed.items()}
         return seams.seams(pairs, self._skeleton.tables, T_w_s, done)
 
     def deformations(self) -> dict[int, Deformation]:
-        """Sub-map id -> the deformation of its tile, of the tiles `finish` has handed out."""
+        """Deformation by sub-map id, for the tiles yielded so far."""
         return dict(self._deformations)
 
     def _active(self) -> NDArray[np.bool_]:
@@ -137,11 +140,14 @@ class Mapper:
         for submap in submaps:
             known = self._placed.get(submap.id)
             if known is None:
-                raise MappingError(f"sub-map {submap.id}: placed but never added; map it again")
+                raise MappingError(
+                    f"sub-map {submap.id}: has a pose but no depth; run calm-edge map again"
+                )
             same = submap.scale == known.scale and np.array_equal(submap.K, known.K)
             if not (same and np.array_equal(submap.T_s_c, known.T_s_c)):
                 raise MappingError(
-                    f"sub-map {submap.id}: rectified since it was added; map it again"
+                    f"sub-map {submap.id}: scale or geometry changed after it was added; "
+                    "run calm-edge map again"
                 )
             moved |= not np.array_equal(submap.T_w_s, known.T_w_s)
             self._placed[submap.id] = submap

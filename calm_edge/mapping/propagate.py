@@ -1,4 +1,4 @@
-"""Anchors carried between sub-maps through the pictures they share (paper VI-B)."""
+"""Anchor propagation between sub-maps through their common images (paper VI-B)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from device.frame import Eye
 
 
 def picture_keys(submap: Submap) -> Int:
-    """(N,) a number each picture has in every sub-map that holds it: its time and eye.
+    """Key (N,) of each view that is equal for the same image in all sub-maps: stamp and camera.
 
-    Views beyond the primary and assistant ones are loop keyframes, which are primary.
+    Views after the primary and assistant ones are loop keyframes, which are primary images.
     """
     eye = np.full(len(submap.t_ns), int(Eye.PRIMARY))
     first = submap.n_primary
@@ -25,16 +25,16 @@ def picture_keys(submap: Submap) -> Int:
 
 
 def same_pictures(a: Submap, b: Submap) -> Int:
-    """(P, 2) pairs (view of a, view of b) that are one picture: overlap and loop frames alike."""
+    """Pairs (P, 2) of (view of a, view of b) with the same image: overlap and loop frames."""
     _, view_a, view_b = np.intersect1d(picture_keys(a), picture_keys(b), return_indices=True)
     return np.stack([view_a, view_b], -1).astype(np.int64)
 
 
 def carried(source: AnchorTable, pairs: Int, present: Int) -> AnchorTable:
-    """The sightings of `source` in shared pictures, renumbered to the other sub-map's views.
+    """Observations of anchors in common images, renumbered to the views of the other sub-map.
 
-    source: one sub-map's rows. pairs: (P, 2) (its view, the other's view). present: (X,) anchors
-    the other sub-map already has.
+    source: rows of one sub-map. pairs: (P, 2) of (its view, the other's view). present: (X,)
+    anchors that the other sub-map has already; these are left out.
     """
     other_view = np.full(int(max(source.seen_view.max(initial=-1), pairs.max(initial=-1))) + 1, -1)
     other_view[pairs[:, 0]] = pairs[:, 1]
@@ -55,11 +55,11 @@ def carried(source: AnchorTable, pairs: Int, present: Int) -> AnchorTable:
 def place(
     carried_rows: AnchorTable, target: DenseViews, target_id: int, tolerance: float
 ) -> AnchorTable:
-    """Carried sightings back-projected with the target sub-map's own depth and verified there.
+    """Back-project observations with the depth of the target sub-map and verify them there.
 
-    The paper copies seeds forward without a check; here both directions pass the same
-    verification, which drops what the target sees as an occlusion edge. Of several shared
-    pictures the one most views agree with gives the position.
+    Returns rows of the target. The paper verifies only backward propagation; here forward copies
+    are verified too, which rejects pixels on the target's occlusion edges. If an anchor has
+    observations in several common images, the position on which most views agree is taken.
     """
     anchor, view = (a.astype(np.int64) for a in (carried_rows.seen_anchor, carried_rows.seen_view))
     uv = carried_rows.uv
@@ -68,7 +68,7 @@ def place(
     anchor, view, uv, z = anchor[known], view[known], uv[known], z[known]
     p_s = lift(target, view, uv, z)
     sightings = sight(target, p_s, tolerance)
-    # projecting back is exact only up to rounding: the copied pixel itself is the truth
+    # keep the copied pixel exactly: its re-projection differs by rounding
     sightings.uv[np.arange(len(view)), view] = uv
     sightings.agrees[np.arange(len(view)), view] = True
     support = np.where(confirmed(sightings, view), sightings.agrees.sum(1), 0)
@@ -84,7 +84,10 @@ def copy_forward(
     target_id: int,
     tolerance: float,
 ) -> AnchorTable:
-    """Seeds of a new sub-map from (table, pairs) of every earlier one that shares a picture."""
+    """Forward propagation: seeds of a new sub-map from earlier ones with common images.
+
+    sources: (anchor table, pairs (P, 2) of (its view, target's view)) of each earlier sub-map.
+    """
     seeds = anchor_rows.empty()
     for table, pairs in sources:
         rows = carried(table, pairs, seeds.anchor)
@@ -99,11 +102,11 @@ def spread_back(
     views_of: Callable[[int], DenseViews],
     tolerance: float,
 ) -> dict[int, AnchorTable]:
-    """Rows to add to other sub-maps after sub-map `start` is complete (paper VI-B, recursion).
+    """Backward propagation from sub-map `start`, recursively: rows to add, by sub-map id (VI-B).
 
-    shared: sub-map -> [(other, pairs (view, other's view))]. views_of loads depth and is called
-    only when an anchor is seen in a shared picture. What arrives in a sub-map goes on from there
-    to all that share a picture with it; each anchor enters a sub-map once, so this ends.
+    shared: sub-map id -> [(other id, pairs (P, 2) of (view, other's view))]. views_of: loads the
+    depth of a sub-map; called only if there is an anchor to place. Rows added to a sub-map are
+    propagated further from it; an anchor enters each sub-map once, so that the recursion ends.
     """
     added: dict[int, AnchorTable] = {}
     queue = deque([(start, tables[start])])

@@ -1,4 +1,4 @@
-"""How far apart two sub-maps put the same anchor, before and after the deformation."""
+"""Seams: distances between the positions of common anchors in two sub-maps."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from calm_edge.types import AnchorTable, Float, Float32
 
 @dataclass(frozen=True, slots=True)
 class Seam:
-    """Two sub-maps and how far apart they put each anchor both have.
+    """Two sub-maps and the distances between their positions of each common anchor.
 
-    gaps_before, gaps_after: (M,) distances before and after the deformation, world units, M >= 1.
+    gaps_before, gaps_after: (M,) distances before and after deformation, world units, M >= 1.
     """
 
     submap_a: int
@@ -30,18 +30,18 @@ class Seam:
 
     @property
     def before(self) -> float:
-        """RMS distance before the deformation, world units."""
+        """RMS distance before deformation, world units."""
         return float(np.sqrt((self.gaps_before**2).mean()))
 
     @property
     def after(self) -> float:
-        """RMS distance after it, world units."""
+        """RMS distance after deformation, world units."""
         return float(np.sqrt((self.gaps_after**2).mean()))
 
 
 @dataclass(frozen=True, slots=True)
 class SeamSummary:
-    """The gaps of all seams together: medians and 95th percentiles, world units."""
+    """Median and 95th percentile of the distances of all seams, world units."""
 
     n_seams: int
     n_anchors: int
@@ -52,7 +52,7 @@ class SeamSummary:
 
 
 def summary(found: Sequence[Seam]) -> SeamSummary | None:
-    """All anchors of all seams count alike; None without a seam."""
+    """Statistics over the anchors of all seams, equally weighted; None without a seam."""
     if not found:
         return None
     before = np.concatenate([seam.gaps_before for seam in found])
@@ -76,9 +76,9 @@ def seam_between(
     deform_a: Deformation,
     deform_b: Deformation,
 ) -> Seam | None:
-    """The seam of two sub-maps (rows of one sub-map each), over every anchor in both.
+    """Seam of two sub-maps over all their common anchors, suppressed ones included.
 
-    Suppressed anchors and those that are no control points count too. None without a shared one.
+    rows_a, rows_b: rows of one sub-map each. None without a common anchor.
     """
     shared, a, b = np.intersect1d(rows_a.anchor, rows_b.anchor, return_indices=True)
     if not len(shared):
@@ -100,7 +100,7 @@ def seams(
     T_w_s: Mapping[int, Float],
     deformations: Mapping[int, Deformation],
 ) -> tuple[Seam, ...]:
-    """The seams of pairs of sub-map ids that have an anchor in common."""
+    """Seams of those pairs of sub-map ids that have common anchors."""
     found = (
         seam_between(tables[a], tables[b], T_w_s[a], T_w_s[b], deformations[a], deformations[b])
         for a, b in pairs

@@ -1,4 +1,4 @@
-"""The anchors of a drive as sub-maps come in: extracted, carried both ways, kept (VI-A, VI-B)."""
+"""Anchors of a drive: extraction per sub-map and propagation between them (VI-A, VI-B)."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from calm_edge.mapping.table_store import TableStore
 from calm_edge.mapping.views import DenseViews, MappingError, prepare
 from calm_edge.types import AnchorTable, Bytes, Float32, Int, Submap
 
-# sub-maps whose depth stays in memory: the new one and those its anchors usually travel back to
+# sub-maps with depth in memory: backward propagation rarely reaches further
 CACHED = 3
 
 
 class Skeleton:
-    """Sub-maps with their dense views and anchor tables, linked by the pictures they share.
+    """Sub-maps with their dense views and anchor tables, linked by common images.
 
-    In memory stay the sub-maps themselves, the depth of three and the anchors of eight; the rest
-    is in `folder`, which the caller removes.
+    In memory: the sub-maps, depth of three and anchors of eight. The rest is in `folder`, which
+    the caller removes.
     """
 
     def __init__(self, config: MappingConfig, spacing: float, folder: Path, seed: int) -> None:
-        """spacing: world units a map unit."""
+        """spacing: world units per map unit."""
         self._config = config
         self._max_range = config.max_range * spacing
         self._seed = seed
@@ -44,12 +44,12 @@ class Skeleton:
 
     @property
     def tables(self) -> Mapping[int, AnchorTable]:
-        """Sub-map id -> its anchors, those carried into it from others included."""
+        """Anchor table by sub-map id, propagated anchors included."""
         return self._tables
 
     @property
     def submaps(self) -> Mapping[int, Submap]:
-        """Sub-map id -> the sub-map as it was added."""
+        """Sub-map by id, as added."""
         return self._submaps
 
     def add(
@@ -59,9 +59,9 @@ class Skeleton:
         confidence: Float32,
         images: Sequence[NDArray[np.uint8]],
     ) -> dict[int, AnchorTable]:
-        """Take in a sub-map; returns the new rows of every sub-map that got some.
+        """Add a sub-map; returns the new anchor rows by sub-map id, propagated ones included.
 
-        Raises MappingError as `Mapper.add` does, and is then as it was before.
+        Arguments and MappingError as in `Mapper.add`; on an error the state is unchanged.
         """
         if submap.id in self._submaps:
             raise MappingError(f"sub-map {submap.id}: added twice; give each sub-map its own id")
@@ -88,7 +88,7 @@ class Skeleton:
         return {submap.id: table, **back}
 
     def views(self, submap_id: int) -> DenseViews:
-        """The dense views of a sub-map; raises MappingError."""
+        """Dense views of a sub-map. Raises MappingError."""
         if submap_id not in self._views:
             spooled = self._spool.depth(submap_id)
             self._views[submap_id] = prepare(
@@ -105,19 +105,19 @@ class Skeleton:
         return self._views[submap_id]
 
     def color(self, submap_id: int) -> Bytes:
-        """(N, h, w, 3) RGB of the dense views; raises MappingError."""
+        """Colours (N, h, w, 3), RGB, of the dense views. Raises MappingError."""
         return self._spool.color(submap_id)
 
     def linked(self) -> list[tuple[int, int]]:
-        """Pairs (earlier, later) of sub-maps that share a picture, by the later one's id."""
+        """Pairs (earlier id, later id) of sub-maps with common images, sorted by the later id."""
         return [(a, b) for b in sorted(self._shared) for a, _ in self._shared[b] if a < b]
 
     def rng(self, submap_id: int) -> np.random.Generator:
-        """Random numbers of one sub-map: the same whatever was drawn for others."""
+        """Random generator of a sub-map, independent of draws for other sub-maps."""
         return np.random.default_rng([self._seed, submap_id])
 
     def _link(self, submap: Submap) -> None:
-        """Find the pictures the new sub-map shares with earlier ones, both ways."""
+        """Record the common images of the new sub-map with each earlier one, in both directions."""
         keys = picture_keys(submap).tolist()
         others = sorted({other for key in keys for other in self._holders.get(key, [])})
         self._shared[submap.id] = []

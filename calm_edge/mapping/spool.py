@@ -1,4 +1,4 @@
-"""Depth, confidence and colour of every sub-map, on disk until the map is written."""
+"""Scratch files with depth, confidence and colour of the sub-maps, until the map is written."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from calm_edge.types import Bytes, Float32, Int
 
 @dataclass(frozen=True, slots=True)
 class SpooledDepth:
-    """depth: (N, h, w) raw unit. confidence: (N, h, w) 255ths. image_size: (N, 2) px, (w, h)."""
+    """Depth of a sub-map. depth: (N, h, w) raw unit. confidence: (N, h, w) in 1/255.
+
+    image_size: (N, 2) width, height of the full images, px.
+    """
 
     depth: Float32
     confidence: Bytes
@@ -23,7 +26,7 @@ class SpooledDepth:
 
 
 class Spool:
-    """One npz a sub-map in `folder`: 8 bytes a depth pixel. The caller removes the folder."""
+    """One .npz file per sub-map in `folder`, 8 bytes per depth pixel; the caller removes it."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -36,15 +39,16 @@ class Spool:
         confidence: Float32,
         images: Sequence[NDArray[np.uint8]],
     ) -> None:
-        """depth, confidence (N, h, w); images: N of (H, W, 3) BGR, kept at the depth's size.
+        """Write depth and confidence (N, h, w), and N BGR images resized to (h, w).
 
-        Raises MappingError when the numbers differ or the disk refuses.
+        Raises MappingError if the numbers of views differ or the file cannot be written.
         """
         import cv2
 
         if len(images) != len(depth):
             raise MappingError(
-                f"sub-map {submap_id}: {len(depth)} depth maps but {len(images)} images"
+                f"sub-map {submap_id}: {len(depth)} depth maps but {len(images)} images; "
+                "run calm-edge map again"
             )
         size = depth.shape[2], depth.shape[1]
         small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
@@ -52,21 +56,23 @@ class Spool:
             np.savez(
                 self._path(submap_id),
                 depth=depth.astype(np.float32),
-                # rounded down, so that a pixel at the threshold stays below it
+                # round down, so that a confidence below the threshold stays below it
                 confidence=(np.clip(confidence, 0, 1) * 255 + 1e-3).astype(np.uint8),
                 color=np.stack(small)[..., ::-1],
                 image_size=np.array([image.shape[1::-1] for image in images], np.int64),
             )
         except OSError as error:
-            raise MappingError(f"{self._folder}: cannot spool depth ({error.strerror})") from None
+            raise MappingError(
+                f"{self._folder}: cannot write depth ({error.strerror}); check the disk"
+            ) from None
 
     def depth(self, submap_id: int) -> SpooledDepth:
-        """What `write` was given, confidence in 255ths; raises MappingError."""
+        """Read depth and confidence of a sub-map. Raises MappingError."""
         with self._open(submap_id) as arrays:
             return SpooledDepth(arrays["depth"], arrays["confidence"], arrays["image_size"])
 
     def color(self, submap_id: int) -> Bytes:
-        """(N, h, w, 3) RGB at the depth's size; raises MappingError."""
+        """Read colours (N, h, w, 3), RGB, at the size of the depth maps. Raises MappingError."""
         with self._open(submap_id) as arrays:
             return np.asarray(arrays["color"])
 
@@ -78,4 +84,6 @@ class Spool:
         try:
             return np.load(path, allow_pickle=False)  # type: ignore[no-any-return]
         except OSError as error:
-            raise MappingError(f"{path}: spooled depth cannot be read ({error})") from None
+            raise MappingError(
+                f"{path}: scratch file cannot be read ({error}); run calm-edge map again"
+            ) from None

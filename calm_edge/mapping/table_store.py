@@ -1,4 +1,4 @@
-"""The anchor table of every sub-map: the ones in use in memory, all others on disk."""
+"""Anchor tables of all sub-maps: a cache in memory, the rest in scratch files."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import numpy as np
 from calm_edge.mapping.views import MappingError
 from calm_edge.types import AnchorTable
 
-# a new sub-map reads its own table and those of the sub-maps its anchors travel back to
+# tables in memory: that of the new sub-map and of those its anchors propagate back to
 CACHED = 8
 
 
 class TableStore(Mapping[int, AnchorTable]):
-    """Sub-map id -> its AnchorTable, in the order the ids came. The caller removes the folder.
+    """Mapping from sub-map id to AnchorTable, in order of insertion, with write-back caching.
 
-    A table that was set is written when another one takes its place in memory; reading and
-    writing raise MappingError where the disk refuses.
+    A changed table is written when it is evicted from memory. The caller removes the folder.
+    Access raises MappingError if a file cannot be read or written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -64,7 +64,9 @@ class TableStore(Mapping[int, AnchorTable]):
         try:
             np.savez(self._path(submap_id), **arrays)
         except OSError as error:
-            raise MappingError(f"{self._folder}: cannot spool anchors ({error.strerror})") from None
+            raise MappingError(
+                f"{self._folder}: cannot write anchors ({error.strerror}); check the disk"
+            ) from None
 
     def _read(self, submap_id: int) -> AnchorTable:
         path = self._path(submap_id)
@@ -72,4 +74,6 @@ class TableStore(Mapping[int, AnchorTable]):
             with np.load(path, allow_pickle=False) as arrays:
                 return AnchorTable(**arrays)
         except OSError as error:
-            raise MappingError(f"{path}: spooled anchors cannot be read ({error})") from None
+            raise MappingError(
+                f"{path}: scratch file cannot be read ({error}); run calm-edge map again"
+            ) from None

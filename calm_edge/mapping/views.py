@@ -1,4 +1,4 @@
-"""The dense views of one sub-map, and the three things anchors ask of them (paper VI-A)."""
+"""Dense views of a sub-map: back-projection, depth sampling, and verification (paper VI-A)."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ Bool = NDArray[np.bool_]
 
 
 class MappingError(CalmEdgeError):
-    """A sub-map that cannot be mapped."""
+    """A sub-map cannot be mapped."""
 
 
 @dataclass(frozen=True, slots=True)
 class DenseViews:
-    """Depth maps of one sub-map in batch order.
+    """Depth maps of a sub-map's N views in batch order, prepared for sampling.
 
     inverse_depth: (N, h, w) 1/z in 1/world units, 0 unknown. usable: (N, h, w) confident and
     within range. K: (N, 3, 3) px of the full image. T_s_c: (N, 4, 4) world units.
-    map_per_image: (N, 2) depth-map pixels an image pixel, (x, y).
+    map_per_image: (N, 2) depth-map pixels per image pixel, (x, y).
     """
 
     inverse_depth: Float32
@@ -33,19 +33,20 @@ class DenseViews:
     map_per_image: Float
 
     def to_map(self, view: Int | Int32, uv: NDArray[np.floating]) -> Float:
-        """Image px (..., 2) -> depth-map px (..., 2) of views (...), as cv2.resize maps them."""
+        """Depth-map pixels (..., 2) of image pixels (..., 2) of views (...), as in cv2.resize."""
         return np.asarray((uv + 0.5) * self.map_per_image[view] - 0.5)
 
     def to_image(self, view: Int, xy: NDArray[np.floating]) -> Float:
-        """Depth-map px (..., 2) -> image px (..., 2) of views (...)."""
+        """Image pixels (..., 2) of depth-map pixels (..., 2) of views (...)."""
         return np.asarray((xy + 0.5) / self.map_per_image[view] - 0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """Where M points fall in the N views: uv (M, N, 2) image px, agrees (M, N), floats (M, N).
+    """Projections of M points into N views, compared with the views' depth.
 
-    agrees: the view's own depth is the point's within tolerance. floats: the view sees through it.
+    uv: (M, N, 2) image px. agrees: (M, N) the view's depth equals the point's within tolerance.
+    floats: (M, N) the view's depth is larger, i.e. the point floats in the view's free space.
     """
 
     uv: Float32
@@ -53,7 +54,7 @@ class Sightings:
     floats: Bool
 
     def of(self, points: Int | Bool) -> Sightings:
-        """The same of some of the points."""
+        """The subset of points given by indices or mask."""
         return Sightings(self.uv[points], self.agrees[points], self.floats[points])
 
 
@@ -65,17 +66,17 @@ def prepare(
     min_confidence: float,
     max_range: float,
 ) -> DenseViews:
-    """A sub-map's raw depth (N, h, w), raw unit, and confidence (N, h, w) made ready for mapping.
+    """Build the dense views of a sub-map from its depth (N, h, w), raw unit.
 
-    confidence: [0, 1], or bytes of 255ths. image_size: (N, 2) width, height of the full images,
-    px. max_range: world units of z-depth. Raises MappingError when the arrays do not fit the
-    sub-map.
+    confidence: (N, h, w) in [0, 1], or uint8 in 1/255. image_size: (N, 2) width, height of the
+    full images, px. max_range: largest z-depth, world units. Raises MappingError if the arrays
+    do not match the sub-map.
     """
     n = len(submap.T_s_c)
     if depth.ndim != 3 or len(depth) != n or depth.shape != confidence.shape:
         raise MappingError(
             f"sub-map {submap.id}: {n} views but depth {depth.shape}, confidence "
-            f"{confidence.shape}; densify it again"
+            f"{confidence.shape}; run calm-edge map again"
         )
     if min(depth.shape[1:]) < 2 or image_size.shape != (n, 2):
         raise MappingError(
@@ -95,16 +96,16 @@ def prepare(
 
 
 def lift(views: DenseViews, view: Int, uv: NDArray[np.floating], z: NDArray[np.floating]) -> Float:
-    """Image pixels uv (M, 2) of views (M,) at z-depths (M,) -> (M, 3), sub-map frame."""
+    """Back-project image pixels uv (M, 2) of views (M,) at z-depths (M,): (M, 3), sub-map frame."""
     p_c = pinhole.back_project(views.K[view], np.asarray(uv, np.float64), np.asarray(z))
     T = views.T_s_c[view]
     return np.asarray((T[:, :3, :3] @ p_c[..., None])[..., 0] + T[:, :3, 3])
 
 
 def lift_all(views: DenseViews) -> tuple[Int, Float, Float32]:
-    """Every usable pixel: flat index (M,), point (M, 3) in the sub-map frame, z-depth (M,).
+    """Back-project all usable pixels: flat index (M,), point (M, 3) in the sub-map frame, z (M,).
 
-    View by view, each one product of matrices.
+    Flat indices are into (N, h, w).
     """
     n, height, width = views.inverse_depth.shape
     row, column = np.divmod(np.arange(height * width), width)
@@ -123,10 +124,11 @@ def lift_all(views: DenseViews) -> tuple[Int, Float, Float32]:
 
 
 def sample(views: DenseViews, view: Int, uv: NDArray[np.floating]) -> Float:
-    """z-depth (...) of views (...) at image pixels uv (..., 2), world units; 0 where not usable.
+    """Sample z-depth (...) of views (...) at image pixels uv (..., 2); 0 where not usable.
 
-    Bilinear in inverse depth, which is exact on planes (a nearest pixel is off by several percent
-    on a road at small depth maps); the nearest pixel where a neighbour is unknown.
+    World units. Bilinear in inverse depth, which is exact on planes; the nearest pixel's depth
+    would be off by several percent on a road in small depth maps. Nearest pixel if one of the
+    four neighbours is unknown.
     """
     _, height, width = views.inverse_depth.shape
     xy = views.to_map(view, uv)
@@ -147,7 +149,10 @@ def sample(views: DenseViews, view: Int, uv: NDArray[np.floating]) -> Float:
 
 
 def sight(views: DenseViews, p_s: Float, tolerance: float) -> Sightings:
-    """Points (M, 3), sub-map frame, in every view: |z - D(u)| <= tolerance D(u) (paper VI-A.1)."""
+    """Project points (M, 3), sub-map frame, into all views and compare with their depth D.
+
+    A view agrees if |z - D(u)| <= tolerance D(u) (paper VI-A.1).
+    """
     T_c_s = se3.inverse(views.T_s_c)
     p_c = np.moveaxis(T_c_s[:, :3, :3] @ p_s.T + T_c_s[:, :3, 3:], 2, 0)
     z = p_c[..., 2]
@@ -163,9 +168,11 @@ def sight(views: DenseViews, p_s: Float, tolerance: float) -> Sightings:
 
 
 def confirmed(sightings: Sightings, own_view: Int) -> Bool:
-    """(M,) points that another view than their own agrees with, and no fewer than see through them.
+    """Mask (M,) of verified points: at least one other view agrees, and at least as many views
+    agree as contradict.
 
-    A view in which the point is hidden says nothing: only seeing through it speaks against it.
+    own_view: (M,) view of which the point was taken. Only a view with larger depth contradicts;
+    one in which the point is occluded does not count.
     """
     others = sightings.agrees.copy()
     others[np.arange(len(own_view)), own_view] = False

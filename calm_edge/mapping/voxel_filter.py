@@ -1,4 +1,4 @@
-"""Which voxels of the map are filled: those around in memory, all others on disk."""
+"""Voxel filter over the whole map, with distant voxels in scratch files."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from calm_edge.mapping.cloud import HALF, first_of_each, voxel_keys
 from calm_edge.mapping.views import MappingError
 from calm_edge.types import Int
 
-# a block is 256 voxels wide: about what one camera sees at the default range
+# block of 2^8 voxels per axis, about the range of a camera with the default configuration
 BLOCK_BITS = 8
-# voxels kept in memory, 8 bytes each; one sub-map's blocks hold far fewer
+# voxels kept in memory, 8 bytes each, many times those of one sub-map
 CACHED = 1 << 22
 
 
 class VoxelFilter:
-    """Gives every voxel of the map out once, however long the map is.
+    """Filter that admits one point per voxel of a map of any size.
 
-    Blocks of 256^3 voxels live in files once the map has moved on, so memory holds at most
-    `CACHED` voxels beside the blocks of one call. The caller removes the folder.
+    Occupied voxels are grouped in blocks of 256^3; blocks not used recently are moved to files,
+    so that memory holds `CACHED` voxels plus the blocks of one call. The caller removes the folder.
     """
 
     def __init__(self, voxel: float, folder: Path) -> None:
-        """voxel: edge, in the points' unit."""
+        """voxel: edge length, in the unit of the points."""
         self._voxel = voxel
         self._folder = folder
         self._blocks: OrderedDict[int, Int] = OrderedDict()
@@ -35,13 +35,13 @@ class VoxelFilter:
 
     @property
     def held(self) -> int:
-        """Voxels in memory."""
+        """Number of voxels in memory."""
         return self._held
 
     def admit(self, points: NDArray[np.floating]) -> Int:
-        """Ascending indices of points (M, 3) that are the first in their voxel; fills those.
+        """Indices, ascending, of the points (M, 3) that are first in their voxel; mark it occupied.
 
-        Raises MappingError where the disk refuses.
+        Raises MappingError if a scratch file cannot be read or written.
         """
         keys = block_major(voxel_keys(points, self._voxel))
         first = first_of_each(keys)
@@ -56,7 +56,10 @@ class VoxelFilter:
         return np.sort(np.concatenate(admitted))
 
     def _fill(self, block: int, keys: Int) -> NDArray[np.bool_]:
-        """(M,) those of ascending distinct keys (M,) of one block that were empty till now."""
+        """Mark voxels of one block occupied; returns the mask (M,) of those that were free.
+
+        keys: (M,) ascending, distinct.
+        """
         filled = self._blocks.get(block)
         if filled is None:
             filled = self._read(block) if block in self._written else np.empty(0, np.int64)
@@ -78,7 +81,7 @@ class VoxelFilter:
                 np.save(self._path(block), filled)
             except OSError as error:
                 raise MappingError(
-                    f"{self._folder}: cannot spool voxels ({error.strerror})"
+                    f"{self._folder}: cannot write voxels ({error.strerror}); check the disk"
                 ) from None
             self._written.add(block)
 
@@ -87,7 +90,8 @@ class VoxelFilter:
             return np.asarray(np.load(self._path(block), allow_pickle=False))
         except OSError as error:
             raise MappingError(
-                f"{self._path(block)}: spooled voxels cannot be read ({error})"
+                f"{self._path(block)}: scratch file cannot be read ({error}); "
+                "run calm-edge map again"
             ) from None
 
     def _path(self, block: int) -> Path:
@@ -95,7 +99,7 @@ class VoxelFilter:
 
 
 def block_major(keys: Int) -> Int:
-    """(M,) voxel keys (M,) with their bits regrouped: the block's number, then the place in it."""
+    """Regroup the bits of voxel keys (M,): high bits the block index, low bits the voxel in it."""
     cells = [(keys >> shift) & (2 * HALF - 1) for shift in (42, 21, 0)]
     blocks, places = np.zeros_like(keys), np.zeros_like(keys)
     for cell in cells:

@@ -1,4 +1,4 @@
-"""A street of planes and spheres with analytic depth, driven through by two cameras."""
+"""Synthetic street of planes and spheres with exact depth, seen by two driving cameras."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Warp = Callable[[Float], Float]
 
 @dataclass(frozen=True)
 class Scene:
-    """normals (P, 3), offsets (P,): planes n.x = d. centres (S, 3), radii (S,). World units."""
+    """Planes n.x = d: normals (P, 3), offsets (P,). Spheres: centres (S, 3), radii (S,)."""
 
     normals: Float
     offsets: Float
@@ -30,7 +30,7 @@ class Scene:
     radii: Float
 
     def depth(self, K: Float, T_w_c: Float, size: tuple[int, int] = DEPTH) -> Float:
-        """(h, w) exact z-depth of a depth map of K."""
+        """Exact z-depth (h, w) of a depth map with intrinsics K."""
         u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
         ray_c = pinhole.back_project(K, np.stack([u, v], -1).astype(float), np.ones(u.shape))
         ray = ray_c @ T_w_c[:3, :3].T
@@ -47,7 +47,7 @@ class Scene:
 
 
 def street(seed: int) -> Scene:
-    """Ground, two walls and a far end with a random tilt each, and spheres along the kerb."""
+    """Ground, two walls and an end wall, each randomly tilted, and spheres along the kerb."""
     rng = np.random.default_rng(seed)
     normals = np.array([[0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1.0]])
     normals += rng.normal(0, 0.02, normals.shape)
@@ -59,13 +59,13 @@ def street(seed: int) -> Scene:
 
 
 def pose_on_street(index: int) -> Float:
-    """T_w_c of primary keyframe `index`: forward with a gentle bend."""
+    """Pose T_w_c of primary keyframe `index` on a slightly curved path."""
     return se3.exp(np.array([0.0, 0.0, STEP * index, 0.0, np.radians(0.4 * index), 0.0]))
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A sub-map with the depth (raw unit), confidence and images a backbone would give."""
+    """A sub-map with depth (raw unit), confidence and images as from a backbone."""
 
     submap: Submap
     depth: NDArray[np.float32]
@@ -133,7 +133,7 @@ def piece(
 def chain(
     scene: Scene, n_submaps: int, n_views: int, warps: list[Warp] | None = None
 ) -> list[Piece]:
-    """Sub-maps of n_views primary keyframes that overlap by 3, each in its own raw unit."""
+    """Sub-maps of n_views primary keyframes, overlapping by 3, each with a raw unit of its own."""
     pieces = []
     for k in range(n_submaps):
         first = k * (n_views - 3)
@@ -144,7 +144,7 @@ def chain(
 
 
 def distance_to_scene(scene: Scene, points_w: Float) -> Float:
-    """(M,) distance of points to the nearest surface of the scene."""
+    """Distance (M,) of points to the nearest surface of the scene."""
     planes = np.abs(points_w @ scene.normals.T - scene.offsets)
     spheres = np.linalg.norm(points_w[:, None] - scene.centres, axis=-1) - scene.radii
     return np.concatenate([planes, np.abs(spheres)], -1).min(-1)

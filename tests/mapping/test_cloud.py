@@ -19,7 +19,7 @@ def piece():
 
 
 def colors(piece):
-    """Colour that names the pixel: (view, row, column)."""
+    """Colours that encode the pixel: (view, row, column)."""
     index = np.indices(piece.depth.shape).astype(np.uint8)
     return np.moveaxis(index, 0, -1)
 
@@ -41,7 +41,7 @@ def test_points_share_a_key_exactly_when_they_share_a_voxel(points, voxel):
     np.testing.assert_array_equal(keys[:, None] == keys, same)
 
 
-def test_points_lie_on_the_scene_one_a_voxel(piece):
+def test_points_lie_on_the_scene_one_per_voxel(piece):
     points, color = points_of(piece)
     p_w = se3.transform(piece.submap.T_w_s, points.astype(float))
     assert points.dtype == np.float32 and color.dtype == np.uint8
@@ -63,8 +63,8 @@ def test_every_voxel_a_pixel_falls_in_is_kept_with_its_nearest_pixel(piece):
     assert len(nearest) == pytest.approx(len(points), rel=0.01)
     depth = depth_of(color)
     expected = np.array([nearest.get(k, np.nan) for k in voxel_keys(points, 0.5).tolist()])
-    # a point on a voxel's face may round into the next one as float32
-    # nearest to one of 65,535 steps of the range
+    # a point on a face may fall into the next voxel after rounding to float32
+    # nearest up to the quantisation of depth in 65,535 steps
     assert (np.abs(expected - depth) <= depth.max() / 60_000).mean() > 0.99
     view = color[:, 0].astype(int)
     T = se3.inverse(piece.submap.T_s_c)[view]
@@ -90,7 +90,7 @@ def test_the_cap_takes_a_seeded_random_subset(piece):
     np.testing.assert_array_equal(few, points_of(piece, most=1000)[0])
     assert not np.array_equal(few, points_of(piece, most=1000, seed=1)[0])
     assert set(map(tuple, few)) <= set(map(tuple, points))
-    # from everywhere, not from the first views only
+    # from all views, not only the first ones
     assert abs(few[:, 2].mean() - points[:, 2].mean()) < 0.5
 
 
@@ -103,7 +103,7 @@ def test_the_first_of_each_key_is_found_by_hashing(seed, size, distinct):
     np.testing.assert_array_equal(np.sort(first_of_each(keys)), expected)
 
 
-def test_keys_that_collide_in_every_round_are_told_apart_too(monkeypatch):
+def test_keys_that_collide_in_every_round_are_separated_too(monkeypatch):
     monkeypatch.setattr(cloud, "MULTIPLIERS", (0, 0))
     keys = np.array([5, 9, 5, 7, 9, 3, 3, 7, 1])
     assert np.sort(first_of_each(keys)).tolist() == [0, 1, 3, 5, 8]

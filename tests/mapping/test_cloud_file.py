@@ -69,7 +69,7 @@ def test_unwritable_and_unreadable_places_are_named(tmp_path):
         read_cloud(tmp_path / "map.ply")
 
 
-def test_a_file_cut_short_says_how_much_is_left(tmp_path):
+def test_the_error_of_a_truncated_file_names_the_points_left(tmp_path):
     path = tmp_path / "map.ply"
     with CloudWriter(path) as writer:
         writer.write(tile(0, 10))

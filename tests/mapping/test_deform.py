@@ -19,7 +19,7 @@ def fitted(p, target, probes=None, n=None, stiffness=1e-4, most=150):
     return fit_deformation(p, target, n, np.zeros(3), probes, stiffness, most)
 
 
-def test_a_smooth_distortion_is_taken_out_between_the_controls():
+def test_a_smooth_distortion_is_removed_between_the_control_points():
     p, points = room(0, 2000), room(1, 500)
     deformation = fitted(p, bent(p))
     before = np.linalg.norm(points - bent(points), axis=1).mean()
@@ -54,15 +54,15 @@ def test_a_folding_map_is_stiffened_until_it_no_longer_folds():
     assert deformation.plate.worst_at_controls().min() >= 0.1
 
 
-def test_a_map_that_no_smooth_fit_unfolds_is_moved_rigidly():
-    # space squeezed to a slab: even the affine fit has next to no volume
+def test_a_map_that_folds_at_any_stiffness_is_moved_rigidly():
+    # all targets in a slab: even the affine fit has almost no volume
     p = room(0, 200) + np.array([0, 0, 60])
     target = p * [1.0, 1.0, 0.0] + [0, 0, 75]
     deformation = fitted(p, target)
     assert deformation.plate.kind == "rigid" and np.isinf(deformation.stiffness)
 
 
-def test_wrong_associations_are_no_controls():
+def test_wrong_associations_are_no_control_points():
     p = room(0, 400)
     target = bent(p)
     target[::40] += [12.0, 0, 0]
@@ -72,7 +72,7 @@ def test_wrong_associations_are_no_controls():
     assert np.linalg.norm(deformation.apply(points) - bent(points), axis=1).mean() < 0.2
 
 
-def test_a_shift_unlike_its_neighbours_is_torn_unless_the_anchor_is_alone():
+def test_an_anchor_with_a_shift_unlike_its_neighbours_is_torn_if_shared():
     p, n = room(0, 500), np.full(500, 2)
     shift = bent(p) - p
     shift[7] += [0.0, 1.0, 0.0]
@@ -90,9 +90,9 @@ def test_cells_are_the_finest_lattice_that_is_allowed():
     label = cells(p, 150)
     assert 75 <= label.max() + 1 <= 150
     assert set(label) == set(range(label.max() + 1))
-    # even in space: the crowd of 5,000 gets few of them
+    # evenly over space: the dense cluster of 5,000 points gets few cells
     assert len(set(label[5000:]) - set(label[:5000])) > 0.8 * (label.max() + 1)
-    # members of a cell are neighbours
+    # points of a cell are close together
     spread = [np.ptp(p[label == c], axis=0).max() for c in range(label.max() + 1)]
     assert max(spread) < 32 / 4
     np.testing.assert_array_equal(cells(p[:100], 150), np.arange(100))
@@ -119,7 +119,7 @@ def test_the_noise_of_single_anchors_does_not_dent_the_map():
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 3])
-def test_with_hardly_any_anchor_the_map_stays_finite_and_together(size):
+def test_with_very_few_anchors_the_map_stays_finite_and_rigid(size):
     p = room(0, size)
     points = room(1, 100)
     T = se3.exp(np.array([0.1, 0, 0.2, 0, 0.01, 0]))

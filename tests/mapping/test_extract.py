@@ -34,7 +34,7 @@ def table(piece):
     return run(piece)
 
 
-def test_candidates_are_one_random_usable_pixel_a_wanted_cell():
+def test_candidates_are_one_random_usable_pixel_per_wanted_cell():
     rng = np.random.default_rng(0)
     usable = rng.random((50, 70)) > 0.7
     usable[:10] = False
@@ -46,7 +46,7 @@ def test_candidates_are_one_random_usable_pixel_a_wanted_cell():
     has_any = np.bincount(cell[usable.ravel()], minlength=36) > 0
     for picks in drawn[:5]:
         np.testing.assert_array_equal(np.sort(cell[picks]), np.flatnonzero(wanted & has_any))
-    # uniform: every usable pixel of a cell turns up, about equally often
+    # uniform: all usable pixels of a cell are drawn about equally often
     first = drawn[:, 0]
     options = np.flatnonzero(usable.ravel() & (cell == cell[first[0]]))
     counts = np.array([(first == o).sum() for o in options])
@@ -75,9 +75,9 @@ def test_both_eyes_and_at_least_two_views_see_every_anchor(table):
     assert set(table.seen_view) == set(range(10))
 
 
-def test_the_first_frame_has_at_most_one_anchor_a_cell_and_later_ones_fill_gaps(piece, table):
+def test_the_first_frame_has_at_most_one_anchor_per_cell_and_later_ones_fill_gaps(piece, table):
     views = piece.views()
-    # the frame that made an anchor sees it in the middle of a pixel
+    # in the frame it was sampled from, an anchor is at a pixel centre
     xy = views.to_map(table.seen_view, table.uv)
     made = np.abs(xy - np.rint(xy)).max(-1) < 1e-4
     assert made.sum() == len(table.anchor)
@@ -94,7 +94,7 @@ def test_the_first_frame_has_at_most_one_anchor_a_cell_and_later_ones_fill_gaps(
         filled = np.concatenate([filled, place[batch]])
 
 
-def test_seeds_stay_and_block_their_cells(piece, table):
+def test_seeds_are_kept_and_occupy_their_cells(piece, table):
     again = run(piece, seed=5, seeds=table, first_id=len(table.anchor))
     np.testing.assert_array_equal(again.anchor[: len(table.anchor)], table.anchor)
     new = again.anchor[len(table.anchor) :]
@@ -102,7 +102,7 @@ def test_seeds_stay_and_block_their_cells(piece, table):
     assert (new >= len(table.anchor)).all()
 
 
-def test_what_only_one_frame_claims_is_no_anchor(piece):
+def test_a_point_confirmed_by_no_other_frame_is_no_anchor(piece):
     depth = piece.depth.copy()
     depth[2, 40:90, 30:130] *= 0.7
     broken = dataclasses.replace(piece, depth=depth)

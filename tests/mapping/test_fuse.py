@@ -37,7 +37,7 @@ def test_the_weight_is_one_over_the_squared_distance_to_the_central_keyframe(sub
 
 
 def mean_of(tables, submaps, a, weigh):
-    """The equation, written out for one anchor."""
+    """Fused position of one anchor, by the equation of VI-C."""
     top, bottom = np.zeros(3), 0.0
     for table, submap in zip(tables, submaps, strict=True):
         for i in np.flatnonzero(table.anchor == a):
@@ -49,7 +49,7 @@ def mean_of(tables, submaps, a, weigh):
 
 
 @pytest.mark.parametrize("weigh", [True, False])
-def test_fusion_is_the_mean_of_the_equation_weighted_or_plain(submaps, tmp_path, weigh):
+def test_fusion_is_the_weighted_or_plain_mean_of_vi_c(submaps, tmp_path, weigh):
     rng = np.random.default_rng(0)
     anchors = [np.array([0, 1, 2]), np.array([1, 2]), np.array([2])]
     tables = [rows(k, a, rng.uniform(3, 9, (len(a), 3))) for k, a in enumerate(anchors)]
@@ -123,16 +123,16 @@ def test_slab_by_slab_gives_the_same_anchors_as_all_at_once(submaps, tmp_path, m
     assert len(fuse.Fusion(tmp_path / "none").active(1.0)) == 0
 
 
-def test_a_disk_that_refuses_is_named(tmp_path):
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(MappingError, match="sums: cannot be written"):
         fuse.Fusion(tmp_path / "missing" / "sums")
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 60), st.floats(0.05, 2.0))
-def test_suppression_is_the_equation(seed, size, radius):
+def test_suppression_is_the_equation_of_vi_c(seed, size, radius):
     rng = np.random.default_rng(seed)
-    # a coarse lattice: many distances are exactly the radius when it is a multiple of 1/4
+    # points on a lattice of 1/4: many distances equal the radius exactly
     p_w = rng.integers(0, 8, (size, 3)) / 4
     n = rng.integers(1, 5, size)
     radius = round(radius * 4) / 4 if seed % 2 else radius
@@ -141,6 +141,6 @@ def test_suppression_is_the_equation(seed, size, radius):
     np.testing.assert_array_equal(fuse.suppress(p_w, n, radius), ~beaten)
 
 
-def test_equally_observed_neighbours_live_side_by_side():
+def test_equally_observed_neighbours_are_both_active():
     assert fuse.suppress(np.zeros((5, 3)), np.full(5, 3), 1.0).all()
     assert len(fuse.suppress(np.zeros((0, 3)), np.zeros(0, int), 1.0)) == 0

@@ -17,7 +17,7 @@ STREET = scene.street(0)
 
 
 def warp(amplitude: float, phase: float) -> scene.Warp:
-    """A smooth relative depth error that also drifts along the sub-map."""
+    """Smooth relative depth error that also changes along the sub-map."""
 
     def error(p):
         wave = np.sin(p[..., 2] / 6 + phase) * np.cos(p[..., 0] / 8)
@@ -88,8 +88,8 @@ def test_a_smooth_warp_is_undone_across_submaps(warped_map):
         assert seam.after < seam.before / 3
 
 
-def test_pixels_that_are_no_anchors_meet_too(warped, warped_map):
-    """The same pixels of a shared picture, in both sub-maps, before and after."""
+def test_pixels_that_are_no_anchors_are_aligned_too(warped, warped_map):
+    """Distances of the same pixels of a common image in both sub-maps, before and after."""
     mapper, _ = warped_map
     y, x = np.mgrid[30:92:3, 5:155:3]
     y, x = (
@@ -113,13 +113,13 @@ def test_pixels_that_are_no_anchors_meet_too(warped, warped_map):
     assert gaps[True].mean() < gaps[False].mean() / 5
 
 
-def test_anchors_reach_the_submap_before_last(exact, tmp_path):
+def test_anchors_propagate_back_by_two_submaps(exact, tmp_path):
     mapper = mapped(exact[:2], tmp_path)
     first_new = mapper.table().anchor.max() + 1
     last = exact[2]
     mapper.add(last.submap, last.depth, last.confidence, last.images)
     table = mapper.table()
-    # sub-map 0 holds no picture of sub-map 2, and yet anchors that were born there
+    # sub-map 0 has no image in common with sub-map 2, but anchors first extracted there
     assert not set(exact[0].submap.primary_ids) & set(last.submap.primary_ids)
     assert (table.anchor[table.submap == 0] >= first_new).sum() > 20
     pairs = np.stack([table.anchor, table.submap], -1)
@@ -162,7 +162,7 @@ def test_the_same_seed_gives_the_same_map(warped, warped_map, tmp_path):
 
 
 def test_lengths_scale_with_the_world_unit(exact, exact_map, tmp_path):
-    """The same drive told in another world unit is the same map, times the unit."""
+    """A drive in another world unit gives the same map, scaled by the unit."""
     base = exact_map[1]
     unit = 4.0
     mapper = Mapper(MappingConfig(), scene.SPACING * unit, tmp_path)
@@ -195,7 +195,7 @@ def test_a_variant_is_the_map_of_its_config_without_extracting_again(
         np.testing.assert_array_equal(a.color, b.color)
 
 
-def test_without_suppression_every_anchor_steers(warped_map, tmp_path):
+def test_without_suppression_every_anchor_is_active(warped_map, tmp_path):
     mapper = warped_map[0].variant(MappingConfig(suppress=False), tmp_path)
     (full, _, steering), (free, _, all_steer) = anchors(warped_map[0]), anchors(mapper)
     assert all_steer.all() and not steering.all()
@@ -214,9 +214,7 @@ def test_without_the_distance_weight_anchors_are_plain_means(warped, warped_map,
     assert not np.allclose(p_w[most], anchors(warped_map[0])[0][most])
 
 
-def test_without_the_deformation_points_stay_where_the_submap_puts_them(
-    warped, warped_map, tmp_path
-):
+def test_without_deformation_points_are_only_moved_by_the_submap_pose(warped, warped_map, tmp_path):
     mapper = warped_map[0].variant(MappingConfig(deform=False), tmp_path)
     first = next(mapper.finish())
     points, _ = mapper.points(0)
@@ -227,7 +225,7 @@ def test_without_the_deformation_points_stay_where_the_submap_puts_them(
         assert seam.after == pytest.approx(seam.before) and seam.before > 0.1
 
 
-def test_an_endless_stiffness_leaves_rigid_motions(warped_map, tmp_path):
+def test_infinite_stiffness_gives_rigid_motions(warped_map, tmp_path):
     mapper = warped_map[0].variant(MappingConfig(stiffness=np.inf), tmp_path)
     list(mapper.finish())
     assert {d.plate.kind for d in mapper.deformations().values()} == {"rigid"}
@@ -236,13 +234,13 @@ def test_an_endless_stiffness_leaves_rigid_motions(warped_map, tmp_path):
 
 
 def test_what_stays_in_memory_of_a_submap_is_small(tmp_path):
-    # 5 m: what was seen six sub-maps ago is seen no more
+    # 5 m range: nothing is visible from a sub-map six earlier
     mapper = Mapper(MappingConfig(max_range=10.0), scene.SPACING, tmp_path)
     pieces = scene.chain(STREET, 16, 4)
     held = []
     tracemalloc.start()
     for p in pieces:
-        # a copy, so that what a sub-map itself takes is counted as well
+        # a copy, so that the memory of the sub-map itself is counted
         mapper.add(pickle.loads(pickle.dumps(p.submap)), p.depth, p.confidence, p.images)
         held.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
@@ -251,7 +249,7 @@ def test_what_stays_in_memory_of_a_submap_is_small(tmp_path):
     assert growth < 25_000 < 0.02 * pieces[0].depth.nbytes * 4
 
 
-def test_the_map_has_one_point_a_voxel(exact, tmp_path):
+def test_the_map_has_one_point_per_voxel(exact, tmp_path):
     config = MappingConfig(cloud_voxel=1.0)
     points = np.concatenate(
         [t.points_w for t in mapped(exact[:2], tmp_path, config=config).finish()]
@@ -267,16 +265,16 @@ def test_submaps_that_cannot_be_mapped_are_named(exact, tmp_path):
         mapper.add(first.submap, first.depth, first.confidence, first.images)
     with pytest.raises(MappingError, match="sub-map 1: "):
         mapper.add(second.submap, second.depth, second.confidence[:3], second.images)
-    # a refused sub-map may be tried again
+    # a rejected sub-map can be added later
     mapper.add(second.submap, second.depth, second.confidence, second.images)
-    with pytest.raises(MappingError, match="sub-map 2: placed but never added"):
+    with pytest.raises(MappingError, match="sub-map 2: has a pose but no depth"):
         next(mapper.finish([exact[2].submap]))
     stretched = dataclasses.replace(first.submap, scale=2.0)
-    with pytest.raises(MappingError, match="sub-map 0: rectified"):
+    with pytest.raises(MappingError, match="sub-map 0: scale or geometry changed"):
         next(mapper.finish([stretched]))
 
 
-def test_an_empty_map_and_a_submap_without_depth_are_no_failure(exact, tmp_path):
+def test_an_empty_map_and_a_submap_without_depth_are_no_error(exact, tmp_path):
     assert list(Mapper(MappingConfig(), 1.0, tmp_path / "a").finish()) == []
     blind = dataclasses.replace(exact[0], depth=np.zeros_like(exact[0].depth))
     mapper = mapped([blind, exact[1]], tmp_path / "b")

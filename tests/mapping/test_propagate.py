@@ -36,23 +36,23 @@ def on_scene(piece, table):
 
 @pytest.fixture(scope="module")
 def chain():
-    """Three sub-maps of 5 keyframes that overlap by 3, so that 0 and 2 share one picture an eye."""
+    """Three sub-maps of 5 keyframes, overlapping by 3: 0 and 2 share one image per camera."""
     pieces = [scene.piece(STREET, k, list(range(2 * k, 2 * k + 5)), scale=1 + k) for k in range(3)]
     return pieces
 
 
 @pytest.fixture(scope="module")
 def far_chain():
-    """Three sub-maps in which 0 and 2 share no picture."""
+    """Three sub-maps of which 0 and 2 have no common image."""
     return [scene.piece(STREET, k, list(range(3 * k, 3 * k + 6)), scale=1 + k) for k in range(3)]
 
 
-def test_shared_pictures_are_found_by_eye_and_time(chain):
+def test_common_images_are_found_by_camera_and_time(chain):
     pairs = same_pictures(chain[0].submap, chain[1].submap)
     assert pairs.tolist() == [[2, 0], [7, 5], [3, 1], [8, 6], [4, 2], [9, 7]]
     looped = scene.piece(STREET, 9, [40, 41], loop=3)
     assert same_pictures(looped.submap, chain[0].submap).tolist() == [[4, 3]]
-    # an assistant picture of the same time is another picture
+    # an assistant image with the same stamp is a different image
     assert picture_keys(looped.submap)[4] not in picture_keys(chain[0].submap)[5:]
 
 
@@ -62,7 +62,7 @@ def test_forward_seeds_keep_their_pixel_and_take_the_new_depth(chain):
     pairs = same_pictures(old.submap, new.submap)
     seeds = copy_forward([(table, pairs)], new.views(), 1, 0.02)
     seen = np.unique(table.seen_anchor[np.isin(table.seen_view, pairs[:, 0])])
-    # the rest lies on edges, where the new sub-map's views disagree
+    # the others are on edges, where the views of the new sub-map disagree
     assert len(seeds.anchor) > 0.85 * len(seen)
     assert np.isin(seeds.anchor, seen).all() and len(np.unique(seeds.anchor)) == len(seeds.anchor)
     assert (seeds.submap == 1).all()
@@ -79,7 +79,7 @@ def test_forward_seeds_keep_their_pixel_and_take_the_new_depth(chain):
     assert copied >= len(seeds.anchor)
 
 
-def test_the_best_confirmed_of_several_shared_pictures_wins(chain):
+def test_of_several_common_images_the_best_confirmed_is_used(chain):
     old, new = chain[0], chain[1]
     table = extracted(old, 0)
     pairs = same_pictures(old.submap, new.submap)
@@ -93,7 +93,7 @@ def test_the_best_confirmed_of_several_shared_pictures_wins(chain):
     assert np.median(on_scene(new, both)[a]) < 0.3 * np.median(on_scene(new, only)[b])
 
 
-def test_what_the_target_does_not_confirm_is_not_placed(chain):
+def test_observations_the_target_does_not_confirm_are_dropped(chain):
     old, new = chain[0], chain[1]
     table = extracted(old, 0)
     pairs = same_pictures(old.submap, new.submap)[:1]
@@ -125,14 +125,14 @@ def test_backward_propagation_recurses_to_the_submap_before_last(far_chain):
     assert set(added) == {0, 1}
     fresh = added[0].anchor[added[0].anchor >= 20_000]
     assert len(fresh) > 50
-    # it came through S_1, and nothing is there twice
+    # propagated through sub-map 1, each anchor once
     assert np.isin(fresh, added[1].anchor).all()
     for k in (0, 1):
         ids = np.concatenate([tables[k].anchor, added[k].anchor])
         assert len(ids) == len(np.unique(ids))
         assert (added[k].submap == k).all()
         assert np.quantile(on_scene(far_chain[k], added[k]), 0.95) < 0.01
-    # one more turn has nothing left to say
+    # a second propagation adds almost nothing
     tables = {
         k: anchor_rows.join([tables[k], added[k]] if k in added else [tables[k]]) for k in tables
     }
@@ -142,7 +142,7 @@ def test_backward_propagation_recurses_to_the_submap_before_last(far_chain):
 
 def test_a_loop_frame_carries_anchors_both_ways():
     old = scene.piece(STREET, 0, [0, 1, 2, 3])
-    # the same place again, ten keyframes of time later, with one old picture in the batch
+    # the same place ten keyframes later, with one old image in the batch
     back = scene.piece(STREET, 1, [10, 11, 12], loop=2, pose=lambda i: scene.pose_on_street(i % 10))
     pieces = [old, back]
     pairs = same_pictures(old.submap, back.submap)
@@ -157,7 +157,7 @@ def test_a_loop_frame_carries_anchors_both_ways():
     assert on_scene(old, added[0]).max() < 0.02 * 30
 
 
-def test_depth_is_only_loaded_where_an_anchor_is_seen_in_a_shared_picture(far_chain):
+def test_depth_is_only_loaded_if_a_common_image_observes_an_anchor(far_chain):
     tables = {0: anchor_rows.empty(), 1: anchor_rows.empty(), 2: anchor_rows.empty()}
 
     def never(_):

@@ -38,7 +38,7 @@ def test_the_seam_is_the_rms_distance_of_the_shared_anchors_in_the_world():
     assert seam.after == pytest.approx(seam.before)
 
 
-def test_after_counts_the_deformation_of_both_sides():
+def test_after_includes_the_deformation_of_both_submaps():
     p = np.random.default_rng(1).normal(0, 5, (6, 3))
     a, b = rows(0, np.arange(6), p), rows(1, np.arange(6), p + np.array([1.0, 0, 0]))
     deform = {0: moving(np.array([0.5, 0, 0])), 1: moving(np.array([-0.25, 0, 0]))}
@@ -54,7 +54,7 @@ def test_submaps_without_a_common_anchor_have_no_seam():
     assert seams([(0, 1)], {0: a, 1: b}, poses, {0: STILL, 1: STILL}) == ()
 
 
-def test_the_summary_counts_every_anchor_alike():
+def test_the_summary_weighs_all_anchors_equally():
     long = Seam(0, 1, np.full(90, 0.2, np.float32), np.full(90, 0.1, np.float32))
     short = Seam(1, 2, np.full(10, 5.0, np.float32), np.full(10, 3.0, np.float32))
     found = summary([long, short])

@@ -15,12 +15,12 @@ STREET = scene.street(5)
 N_SUBMAPS, N_VIEWS = 21, 4
 LAST_KEYFRAME = N_SUBMAPS - 1 + N_VIEWS - 1
 LOOP_KEYFRAME = 1
-# 6 m: halfway nothing is seen any more of where the drive began
+# range of 6 m: half-way, the start of the drive is out of range
 CONFIG = MappingConfig(max_range=12.0)
 
 
 def there_and_back(index: int) -> np.ndarray:
-    """T_w_c: up the street for half of the drive, then backwards to where it began."""
+    """Poses T_w_c: half of the drive up the street, then backwards to the start."""
     return scene.pose_on_street(min(index, LAST_KEYFRAME - index))
 
 
@@ -30,7 +30,7 @@ def shrunk(p):
 
 @pytest.fixture(scope="module")
 def drive():
-    """21 sub-maps; the last one carries a keyframe of sub-map 0 and its depth is 1.5 % short."""
+    """21 sub-maps; the last has a keyframe of sub-map 0 as loop frame and depth 1.5 % too small."""
     pieces = []
     for k in range(N_SUBMAPS):
         last = k == N_SUBMAPS - 1
@@ -72,24 +72,24 @@ def ids(mapper, submap_id):
     return table.anchor[table.submap == submap_id]
 
 
-def test_the_loop_frame_is_the_only_picture_both_ends_share(drive):
+def test_the_loop_frame_is_the_only_image_common_to_both_ends(drive):
     pairs = same_pictures(drive[0].submap, drive[-1].submap)
     assert pairs.tolist() == [[LOOP_KEYFRAME, 2 * N_VIEWS]]
     assert not len(same_pictures(drive[0].submap, without_loop(drive[-1]).submap))
 
 
-def test_anchors_go_through_a_loop_both_ways(drive, looped, tmp_path):
+def test_anchors_propagate_through_a_loop_both_ways(drive, looped, tmp_path):
     mapper, _ = looped
     last = N_SUBMAPS - 1
     shared = np.intersect1d(ids(mapper, 0), ids(mapper, last))
     born_before = shared < ids(mapper, 5).max()
-    # seeds of sub-map 0 that were copied into the last one, and anchors born there that came back
+    # seeds copied from sub-map 0 to the last one, and anchors of the last propagated back
     assert born_before.sum() > 100 and (~born_before).sum() > 20
     apart = added([*drive[:-1], without_loop(drive[-1])], tmp_path)
     assert len(np.intersect1d(ids(apart, 0), ids(apart, last))) == 0
 
 
-def test_what_came_back_goes_on_to_the_neighbours_of_the_old_submap(looped):
+def test_anchors_propagate_on_to_the_neighbours_of_the_loop_submap(looped):
     mapper, _ = looped
     came = np.setdiff1d(ids(mapper, 0), np.concatenate([ids(mapper, 4), ids(mapper, 5)]))
     came = np.intersect1d(came, ids(mapper, N_SUBMAPS - 2))
@@ -105,7 +105,7 @@ def test_the_seam_of_a_loop_is_closed_by_the_deformation(looped):
     assert loop.after < loop.before / 4
 
 
-def test_a_loop_frame_lands_on_the_scene(drive, looped):
+def test_anchors_of_a_loop_frame_lie_on_the_scene(drive, looped):
     mapper, tiles = looped
     assert tiles[-1].submap_id == N_SUBMAPS - 1
     table = mapper.table()
@@ -114,8 +114,8 @@ def test_a_loop_frame_lands_on_the_scene(drive, looped):
     assert np.quantile(scene.distance_to_scene(STREET, p_w), 0.95) < 0.02
 
 
-def test_a_loop_view_without_depth_carries_nothing(drive, tmp_path):
-    """A loop keyframe that found no place has no depth: the sub-map is as if without it."""
+def test_a_loop_view_without_depth_propagates_nothing(drive, tmp_path):
+    """A loop keyframe that could not be placed has no depth and has no effect."""
     blind = drive[-1].depth.copy()
     blind[-1] = 0
     pieces = [*drive[:2], dataclasses.replace(drive[-1], depth=blind)]
@@ -124,7 +124,7 @@ def test_a_loop_view_without_depth_carries_nothing(drive, tmp_path):
     assert len(ids(mapper, N_SUBMAPS - 1)) > 100
 
 
-def test_a_refused_submap_leaves_no_trace(drive, tmp_path):
+def test_a_rejected_submap_leaves_the_state_unchanged(drive, tmp_path):
     skeleton = Skeleton(CONFIG, scene.SPACING, tmp_path, 0)
     first, second = drive[:2]
     skeleton.add(first.submap, first.depth, first.confidence, first.images)

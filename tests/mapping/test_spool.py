@@ -17,7 +17,7 @@ def images():
     return [blue, red]
 
 
-def test_depth_confidence_and_colour_come_back(tmp_path):
+def test_depth_confidence_and_colour_are_read_back(tmp_path):
     spool = Spool(tmp_path / "new" / "folder")
     spool.write(3, DEPTH, CONFIDENCE, images())
     spooled = spool.depth(3)
@@ -39,7 +39,7 @@ def test_confidence_is_never_rounded_up_and_bytes_survive(tmp_path):
     np.testing.assert_array_equal(spool.depth(1).confidence, every)
 
 
-def test_misfits_and_missing_files_are_named(tmp_path):
+def test_mismatches_and_missing_files_are_named(tmp_path):
     spool = Spool(tmp_path)
     with pytest.raises(MappingError, match="2 depth maps but 1 images"):
         spool.write(0, DEPTH, CONFIDENCE, images()[:1])

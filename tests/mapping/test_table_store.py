@@ -29,12 +29,12 @@ def assert_same(a: AnchorTable, b: AnchorTable) -> None:
         assert x.dtype == y.dtype
 
 
-def test_tables_come_back_from_disk_as_they_were_last_set(tmp_path, monkeypatch):
+def test_tables_are_read_back_as_last_set(tmp_path, monkeypatch):
     monkeypatch.setattr(table_store, "CACHED", 2)
     store = TableStore(tmp_path)
     for k in range(6):
         store[k] = table(k)
-    # sub-map 1 gets more rows long after it went to disk
+    # sub-map 1 gets more rows after it was written to disk
     store[1] = anchor_rows.join([store[1], table(70)])
     for k in (0, 2, 3, 4, 5):
         assert_same(store[k], table(k))
@@ -51,7 +51,7 @@ def test_a_table_in_memory_is_not_read_again(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_missing_is_named(tmp_path, monkeypatch):
+def test_a_missing_file_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(table_store, "CACHED", 1)
     store = TableStore(tmp_path)
     store[0], store[1] = table(0), table(1)

@@ -51,7 +51,7 @@ def test_sampling_between_pixels_is_exact_on_a_plane():
     np.testing.assert_allclose(p_s[:, 1], 1.5, rtol=1e-5)
 
 
-def test_what_is_unknown_unconfident_far_or_outside_samples_to_zero(piece):
+def test_unknown_unconfident_far_and_outside_pixels_sample_to_zero(piece):
     depth, confidence = piece.depth.copy(), piece.confidence.copy()
     depth[0, 10, 20] = 0
     depth[0, 10, 30] = np.nan
@@ -65,7 +65,7 @@ def test_what_is_unknown_unconfident_far_or_outside_samples_to_zero(piece):
     np.testing.assert_array_equal(z > 0, [False] * 6 + [True])
 
 
-def test_beside_an_unknown_pixel_the_nearest_one_speaks(piece):
+def test_beside_an_unknown_pixel_the_nearest_one_is_sampled(piece):
     depth = piece.depth.copy()
     depth[0, 60, 81] = 0
     views = dataclasses.replace(piece, depth=depth).views()
@@ -74,7 +74,7 @@ def test_beside_an_unknown_pixel_the_nearest_one_speaks(piece):
     assert z[0] == pytest.approx(depth[0, 60, 80] * 2.5, rel=1e-6)
 
 
-def test_bytes_of_confidence_mean_255ths(piece):
+def test_confidence_as_bytes_is_in_255ths(piece):
     sizes = np.tile(scene.IMAGE, (6, 1))
     quarter = np.full(piece.depth.shape, 64, np.uint8)
     for threshold, usable in ((0.25, True), (0.26, False)):
@@ -82,7 +82,7 @@ def test_bytes_of_confidence_mean_255ths(piece):
         assert views.usable.any() == usable
 
 
-def test_points_are_sighted_agreeing_hidden_or_floating(piece):
+def test_points_agree_are_hidden_or_float_in_a_view(piece):
     views = piece.views()
     xy = np.array([[80, 70], [40, 80], [120, 75]])
     view = np.zeros(3, int)
@@ -101,14 +101,14 @@ def test_points_are_sighted_agreeing_hidden_or_floating(piece):
     assert not behind.agrees.any() and not behind.floats.any()
 
 
-def test_confirmation_needs_another_view_and_no_majority_that_sees_through():
+def test_confirmation_needs_another_view_and_no_contradicting_majority():
     agrees = np.array([[1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0]], bool)
     floats = np.array([[0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 1, 1], [0, 0, 0, 1]], bool)
     sightings = Sightings(np.zeros((4, 4, 2), np.float32), agrees, floats)
     assert confirmed(sightings, np.zeros(4, int)).tolist() == [False, True, False, True]
 
 
-def test_arrays_that_do_not_fit_the_submap_are_named(piece):
+def test_arrays_that_do_not_match_the_submap_are_errors(piece):
     sizes = np.tile(scene.IMAGE, (6, 1))
     for depth, confidence, size in (
         (piece.depth[:5], piece.confidence[:5], sizes),

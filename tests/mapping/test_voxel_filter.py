@@ -16,7 +16,7 @@ def expected_of(points, voxel, seen):
     return expected
 
 
-def test_a_voxel_is_given_out_once_across_tiles(tmp_path):
+def test_a_voxel_admits_one_point_across_tiles(tmp_path):
     rng = np.random.default_rng(0)
     thin = VoxelFilter(0.5, tmp_path)
     seen: set[tuple[int, ...]] = set()
@@ -26,12 +26,12 @@ def test_a_voxel_is_given_out_once_across_tiles(tmp_path):
     assert len(thin.admit(np.empty((0, 3)))) == 0
 
 
-def test_voxels_on_disk_are_remembered_and_memory_is_capped(tmp_path, monkeypatch):
+def test_voxels_on_disk_stay_occupied_and_memory_is_bounded(tmp_path, monkeypatch):
     monkeypatch.setattr(voxel_filter, "CACHED", 3000)
     rng = np.random.default_rng(1)
     thin = VoxelFilter(0.1, tmp_path)
     seen: set[tuple[int, ...]] = set()
-    # there, and back again past what has gone to disk
+    # along the path and back, past blocks that are on disk
     for k in [*range(8), *range(8)]:
         low = np.array([30.0 * k, 0, -200])
         points = rng.uniform(low, low + 10, (1000, 3))
@@ -40,7 +40,7 @@ def test_voxels_on_disk_are_remembered_and_memory_is_capped(tmp_path, monkeypatc
     assert len(list(tmp_path.iterdir())) >= 5
 
 
-def test_a_block_is_256_voxels_wide_and_keeps_voxels_apart():
+def test_a_block_is_256_voxels_wide_and_its_keys_stay_distinct():
     cells = np.array([[0, 0, 0], [255, 0, 0], [256, 0, 0], [0, 255, 255], [0, 256, 0], [-1, 0, 0]])
     keys = block_major(voxel_keys(cells + 0.5, 1.0))
     assert len(np.unique(keys)) == len(keys)
@@ -57,5 +57,5 @@ def test_a_lost_block_is_named(tmp_path, monkeypatch):
     thin.admit(np.zeros((1, 3)))
     for file in tmp_path.iterdir():
         file.unlink()
-    with pytest.raises(MappingError, match="spooled voxels cannot be read"):
+    with pytest.raises(MappingError, match="scratch file cannot be read"):
         thin.admit(np.zeros((1, 3)))
