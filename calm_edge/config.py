@@ -10,6 +10,7 @@ from typing import Any, Literal, get_type_hints
 
 from calm_edge.typed import coerce
 from calm_edge.types import CalmEdgeError
+from device.frame import JPEG_QUALITY
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ class RecordingConfig:
     segment_s: float = 300.0
     chunk_bytes: int = 1 << 20
     flush_s: float = 0.5
-    jpeg_quality: int = 92
+    jpeg_quality: int = JPEG_QUALITY
     log_depth: bool = False
     keep_free_gib: float = 1.0
     keep_free_percent: float = 2.0
@@ -122,6 +123,11 @@ class ScaleConfig:
     spacing_m: float = 0.0
     average_placement: bool = False
     rectify: bool = True
+
+    @property
+    def spacing(self) -> float:
+        """World units a map unit: spacing_m, or 1 where the world is in spacings."""
+        return self.spacing_m or 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import cv2
@@ -17,6 +17,9 @@ class Eye(IntEnum):
     ASSISTANT = 1
 
 
+# of a picture that comes from its camera as pixels
+JPEG_QUALITY = 92
+
 _GRAY = {
     1: cv2.IMREAD_GRAYSCALE,
     2: cv2.IMREAD_REDUCED_GRAYSCALE_2,
@@ -26,6 +29,11 @@ _GRAY = {
 
 class UnreadableImage(ValueError):
     """OpenCV cannot decode the bytes of a frame."""
+
+
+def jpeg(image: NDArray[np.uint8], quality: int = JPEG_QUALITY) -> bytes:
+    """JPEG bytes of (H, W, 3) BGR or (H, W) gray pixels. quality: 1 to 100."""
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +49,12 @@ class Frame:
     sequence: int
     t_ns: int
     image: NDArray[np.uint8] | bytes
+
+    def encoded(self, quality: int = JPEG_QUALITY) -> Frame:
+        """The frame with its picture as bytes: its camera's own, else a JPEG of its pixels."""
+        if isinstance(self.image, bytes):
+            return self
+        return replace(self, image=jpeg(self.image, quality))
 
     def bgr(self) -> NDArray[np.uint8]:
         """Decode to (H, W, 3) uint8 BGR; raises UnreadableImage."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import Bytes, Float, Int
-from device.frame import Eye, Frame
+from device.frame import Eye, Frame, jpeg
 
 SIZE = (1280, 720)
 RATE_HZ = 30
@@ -43,8 +43,7 @@ def enlarged(drive: Path, eye: Eye, folder: Path, most: int = MOST) -> list[Path
         noise = [random.normal(0, _NOISE, (*SIZE[::-1], 1)).astype(np.float32) for _ in range(4)]
         for k, image in enumerate(_between(images, moments[eye], times)):
             noisy = np.clip(_camera_sized(image) + noise[k % len(noise)], 0, 255).astype(np.uint8)
-            data = cv2.imencode(".jpg", noisy, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
-            (partial / f"{k:06d}.jpg").write_bytes(data.tobytes())
+            (partial / f"{k:06d}.jpg").write_bytes(jpeg(noisy, _QUALITY))
         partial.rename(kept)
     return sorted(kept.iterdir())
 

@@ -148,7 +148,7 @@ def read_pieces(path: Path, assignments: Sequence[str]) -> tuple[list[Piece], Ma
         print(f"depth: sub-map {update.submap.id}", file=sys.stderr, flush=True)
     if not pieces:
         raise CalmEdgeError(f"{path}: no window has depth; nothing to measure")
-    return pieces, config.mapping, config.scale.spacing_m or 1.0
+    return pieces, config.mapping, config.scale.spacing
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -28,7 +28,7 @@ def _aligner(name: str, held: HeldViews) -> Aligner:
     def place(
         drive: Drive, backbone: CachedBackbone, config: Config, loops: ScriptedLoops | None
     ) -> tuple[Int, Float]:
-        views = held.of(drive, backbone, config.scale.spacing_m, loops)
+        views = held.of(drive, backbone, config.scale.spacing, loops)
         overlaps = (views.between(k - 1, k) for k in range(1, len(views.submaps)))
         found = chain(ALIGNMENTS[name], views.submaps, overlaps, views.closures())
         if found.T_w_c is None:
@@ -49,7 +49,7 @@ class HeldViews:
         self,
         drive: Drive,
         backbone: CachedBackbone,
-        spacing_m: float,
+        spacing: float,
         loops: ScriptedLoops | None,
     ) -> _Views:
         """Those held where drive and loops are the very same objects, else new ones."""
@@ -59,7 +59,7 @@ class HeldViews:
             or any(a is not b for a, b in zip(self._of, (drive, loops), strict=True))
         ):
             self._of, self._views = (drive, loops), None
-            self._views = _Views(drive, backbone, spacing_m, loops)
+            self._views = _Views(drive, backbone, spacing, loops)
         return self._views
 
 
@@ -70,10 +70,10 @@ class _Views:
         self,
         drive: Drive,
         backbone: CachedBackbone,
-        spacing_m: float,
+        spacing: float,
         loops: ScriptedLoops | None,
     ) -> None:
-        self._spacing_m = spacing_m
+        self._spacing = spacing
         self._held: dict[int, Prediction] = {}
         self._found: dict[tuple[int, ...], Correspondences] = {}
         self._size = drive.scene.size[0]
@@ -121,7 +121,7 @@ class _Views:
                 submap.t_ns[n : n + m],
                 submap.T_s_c[n : n + m],
             )
-            submap = replace(submap, scale=scale.factor(scale.spacing(rig), self._spacing_m))
+            submap = replace(submap, scale=scale.factor(scale.spacing(rig), self._spacing))
         self._hints.append(hints)
         self._predictions.append(prediction)
         self.submaps.append(submap)

@@ -45,7 +45,7 @@ def build(
 
     folder: scratch. warp: amplitude of a depth distortion put into every sub-map, see `warped`.
     """
-    spacing = config.scale.spacing_m or 1.0
+    spacing = config.scale.spacing
     mapper = Mapper(config.mapping, spacing, folder, config.backbone.seed)
     submaps: list[Submap] = []
     overlaps: list[Correspondences] = []

@@ -59,7 +59,7 @@ def measure(
     if not drive.updates:
         raise EvaluationError(f"{path}: no window could be solved; nothing to map")
     first_frame = from_recording(path).first_frame
-    spacing = config.scale.spacing_m or 1.0
+    spacing = config.scale.spacing
     scale = align == "sim3" or not config.scale.spacing_m
 
     def on_truth(t_ns: Int) -> Int:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import queue
 import time
 from collections.abc import Callable
 from typing import Any
 
-import cv2
 import numpy as np
 
 from calm_edge.config import Config
@@ -103,11 +101,7 @@ class Switchboard:
 
     def frame(self, frame: Frame) -> None:
         """One frame to the recording and to the tracker, as the same bytes."""
-        if not isinstance(frame.image, bytes):
-            quality = [cv2.IMWRITE_JPEG_QUALITY, self.config.recording.jpeg_quality]
-            data = cv2.imencode(".jpg", frame.image, quality)[1].tobytes()
-            frame = dataclasses.replace(frame, image=data)
-        assert isinstance(frame.image, bytes)
+        frame = frame.encoded(self.config.recording.jpeg_quality)
         self.recording.write_frame(frame)
         self.result.frames[frame.eye] += 1
         self.frame_ns[frame.eye] = self.source.clock.now_ns()

@@ -36,7 +36,7 @@ class Atlas:
         self._skipped: list[SkippedWindow] = []
         self._loops: list[LoopClosure] = []
         self._stamps: dict[int, int] = {}
-        self._graph = self._empty_graph()
+        self._graph = JointGraph(config.posegraph, config.scale.spacing)
         self.epoch = 0
 
     def __len__(self) -> int:
@@ -108,13 +108,8 @@ class Atlas:
             self._graph.add_loop(loop)
         self.epoch += 1
 
-    def optimise(self) -> None:
-        """The joint optimum (IV-C), here and now."""
-        self._graph.optimise()
-        self._follow()
-
     def request_optimum(self, optimiser: Optimiser) -> None:
-        """Asks for the joint optimum of everything measured so far."""
+        """Asks for the joint optimum (IV-C) of everything measured so far."""
         snapshot = self._graph.snapshot()
         if snapshot is not None:
             optimiser.request(snapshot)
@@ -156,9 +151,6 @@ class Atlas:
     def _trajectory(self, ids: Int, T_w_c: Float) -> Trajectory:
         t_ns = np.fromiter((self._stamps[int(i)] for i in ids), np.int64, len(ids))
         return Trajectory(ids, t_ns, T_w_c, self._graph.T_p_a, self.epoch)
-
-    def _empty_graph(self) -> JointGraph:
-        return JointGraph(self._config.posegraph, self._config.scale.spacing_m or 1.0)
 
     def _bridge(self, submap: Submap) -> Float:
         """T_w_f (4, 4) of a sub-map's first frame when none of its frames has a pose.

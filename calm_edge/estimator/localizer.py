@@ -162,15 +162,15 @@ class Localizer:
     def finish(self) -> Trajectory | None:
         """Every window under the final belief, then the joint optimum; None without a sub-map."""
         self._optimiser.close()
+        self._optimiser = Immediate()
         if not len(self._atlas):
             return None
-        self._optimised = False
         if self._rectifier.finish() or self._stale:
             self._begin_replacement(self._sources())
         self._resolve(self._memory.retained())
         self._replace()
-        if self._config.posegraph.optimise:
-            self._optimise()
+        self._request()
+        self._atlas.settle(self._optimiser)
         self._kit_prior.save(self._memory.taught())
         return self.trajectory()
 
@@ -228,7 +228,7 @@ class Localizer:
         apart = np.linalg.norm(submap.T_s_c[: submap.n_primary, :3, 3] - T_s_match[:3, 3], axis=1)
         query = candidate.query_view if candidate is not None else int(apart.argmin())
         T_match_query = se3.inverse(T_s_match) @ submap.T_s_c[query]
-        spacing = self._config.scale.spacing_m or 1.0
+        spacing = self._config.scale.spacing
         if candidate is not None and not candidate.agrees(se3.inverse(T_match_query), spacing):
             log.info("sub-map %d: loop to keyframe %d contradicted", submap.id, match.id)
             return None
@@ -273,10 +273,6 @@ class Localizer:
         if self._config.posegraph.optimise:
             self._atlas.request_optimum(self._optimiser)
             self._optimised = True
-
-    def _optimise(self) -> None:
-        self._atlas.optimise()
-        self._optimised = True
 
 
 @contextmanager

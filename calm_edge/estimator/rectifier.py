@@ -85,7 +85,7 @@ class Rectifier:
         raw = replace(submap, T_s_c=submap.T_s_c_raw, K=submap.K_raw, scale=1.0)
         corrected = self._corrected(raw, held)
         if self._config.scale.rectify or self._first is None or self._first[0] == submap.id:
-            scaled = scale.rectify(corrected, self._config.scale.spacing_m)
+            scaled = scale.rectify(corrected, self._config.scale.spacing)
             if not self._config.scale.rectify:
                 self._first = submap.id, scaled.scale
             return scaled

@@ -57,14 +57,14 @@ def spacing(T_p_a: Float) -> float:
     return float(np.linalg.norm(T_p_a[:, :3, 3], axis=-1).mean())
 
 
-def factor(spacing_raw: float, spacing_m: float) -> float:
+def factor(spacing_raw: float, spacing_world: float) -> float:
     """World units a raw unit, s_k of IV-B; raises ScaleError.
 
-    spacing_raw: raw units. spacing_m: metres between the cameras, 0 when the map unit is kept.
+    The spacing in raw and in world units (`ScaleConfig.spacing`).
     """
     if not np.isfinite(spacing_raw) or spacing_raw <= 0:
         raise ScaleError("the two cameras were solved into one place: no scale in this sub-map")
-    return (spacing_m or 1.0) / spacing_raw
+    return spacing_world / spacing_raw
 
 
 def rectified(T: Float, scale: float) -> Float:
@@ -74,15 +74,15 @@ def rectified(T: Float, scale: float) -> Float:
     return out
 
 
-def rectify(submap: Submap, spacing_m: float) -> Submap:
+def rectify(submap: Submap, spacing_world: float) -> Submap:
     """A sub-map in raw units (scale 1) brought to world units by its spacing; raises ScaleError.
 
-    spacing_m: metres between the cameras, 0 when the map unit is kept.
+    spacing_world: `ScaleConfig.spacing`.
     """
     n, m = submap.n_primary, len(submap.assistant_ids)
     t_ns, T = submap.exposed_ns, submap.T_s_c
     T_p_a_raw = rig_samples(t_ns[:n], T[:n], t_ns[n : n + m], T[n : n + m])
-    world_units = factor(spacing(T_p_a_raw), spacing_m)
+    world_units = factor(spacing(T_p_a_raw), spacing_world)
     return replace(submap, scale=world_units, T_s_c=rectified(T, world_units))
 
 

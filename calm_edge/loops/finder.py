@@ -30,7 +30,6 @@ SUPPRESSION = 10
 MAX_PICTURE_BYTES = 96 << 20
 # Pictures described at a time: a network waits for none of the others.
 DESCRIBERS = 2
-JPEG_QUALITY = 92
 # What two rough answers to the same question may differ by.
 AGREE_DISTANCE_SHARE, AGREE_DISTANCE, AGREE_RAD = 0.5, 3.0, np.radians(8.0)
 
@@ -98,7 +97,7 @@ class PlaceMemory:
         if begins:
             newest = []
             self._pairs.append(newest)
-        newest.append((_compressed(keyframe), vector))
+        newest.append((replace(keyframe, frame=keyframe.frame.encoded()), vector))
         while len(self._pairs) > 1 and (
             len(self) > self._max_places or self.n_bytes > self._max_bytes
         ):
@@ -231,12 +230,3 @@ class _Look:
             gray = np.asarray(cv2.cvtColor(self._images[index], cv2.COLOR_BGR2GRAY), np.uint8)
             self._seen[index] = sift.detect(gray, MAX_FEATURES)
         return self._seen[index]
-
-
-def _compressed(keyframe: Keyframe) -> Keyframe:
-    """The keyframe with its picture as JPEG bytes; a camera's own bytes are untouched."""
-    frame = keyframe.frame
-    if isinstance(frame.image, bytes):
-        return keyframe
-    data = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-    return replace(keyframe, frame=replace(frame, image=data.tobytes()))

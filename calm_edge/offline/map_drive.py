@@ -38,7 +38,7 @@ def make_cloud(
     say: Callable[[str], None],
 ) -> tuple[int, SeamSummary | None]:
     """Depth, anchors, tiles, the PLY; how many points it has, and how well sub-maps meet."""
-    spacing = config.scale.spacing_m or 1.0
+    spacing = config.scale.spacing
     n = len(drive.updates)
     with tempfile.TemporaryDirectory(prefix="spool-", dir=out) as spool:
         mapper = Mapper(config.mapping, spacing, Path(spool), config.backbone.seed)

@@ -7,18 +7,16 @@ applies them in the unit of its first sub-map. Without loops only their ratios m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calm_edge.config import PoseGraphConfig
 from calm_edge.geometry import se3
 from calm_edge.posegraph.marginals import Marginals
 from calm_edge.posegraph.noise import Noise, assumed_noise, measured_noise
 from calm_edge.posegraph.optimiser import Snapshot, Solved
-from calm_edge.posegraph.optimum import TOLERANCE, optimum
 from calm_edge.posegraph.problem import Edges, Problem, State, joined
 from calm_edge.types import Float, Int, LoopClosure
 
@@ -27,19 +25,6 @@ _BRIDGE_WEIGHT = 0.01
 # Minimum number of recent sub-maps that `relative_covariance` uses.
 _RECENT = 6
 _KEYS = count()
-
-
-@dataclass(frozen=True, slots=True)
-class Optimised:
-    """Summary of one optimisation. Costs: half the sum of squared Mahalanobis distances.
-
-    loops: (R,) whether each loop was accepted, in the order they were added.
-    """
-
-    iterations: int
-    cost_before: float
-    cost_after: float
-    loops: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
 
 
 class JointGraph:
@@ -177,17 +162,6 @@ class JointGraph:
             spacing=self._spacing,
             scale_sigma=float(np.sqrt(self._scale_variance / max(self._n_submaps, 1))),
         )
-
-    def optimise(self, tolerance: float = TOLERANCE) -> Optimised:
-        """Optimise all poses and T_p_a; the first keyframe is held fixed (gauge).
-
-        tolerance: relative decrease of the cost at which the iteration stops.
-        """
-        if not self._edges:
-            return Optimised(0, 0.0, 0.0)
-        found = optimum(self.problem(), self.state(), tolerance)
-        self.apply(Solved(self._key, found))
-        return Optimised(found.iterations, found.cost_before, found.cost_after, found.loops)
 
     def snapshot(self) -> Snapshot | None:
         """Copy of problem and state for an optimiser; None while the graph has no edge."""

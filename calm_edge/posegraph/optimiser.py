@@ -52,32 +52,35 @@ class Optimiser(Protocol):
         """Request the optimum of a snapshot. Replaces a request that has not started."""
 
     def poll(self) -> Solved | None:
-        """Return the newest optimum once, None without a new one. Does not block."""
+        """Return the newest optimum once, None without a new one."""
 
     def close(self) -> None:
         """Stop a running optimisation and drop pending requests."""
 
 
 class Immediate:
-    """Optimiser that computes in `request`: deterministic, for lockstep and for `map`."""
+    """Optimiser that computes in `poll`: deterministic, for lockstep and for `map`."""
 
     def __init__(self) -> None:
-        self._solved: Solved | None = None
+        self._waiting: Snapshot | None = None
 
     def request(self, snapshot: Snapshot) -> None:
-        self._solved = Solved(snapshot.graph, optimum(snapshot.problem, snapshot.state))
+        self._waiting = snapshot
 
     def poll(self) -> Solved | None:
-        solved, self._solved = self._solved, None
-        return solved
+        snapshot, self._waiting = self._waiting, None
+        if snapshot is None:
+            return None
+        return Solved(snapshot.graph, optimum(snapshot.problem, snapshot.state))
 
     def close(self) -> None:
-        self._solved = None
+        self._waiting = None
 
 
 class Spawned:
     """Optimiser in a child process, started at the first request and restarted if it dies.
 
+    `poll` does not block.
     While one request is computed, only the newest other one waits.
     """
 

@@ -23,7 +23,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -102,21 +101,10 @@ def _message(topic: str, log_time: int, message: Any, sequence: int = 0) -> LogM
     return LogMessage(topic, log_time, bytes(message.SerializeToString()), sequence)
 
 
-def frame_message(frame: Frame, jpeg_quality: int) -> LogMessage:
-    """Encode a frame: JPEG bytes unchanged, raw pixels as JPEG.
-
-    Raises RecordingError if the pixels cannot be encoded.
-    """
-    image = frame.image
-    if not isinstance(image, bytes):
-        try:
-            encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])[1]
-        except cv2.error as error:
-            raise RecordingError(
-                f"{frame.eye.name.lower()} frame {frame.sequence}: cannot be encoded ({error.err})"
-            ) from None
-        image = encoded.tobytes()
-    message = foxglove.image(frame.eye, frame.t_ns, image)
+def frame_message(frame: Frame) -> LogMessage:
+    """Message of an encoded frame; its bytes are unchanged."""
+    assert isinstance(frame.image, bytes)
+    message = foxglove.image(frame.eye, frame.t_ns, frame.image)
     return _message(IMAGE_TOPICS[frame.eye], frame.t_ns, message, frame.sequence)
 
 

@@ -115,10 +115,8 @@ class RecordingWriter:
         )
 
     def write_frame(self, frame: Frame) -> None:
-        """Record a frame of either eye; raw pixels are encoded in the writer's thread."""
-        size = len(frame.image) if isinstance(frame.image, bytes) else frame.image.nbytes
-        quality = self._config.recording.jpeg_quality
-        self._mailbox.put(lambda: [schema.frame_message(frame, quality)], size, True)
+        """Record an encoded frame of either eye."""
+        self._mailbox.put(lambda: [schema.frame_message(frame)], len(frame.image), True)
 
     def write_pose(self, sample: PoseSample) -> None:
         """Record a live pose."""

@@ -13,6 +13,7 @@ import numpy as np
 from calm_edge.evaluation.table import pretty
 from calm_edge.report import curves, map_image, page
 from calm_edge.types import Bytes, Float, Float32
+from device.frame import jpeg
 
 # More points than this are invisible in an image; the rest is skipped evenly.
 MAX_DRAWN_POINTS = 3_000_000
@@ -55,12 +56,8 @@ def _embedded(svg: str, alt: str) -> str:
 
 
 def _photo(image: Bytes) -> str:
-    import cv2
-
-    ok, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
-    if not ok:
-        raise ValueError(f"cannot encode an image of shape {image.shape} as JPEG")
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+    data = jpeg(np.ascontiguousarray(image[..., ::-1]))
+    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
 
 
 def _bar_length(span: float) -> float:

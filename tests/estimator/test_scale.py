@@ -64,15 +64,15 @@ def test_a_repeated_stamp_is_refused(eye):
 
 
 def test_factor_brings_the_spacing_to_one_unit_or_to_metres():
-    assert scale.factor(0.25, 0.0) == 4.0
+    assert scale.factor(0.25, 1.0) == 4.0
     assert scale.factor(0.25, 0.5) == 2.0
     for nothing in (0.0, np.nan, np.inf):
         with pytest.raises(scale.ScaleError, match="no scale"):
             scale.factor(nothing, 0.5)
 
 
-@pytest.mark.parametrize("spacing_m", [0.0, SPACING])
-def test_rectify_undoes_any_scale_and_leaves_the_loop_view_in_the_batch(spacing_m):
+@pytest.mark.parametrize("spacing_world", [1.0, SPACING])
+def test_rectify_undoes_any_scale_and_leaves_the_loop_view_in_the_batch(spacing_world):
     t_a, T_s_a = assistant(17_000_000)
     T = np.concatenate([T_S_P, T_s_a, T_S_P[:1]])
     raw = Submap(
@@ -89,8 +89,8 @@ def test_rectify_undoes_any_scale_and_leaves_the_loop_view_in_the_batch(spacing_
         T_w_s=np.eye(4),
         focal_log_sigma=np.ones(2),
     )
-    submap = scale.rectify(raw, spacing_m)
-    world_units = (spacing_m or 1.0) / SPACING
+    submap = scale.rectify(raw, spacing_world)
+    world_units = spacing_world / SPACING
     assert submap.scale == pytest.approx(world_units / 3.7, rel=1e-9)
     assert np.allclose(submap.T_s_c, scale.rectified(T, world_units), atol=1e-9)
     assert np.array_equal(submap.T_s_c_raw, raw.T_s_c_raw)

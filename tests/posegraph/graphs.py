@@ -7,6 +7,8 @@ import numpy as np
 from calm_edge.config import PoseGraphConfig
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
+from calm_edge.posegraph.optimiser import Solved
+from calm_edge.posegraph.optimum import TOLERANCE, optimum
 from calm_edge.types import LoopClosure
 from tests.drives import T_P_A
 
@@ -54,6 +56,14 @@ def graph_of(
         T_w_s = graph.pose(start) if start in graph else T[0]
         graph.add_submap(ids, T_w_s, T_s_p, T_s_a, np.arange(len(ids)))
     return graph
+
+
+def optimised(graph, tolerance=TOLERANCE):
+    """Moves a graph to its optimum, which is returned."""
+    asked = graph.snapshot()
+    found = optimum(asked.problem, asked.state, tolerance)
+    assert graph.apply(Solved(asked.graph, found))
+    return found
 
 
 def true_loops(T, n, rng):

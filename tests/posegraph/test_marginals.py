@@ -9,7 +9,7 @@ from calm_edge.posegraph.marginals import Marginals
 from calm_edge.posegraph.noise import Noise
 from calm_edge.types import LoopClosure
 from tests.drives import T_P_A, curved
-from tests.posegraph.graphs import CONFIG, graph_of
+from tests.posegraph.graphs import CONFIG, graph_of, optimised
 
 N = 27
 
@@ -41,7 +41,7 @@ def submaps(T, moved=None):
 def shifts(T, moved, row, origins):
     """Twists (M, 6) by which `moved` shifts the optimised pose of `row` relative to origins."""
     graph = submaps(T, moved)
-    graph.optimise(tolerance=1e-9)
+    optimised(graph, tolerance=1e-9)
     X = graph.poses()
     truth = se3.inverse(T[origins]) @ T[row]
     return se3.log(se3.inverse(truth) @ se3.inverse(X[origins]) @ X[row])
@@ -72,7 +72,7 @@ def test_normalised_errors_of_independent_drives_match_the_covariance():
     T, rows, values = curved(51), np.array([12, 50]), []
     for seed in range(20):
         graph = graph_of(T, noise=0.02, seed=seed)
-        graph.optimise()
+        optimised(graph)
         X = se3.inverse(graph.poses()[0]) @ graph.poses()
         truth = se3.inverse(T[0]) @ T
         problem = graph.problem()
@@ -87,7 +87,7 @@ def test_normalised_errors_of_independent_drives_match_the_covariance():
 
 def test_graph_covariances_scale_with_the_configured_variances():
     graph = graph_of(curved(20), noise=0.01)
-    graph.optimise()
+    optimised(graph)
     problem = graph.problem()
     marginals = Marginals(problem, graph.state(), Noise(0.01, 0.001, 0.0))
     loud = marginals.graph_covariances(np.array([19]))[0]

@@ -19,30 +19,16 @@ from tests.recording import samples
 
 def test_jpeg_bytes_are_untouched() -> None:
     frame = samples.frame(Eye.ASSISTANT, 3)
-    message = schema.frame_message(frame, 50)
+    message = schema.frame_message(frame)
     again = schema.read_frame(Eye.ASSISTANT, message.sequence, message.log_time, message.data)
     assert again == frame
     assert message.topic == "/assistant/image"
 
 
-def test_raw_pixels_are_encoded_at_the_given_quality() -> None:
-    pixels = cv2.imdecode(np.frombuffer(samples.jpeg(0), np.uint8), cv2.IMREAD_COLOR)
-    frame = Frame(Eye.PRIMARY, 1, 7, np.asarray(pixels, np.uint8))
-    expected = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 77])[1].tobytes()
-    message = schema.frame_message(frame, 77)
-    assert schema.read_frame(Eye.PRIMARY, 1, 7, message.data).image == expected
-
-
-def test_pixels_that_cannot_be_encoded_raise_a_recording_error() -> None:
-    frame = Frame(Eye.PRIMARY, 9, 7, np.zeros((0, 0, 3), np.uint8))
-    with pytest.raises(RecordingError, match="primary frame 9"):
-        schema.frame_message(frame, 90)
-
-
 @pytest.mark.parametrize("t_ns", [-1, 1 << 63])
 def test_times_outside_the_range_of_mcap_raise(t_ns: int) -> None:
     with pytest.raises(RecordingError):
-        schema.frame_message(Frame(Eye.PRIMARY, 0, t_ns, b"x"), 90)
+        schema.frame_message(Frame(Eye.PRIMARY, 0, t_ns, b"x"))
 
 
 def test_pose_and_update_round_trip() -> None:
