@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
 from calm_edge.config import ConfigError
+from device.atomic_file import replace_text
 
 
 def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
@@ -55,21 +55,12 @@ def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
 
 def write_keys(path: Path, section: str, values: Mapping[str, str]) -> None:
     """The same in a file, made where there is none, replaced whole or not at all; ConfigError."""
-    half = path.with_name(path.name + ".part")
     try:
         text = path.read_text() if path.exists() else ""
-        changed = with_keys(text, section, values)
-        with half.open("w") as file:
-            file.write(changed)
-            file.flush()
-            os.fsync(file.fileno())
-        if path.exists():
-            half.chmod(path.stat().st_mode & 0o7777)
-        half.replace(path)
+        replace_text(path, with_keys(text, section, values))
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: not valid TOML: not text") from None
     except OSError as error:
-        half.unlink(missing_ok=True)
         raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,10 +12,10 @@ import numpy as np
 from calm_edge.kit import layout
 from calm_edge.kit.change import faded
 from calm_edge.types import CalmEdgeError, Float, Int, KitBelief
+from device.atomic_file import replace_text
 
 FORMAT = "calm-edge kit"
 VERSION = 1
-PART = ".part"
 
 # Rounding allowed in the symmetry and definiteness of the information, scaled to unit diagonal.
 _ROUNDING = 1e-6
@@ -45,22 +43,10 @@ def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) ->
         text = json.dumps(content, indent=1, allow_nan=False)
     except ValueError:
         raise KitFileError(f"{path}: not written, the kit's belief is not finite") from None
-    part = Path(f"{path}{PART}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w", encoding="utf-8") as file:
-            file.write(text + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        replace_text(path, text + "\n")
     except OSError as error:
-        with suppress(OSError):
-            part.unlink()
         raise KitFileError(f"{path}: cannot be written ({error.strerror})") from None
 
 

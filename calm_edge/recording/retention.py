@@ -5,7 +5,6 @@ Names count up and hold no date: a car's computer may have no clock that runs wh
 
 from __future__ import annotations
 
-import os
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import NamedTuple
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.health import boot_id
 from calm_edge.recording.segment import segment_files
+from device.atomic_file import sync_folder
 
 # file that marks a drive which must not be removed
 KEEP_FLAG = "KEEP"
@@ -78,11 +78,7 @@ def set_kept(drive: Path, kept: bool) -> None:
             (drive / KEEP_FLAG).touch()
         else:
             (drive / KEEP_FLAG).unlink(missing_ok=True)
-        fd = os.open(drive, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(fd)
-        finally:
-            os.close(fd)
+        sync_folder(drive)
     except OSError as error:
         raise RecordingError(f"{drive}: cannot be written ({error.strerror})") from None
 

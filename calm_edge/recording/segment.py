@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.schema import TOPICS, LogMessage, topic_schema
+from device.atomic_file import sync_folder
 
 PART = ".part"
 _NAME = re.compile(r"(\d{4,})\.mcap(\.part)?")
@@ -99,7 +100,7 @@ class Segment:
             for name, values in metadata.items():
                 self._writer.add_metadata(name, values)
             self._channels = {topic: self._register(topic) for topic in TOPICS}
-            _sync_folder(folder)
+            sync_folder(folder)
         except OSError:
             self.discard()
             raise
@@ -178,7 +179,7 @@ class Segment:
         os.close(self._fd)
         self._fd = -1
         self.path.rename(self.target)
-        _sync_folder(self.target.parent)
+        sync_folder(self.target.parent)
         return self.target
 
     def abandon(self) -> list[LogMessage]:
@@ -210,11 +211,3 @@ class Segment:
         self.kept_messages += len(self._pending)
         self._pending.clear()
         self._kept_bytes = self._sink.position
-
-
-def _sync_folder(folder: Path) -> None:
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

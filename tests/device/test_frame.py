@@ -20,7 +20,7 @@ def test_pixels_become_a_jpeg_of_the_asked_quality():
     expected = cv2.imencode(".jpg", PIXELS, [cv2.IMWRITE_JPEG_QUALITY, 77])[1].tobytes()
     assert encoded == Frame(Eye.PRIMARY, 1, 7, expected)
     assert len(jpeg(PIXELS, 30)) < len(expected) < len(jpeg(PIXELS, 95))
-    assert np.abs(encoded.bgr().astype(int) - PIXELS).mean() < 4
+    assert np.abs(encoded.bgr().astype(int) - PIXELS).mean() < 6
 
 
 def test_a_jpeg_is_decoded_at_an_eighth_of_its_size():

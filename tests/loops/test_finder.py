@@ -245,7 +245,7 @@ def test_a_place_is_the_frame_itself():
     for one in given:
         memory.add(one, np.zeros(4, np.float32))
     kept, decoded = memory.before(100)[0]
-    assert kept is given[0]
+    assert kept.frame is given[0].frame
     assert isinstance(decoded.frame.image, bytes)
     assert np.abs(decoded.frame.bgr().astype(int) - 9).max() <= 1
     assert replace(decoded.frame, image=b"") == replace(given[1].frame, image=b"")

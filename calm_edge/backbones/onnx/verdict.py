@@ -13,6 +13,7 @@ from pathlib import Path
 
 from calm_edge import typed
 from calm_edge.backbones.onnx.manifest import Manifest, ManifestError, Precision
+from device.atomic_file import replace_text
 
 _RUNTIMES = ("onnxruntime", "onnxruntime-gpu")
 
@@ -75,11 +76,9 @@ def load(manifest: Manifest) -> Verdict | None:
 def save(manifest: Manifest, verdict: Verdict) -> Path:
     """Returns the file; raises ManifestError where it cannot be written."""
     path = _path(manifest)
-    part = path.with_suffix(".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(dataclasses.asdict(verdict), indent=1) + "\n")
-        part.replace(path)
+        replace_text(path, json.dumps(dataclasses.asdict(verdict), indent=1) + "\n")
     except OSError as error:
         raise ManifestError(
             f"{path}: the verdict cannot be kept ({error.strerror}); set XDG_CACHE_HOME"
