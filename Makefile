@@ -3,7 +3,6 @@
 .DEFAULT_GOAL := demo
 .PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test interop faults
 
-PYTHON_SOURCES := calm_edge device bench tests deploy hil_tests
 CALM_EDGE := .venv/bin/python -m calm_edge.cli
 DEMO_DRIVE ?= demo/drive
 DEMO_OUT ?= build/demo
@@ -40,8 +39,8 @@ test: .venv/.stamp-dev
 	.venv/bin/python -m pytest tests/faults
 
 lint: .venv/.stamp-dev
-	.venv/bin/ruff check $(PYTHON_SOURCES)
-	.venv/bin/ruff format --check $(PYTHON_SOURCES)
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 

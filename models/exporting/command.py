@@ -8,6 +8,7 @@ import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -121,7 +122,7 @@ def _write(args: argparse.Namespace, network: Network, template: str) -> None:
     path = args.out / "model.onnx"
     graph.export(network, args.size, args.max_views, path)
     session = runtime.session(path, args.threads)
-    golden: dict[str, NDArray[np.generic]] = {}
+    golden: dict[str, Any] = {}
     for n in views:
         image = normalised(shown[:n], spec)
         expected = graph.reference(network, image)

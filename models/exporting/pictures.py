@@ -41,7 +41,7 @@ def _painted(size: tuple[int, int], count: int) -> NDArray[np.uint8]:
     width, height = size
     coarse = rng.random((8, 12, 3)).astype(np.float32)
     wide = cv2.resize(coarse, (width * 2, height), interpolation=cv2.INTER_CUBIC)
-    fine = rng.random(wide.shape).astype(np.float32) * 0.2
+    fine = np.asarray(rng.random(wide.shape), np.float32) * 0.2
     step = width // max(count, 1)
     views = [(wide + fine)[:, i * step : i * step + width] for i in range(count)]
     return np.asarray((np.stack(views) * 200).clip(0, 255), np.uint8)

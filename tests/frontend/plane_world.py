@@ -12,6 +12,7 @@ from calm_edge.geometry.flow import corners
 from calm_edge.types import (
     Bytes,
     Float,
+    Float32,
     Landmarks,
     LocalizerUpdate,
     Prediction,
@@ -101,12 +102,12 @@ class PlaneWorld:
             np.concatenate(uv).astype(np.float32),
         )
         n = len(ids)
-        depth = None
+        depth: Float32 | None = None
         if with_depth:
             grid = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), -1)
             flat = grid.reshape(-1, 2).astype(np.float64)
-            depth = np.stack([self.depth_at(T, flat).reshape(HEIGHT, WIDTH) for T in T_w_c])
-            depth = (depth / raw_scale).astype(np.float32)
+            true = np.stack([self.depth_at(T, flat).reshape(HEIGHT, WIDTH) for T in T_w_c])
+            depth = (true / raw_scale).astype(np.float32)
         prediction = Prediction(
             np.stack([K] * n), raw, depth=depth, landmarks=None if with_depth else landmarks
         )

@@ -25,9 +25,8 @@ def write_drive(folder: Path, n: int = 40) -> Path:
     """`n` frames an eye at 10 Hz, the assistant 17 ms late, in the layout of a sequence folder."""
     world = PlaneWorld()
     T_w_p, T_p_a = poses(n), se3.exp(np.array([SPACING_M, 0, 0, 0, 0.02, 0]))
-    late = se3.interpolate_at(
-        np.arange(n, dtype=float), T_w_p, np.arange(n) + ASSISTANT_DELAY_S * 10
-    )
+    at = np.arange(n, dtype=np.float64)
+    late = se3.interpolate_at(at, T_w_p, at + ASSISTANT_DELAY_S * 10)
     T_start = drive(n, 0.12)[0]
     for eye, T_w_c in enumerate((T_w_p, late @ T_p_a)):
         images = folder / f"cam{eye}"

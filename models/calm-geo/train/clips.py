@@ -11,6 +11,7 @@ import argparse
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -102,7 +103,8 @@ def save_shard(path: Path, clips: list[Clip]) -> None:
     """SHARD clips as one plain archive."""
     part = path.with_suffix(".part.npz")
     fields = Clip.__dataclass_fields__
-    np.savez(part, **{name: np.stack([getattr(c, name) for c in clips]) for name in fields})
+    arrays: dict[str, Any] = {n: np.stack([getattr(c, n) for c in clips]) for n in fields}
+    np.savez(part, **arrays)
     part.rename(path)
 
 

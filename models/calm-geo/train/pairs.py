@@ -32,7 +32,7 @@ class Pairs:
 def degraded(grey: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """(H, W) uint8 as another exposure, lens and codec would have it -> float32 in [0, 1]."""
     height, width = grey.shape
-    x = grey.astype(np.float32) / 255
+    x: np.ndarray = grey.astype(np.float32) / 255
     if random.random() < 0.5:
         shade = cv2.resize(
             random.uniform(0.5, 1.3, (3, 4)).astype(np.float32),
@@ -68,7 +68,8 @@ def degraded(grey: np.ndarray, random: np.random.Generator) -> np.ndarray:
     if random.random() < 0.3:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(random.integers(35, 90))]
         coded = cv2.imencode(".jpg", (255 * x).astype(np.uint8), quality)[1]
-        x = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE).astype(np.float32) / 255
+        decoded = np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.float32)
+        x = decoded / 255
     return np.asarray(x, np.float32)
 
 

@@ -112,7 +112,7 @@ def load(path: Path) -> NDArray[np.uint8]:
     """(N, SIZE, SIZE) uint8 of a file written by `save`."""
     with np.load(path) as file:
         parts = np.split(file["data"], file["ends"][:-1])
-    return np.stack([cv2.imdecode(p, cv2.IMREAD_GRAYSCALE) for p in parts])
+    return np.stack([np.asarray(cv2.imdecode(p, cv2.IMREAD_GRAYSCALE), np.uint8) for p in parts])
 
 
 def main() -> None:

@@ -197,11 +197,11 @@ def _street(b: _Builder) -> None:
     for _ in range(random.integers(0, 10)):
         at = uniform(2, 60) * ahead + random.choice([-1, 1]) * uniform(half, half + 9) * across
         height, width = uniform(2, 9), uniform(1.5, 6)
-        leaves = {"square_m": uniform(1, 4), "kind": CUTOUT}
+        square_m = uniform(1, 4)
         for direction in (across, ahead):
             b.add(
                 at - width / 2 * direction - np.array([0, height, 0]), width * direction,
-                np.array([0, height * 0.85, 0]), **leaves,
+                np.array([0, height * 0.85, 0]), square_m=square_m, kind=CUTOUT,
             )  # fmt: skip
         pole = uniform(0.1, 0.4)
         b.add(
