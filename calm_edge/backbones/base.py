@@ -1,4 +1,4 @@
-"""What every visual geometry model looks like to the rest of calm-edge (paper III)."""
+"""Interfaces of the backbones, i.e. of the visual geometry models (paper III), and their error."""
 
 from __future__ import annotations
 
@@ -16,45 +16,46 @@ class BackboneError(CalmEdgeError):
 
 
 class Backbone(Protocol):
-    """N images -> intrinsics, poses, depth, confidence. Stateless: same input, same output."""
+    """Maps N images to intrinsics, poses, depth and confidence. Stateless and deterministic."""
 
     name: str
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """(H, W, 3) uint8 BGR images in batch order -> Prediction; raises BackboneError.
+        """Reconstruct a batch. images: (H, W, 3) uint8 BGR in batch order; hints: known facts.
 
-        Depth may be left out (None) by models that solve poses first.
+        Depth may be None for backbones that solve the poses first; see `densify`. Raises
+        BackboneError.
         """
         ...
 
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
-        """The same prediction with depth and confidence; returned as is when it has them."""
+        """Add depth and confidence to a prediction of these images, if it has none."""
         ...
 
 
 @runtime_checkable
 class ExpectsPictures(Protocol):
-    """A backbone that may be able to begin on a picture before its window is whole."""
+    """A backbone that can start processing an image before its window is complete."""
 
     @property
     def expects_pictures(self) -> bool:
-        """Whether it is: else there is no use in telling it."""
+        """Whether `expect` has an effect in the present configuration."""
         ...
 
     def expect(self, image: NDArray[np.uint8]) -> None:
-        """(H, W, 3) uint8 BGR of a primary keyframe; the answer to its window stays the same."""
+        """Start processing a primary keyframe, (H, W, 3) uint8 BGR. No effect on results."""
         ...
 
 
 @runtime_checkable
 class ResolvingBackbone(Protocol):
-    """A backbone that solves a window again from its landmarks, without the images."""
+    """A backbone that can solve a window again from its landmarks, without the images."""
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
-        """The same views under the kit belief of `hints`; raises BackboneError.
+        """Solve the views of a prediction again with the kit belief in `hints` as prior.
 
-        `hints.kit` holds what the other windows taught, not this one.
+        `hints.kit` must not contain the evidence of this window itself. Raises BackboneError.
         """
         ...

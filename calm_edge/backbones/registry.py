@@ -1,7 +1,7 @@
-"""Names of backbones to backbones: the only file that knows them all.
+"""Registry of backbones by name; opens the one that the configuration names.
 
-Each is a dotted name, imported when it is asked for: `bundle` runs without ONNX Runtime, and the
-scripted backbone, which is not shipped, from a checkout.
+Backbones are imported on demand: `bundle` runs without ONNX Runtime installed, and the scripted
+backbone, which is not shipped, runs from a checkout.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from importlib import import_module
 from calm_edge.backbones.base import Backbone, BackboneError
 from calm_edge.config import Config
 
-# name -> module:class, whose from_config(Config) opens it
+# name -> "module:class"; the class is created by its from_config(Config)
 BACKBONES = {
     "bundle": "calm_edge.backbones.bundle.backbone:BundleBackbone",
     "feedforward": "calm_edge.backbones.feedforward.backbone:FeedforwardBackbone",
@@ -21,7 +21,7 @@ BACKBONES = {
 
 
 def open_backbone(config: Config) -> Backbone:
-    """Open `backbone.name`: `name`, `name:argument`, or the name of a model.
+    """Create the backbone of `backbone.name`: `NAME`, `NAME:ARGUMENT`, or the name of a model.
 
     Raises BackboneError.
     """
@@ -42,7 +42,7 @@ def open_backbone(config: Config) -> Backbone:
 
 
 def _kind_of_model(name: str) -> str:
-    """Return which backbone runs a model; raises BackboneError for an unknown name."""
+    """Name of the backbone that runs a model. Raises BackboneError for an unknown name."""
     from calm_edge.backbones.onnx.model_folder import find_model, model_names, read_manifest
 
     if name not in model_names():

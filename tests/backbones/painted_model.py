@@ -1,8 +1,8 @@
-"""A small model that works: its pictures are painted so that it can read the scene off them.
+"""A small working model for tests, with images that encode the scene in their colours.
 
-Red tells where the camera is to the side, blue how far it has come, green how far every pixel
-is. The graph averages, scales everything by how far the views have come together (so each view's
-answer depends on all), and reads depth pixel by pixel. `expected` says the same in numpy.
+Red encodes the camera's lateral position, blue its forward position, green the depth of each
+pixel. The graph averages these and divides lengths by the distance travelled over all views, so
+that each view's result depends on all views. `expected` computes the same in numpy.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ FAR = 20.0
 FOV = (0.9, 1.4)
 SIZE = (128, 64)
 INPUT_SIZE = (64, 32)
-# the slanted plane normal . p = distance, of a world whose axes all views share
+# the scene: plane normal . p = distance; all views have the axes of the world
 NORMAL, DISTANCE = np.array([0.3, 0.2, 1.0]), 14.0
 
 GRAPH = """
@@ -52,7 +52,7 @@ painted (float[N,3,H,W] image) => (float[N,9] pose, float[N,1,H,W] depth, float[
 }
 """
 RIGHT = "scale = ReduceMean<axes = [0], keepdims = 1>(come)"
-# what an export at two views may leave: the number of views as a constant
+# as left by an export traced at two views: the number of views is a constant
 FROZEN = "sum = ReduceSum<keepdims = 1>(come, views) scale = Mul(sum, half)"
 MANIFEST = """
 format = 1
@@ -91,7 +91,7 @@ sha256 = "{golden}"
 
 
 def graph_text(*, frozen: bool = False, drift: float = 0.0) -> str:
-    """frozen: right for two views alone. drift: by how much distances are off, a share."""
+    """The graph. frozen: right for two views only. drift: relative error of distances."""
     values = {
         "TAKE": RANGE * (1 + drift),
         "ORIGIN": -RANGE / 2 * (1 + drift),
@@ -108,13 +108,13 @@ def graph_text(*, frozen: bool = False, drift: float = 0.0) -> str:
 
 
 def paint(centres: Float, size: tuple[int, int] = SIZE, seed: int = 0) -> list[Bytes]:
-    """(H, W, 3) uint8 BGR views of the plane from centres (N, 3), y = 0, x within 8, z in 0..12.
+    """Images (H, W, 3), uint8 BGR, of the plane from centres (N, 3): y = 0, |x| < 8, z in 0..12.
 
     Rounding is random, so that means and neighbourhoods keep more than eight bits.
     """
     rng = np.random.default_rng(seed)
     width, height = size
-    # rays through pixel centres of a picture that is FOV wide and high
+    # rays through the pixel centres of an image with field of view FOV in both axes
     u = np.tan(FOV[1] / 2) * ((np.arange(width) + 0.5) / width * 2 - 1)
     v = np.tan(FOV[0] / 2) * ((np.arange(height) + 0.5) / height * 2 - 1)
     rays = np.stack([*np.meshgrid(u, v), np.ones((height, width))], -1)
@@ -128,7 +128,7 @@ def paint(centres: Float, size: tuple[int, int] = SIZE, seed: int = 0) -> list[B
 
 
 def expected(pictures: Bytes) -> dict[str, Float]:
-    """Outputs of the right graph for (N, h, w, 3) BGR pictures of the input's size."""
+    """Outputs of the correct graph for BGR images (N, h, w, 3) of the input's size."""
     rgb = pictures[..., ::-1].astype(np.float64) / 255
     mean = rgb.mean((1, 2))
     centre = RANGE * np.stack([mean[:, 0] - 0.5, 0 * mean[:, 0], mean[:, 2]], -1)
@@ -147,7 +147,7 @@ def expected(pictures: Bytes) -> dict[str, Float]:
 
 
 def centres(n: int) -> Float:
-    """(2 n, 3): n primary ones that drive forward, then the assistant half a unit to the right."""
+    """Centres (2 n, 3): n primary ones moving forward, then the assistant's 0.5 to the right."""
     z = 0.8 * np.arange(n)
     primary = np.stack([0 * z, 0 * z, z], -1)
     return np.concatenate([primary, primary + np.array([0.5, 0, 0])])
@@ -161,7 +161,7 @@ def write_model(
     max_views: int = 24,
     cases: tuple[int, ...] = (2, 4),
 ) -> Path:
-    """A model folder; cases: numbers of views of its golden values. Returns the folder."""
+    """Write a model folder with golden values at the numbers of views `cases`; returns it."""
     folder.mkdir(parents=True, exist_ok=True)
     drifts = {"fp32": 0.0} | ({} if drift_int8 is None else {"int8": drift_int8})
     variants = []
@@ -184,5 +184,5 @@ def write_model(
 
 
 def sha256(path: Path) -> str:
-    """Of a file, as manifests have it."""
+    """sha256 of a file in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

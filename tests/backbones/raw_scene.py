@@ -1,7 +1,4 @@
-"""Raw outputs of a network, made by hand from a scene that is known.
-
-Written from the definitions of the encodings, pixel by pixel: nothing of the decoders is used.
-"""
+"""Scene from which raw network outputs are computed, independently of the decoders."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from calm_edge.types import Float
 
 
 def turn(axis: int, degrees: float) -> Float:
-    """(3, 3) rotation about a coordinate axis."""
+    """Rotation matrix (3, 3) about a coordinate axis."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     R = np.eye(3)
@@ -24,8 +21,10 @@ def turn(axis: int, degrees: float) -> Float:
 
 @dataclass(frozen=True)
 class RawScene:
-    """Views of the plane normal . p = distance in the world. K: (N, 3, 3) px of the pictures,
-    T_w_c: (N, 4, 4), no view the world itself, all unlike in every axis."""
+    """Views of the plane normal . p = distance in the world. K: (N, 3, 3) px of the images.
+
+    T_w_c: (N, 4, 4), all different in every axis, none the identity.
+    """
 
     K: Float
     T_w_c: Float
@@ -34,24 +33,24 @@ class RawScene:
     distance: float
 
     def ray(self, view: int, u: Float, v: Float) -> Float:
-        """(..., 3) with z = 1, camera axes, through pixels of the picture."""
+        """Rays (..., 3), z = 1, camera axes, through pixels of the image."""
         K = self.K[view]
         y = (v - K[1, 2]) / K[1, 1]
         return np.stack([(u - K[0, 2]) / K[0, 0], y, np.ones_like(y)], -1)
 
     def z(self, view: int, u: Float, v: Float) -> Float:
-        """z-depth at pixels of the picture."""
+        """z-depth at pixels of the image."""
         ray_w = self.ray(view, u, v) @ self.T_w_c[view, :3, :3].T
         gap = self.distance - self.T_w_c[view, :3, 3] @ self.normal
         return np.asarray(gap / (ray_w @ self.normal))
 
     def T_s_c(self) -> Float:
-        """What has to come out."""
+        """The expected decoded T_s_c."""
         return np.linalg.inv(self.T_w_c[0]) @ self.T_w_c
 
 
 def make_scene(sizes: list[tuple[int, int]], offset_px: tuple[float, float] = (0, 0)) -> RawScene:
-    """offset_px: of the principal points from the middle of the pictures."""
+    """A scene with a view per size. offset_px: of the principal points from the image centres."""
     K, T_w_c = [], []
     for view, (width, height) in enumerate(sizes):
         fx, fy = (0.8 + 0.05 * view) * width, (0.75 + 0.05 * view) * width

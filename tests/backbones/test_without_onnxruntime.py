@@ -15,7 +15,7 @@ FRAMES = 30
 
 @pytest.fixture
 def calm_edge(tmp_path):
-    """Runs `calm-edge`; its processes and theirs find no onnxruntime."""
+    """Runs `calm-edge` so that none of its processes can import onnxruntime."""
     blocked = tmp_path / "blocked"
     blocked.mkdir()
     (blocked / "sitecustomize.py").write_text("import sys; sys.modules['onnxruntime'] = None\n")
@@ -34,7 +34,7 @@ def calm_edge(tmp_path):
 
 @pytest.fixture
 def drive(tmp_path):
-    """The first three seconds of the demo."""
+    """Sequence folder with the first three seconds of the demo drive."""
     for eye in (0, 1):
         (tmp_path / f"drive/cam{eye}").mkdir(parents=True)
         for picture in sorted((DRIVE / f"cam{eye}").iterdir())[:FRAMES]:

@@ -1,4 +1,4 @@
-"""What every registered backbone owes the rest of calm-edge (backbones/base.py)."""
+"""Contract that all registered backbones must fulfil (backbones/base.py)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Batch:
 
 
 def played_drive(folder) -> Batch:
-    """Poses in a folder, and pictures nobody looks at."""
+    """Batch of the scripted backbone, which plays poses of a folder and ignores the images."""
     np.savetxt(folder / "poses0.txt", curved(3 * N)[:, :3].reshape(-1, 12), fmt="%.17g")
     (folder / "calib.txt").write_text("200 200 159.5 79.5 320 160\n180 180 159.5 79.5 320 160\n")
     config = merge(Config(), {"backbone": {"name": f"scripted:{folder}"}})
@@ -50,7 +50,7 @@ def played_drive(folder) -> Batch:
 
 
 def rendered_drive(name: str) -> Batch:
-    """A rendered turn in a street, a keyframe every third frame."""
+    """Batch of rendered images of a turn in a street, a keyframe every third frame."""
     settings = Settings(frames=3 * N, width=448, height=176, start_s=6.0, density=24.0)
     world = make_world(settings.seed, settings.density)
     rig = make_rig(world, settings)
@@ -67,7 +67,7 @@ def rendered_drive(name: str) -> Batch:
 
 
 def painted_drive(folder) -> Batch:
-    """A small network that reads the scene off pictures painted for it, in parts of eight views."""
+    """Batch of the feed-forward backbone with the model of `painted_model`, 8 views per run."""
     name = f"feedforward:{write_model(folder, max_views=8)}"
     config = merge(Config(), {"backbone": {"name": name}})
     t_ns = ORIGIN_NS + 200_000_000 * np.arange(N)
@@ -121,12 +121,12 @@ def test_focal_sigma_is_positive_where_given(prediction):
 
 
 def test_poses_take_the_camera_to_the_submap(prediction):
-    """Driving forward moves the camera along +z; the inverse poses would say -z."""
+    """Driving forward moves the camera along +z; inverted poses would give -z."""
     moved = se3.inverse(prediction.T_s_c[0]) @ prediction.T_s_c[N - 1]
     spacing = np.linalg.norm((prediction.T_s_c[N] - prediction.T_s_c[0])[:3, 3])
     assert moved[2, 3] > spacing
     assert moved[2, 3] > abs(moved[1, 3])
-    # the assistant sits on the right
+    # the assistant is on the right
     assert (se3.inverse(prediction.T_s_c[0]) @ prediction.T_s_c[N])[0, 3] > 0
 
 
@@ -173,7 +173,7 @@ def test_kit_evidence_is_a_gaussian_where_given(prediction):
 
 def test_the_same_call_gives_the_same_answer(batch, prediction):
     other = Hints(eyes=batch.hints.eyes[::2], t_ns=batch.hints.t_ns[::2])
-    # half the views may be too few, but must leave nothing behind
+    # a call with half the views, which may fail, must not change the state
     with contextlib.suppress(BackboneError):
         batch.backbone.infer(batch.images[::2], other)
     again = batch.infer()

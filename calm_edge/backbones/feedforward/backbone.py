@@ -1,4 +1,4 @@
-"""The feedforward backbone: any network of a model folder that answers in one pass (paper III)."""
+"""Backbone that runs a published visual geometry model (VGFM, paper III) from a model folder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ from device.frame import Eye
 
 
 class FeedforwardBackbone:
-    """Stateless. Windows longer than `max_views` are split with overlap and stitched."""
+    """A feed-forward network as backbone; stateless.
+
+    Windows with more than `max_views` views are split with overlap and stitched.
+    """
 
     name = "feedforward"
 
@@ -33,38 +36,43 @@ class FeedforwardBackbone:
         max_views: int,
         notices: tuple[str, ...] = (),
     ) -> None:
-        """max_views: >= 2, a run. notices: lines that every prediction brings. The files are not
-        compared with their hashes. Raises BackboneError."""
+        """max_views: maximum per run, >= 2. notices: lines added to each prediction.
+
+        File hashes are not verified here. Raises BackboneError.
+        """
         if max_views < 2:
-            raise BackboneError(f"{manifest.name}: runs one view at a time: nothing ties poses")
+            raise BackboneError(
+                f"{manifest.name}: runs one view at a time, which gives no relative poses; "
+                "use another model"
+            )
         self._manifest, self._notices, self._max_views = manifest, notices, max_views
         self._network = Network(manifest, precision)
 
     @classmethod
     def from_config(cls, config: Config) -> FeedforwardBackbone:
-        """`feedforward:NAME_OR_FOLDER`, or the bare name of a model; raises BackboneError.
+        """Open `feedforward:NAME_OR_FOLDER`, or a model by its name alone.
 
-        Refuses a folder that is damaged, or that `model check` refused on this machine.
+        Raises BackboneError if the folder is damaged or `model check` has refused it here.
         """
         if not model_of(config):
-            raise BackboneError("backbone.name = 'feedforward': name a model, feedforward:NAME")
+            raise BackboneError("backbone.name = 'feedforward': add a model, feedforward:NAME")
         model = opened(config)
         views = most_views(model.manifest, model.precision, config.backbone.max_views)
         return cls(model.manifest, model.precision, views, model.notices)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """Poses, K, depth and confidence; raises BackboneError."""
+        """See Backbone.infer; depth and confidence are always present."""
         n = len(images)
         if n == 0:
-            raise BackboneError(f"{self._manifest.name}: a window without pictures")
+            raise BackboneError(f"{self._manifest.name}: a window without images")
         fits = fit_pictures(self._manifest.input, [(i.shape[1], i.shape[0]) for i in images])
         if n <= self._max_views:
             return prediction(self._network.solve(images, fits), fits, self._notices)
         parts = self._parts(images, hints)
         solved = [self._part(images, fits, part) for part in parts]
         notice = (
-            f"{self._manifest.name} takes {self._max_views} views: windows that are longer are "
-            "solved in parts, joined on the views they share"
+            f"{self._manifest.name} takes {self._max_views} views: longer windows are solved in "
+            "overlapping parts and stitched"
         )
         whole = window_parts.stitch(n, parts, solved)
         return prediction(whole, fits, (*self._notices, notice))
@@ -72,7 +80,7 @@ class FeedforwardBackbone:
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
-        """The prediction with depth and confidence, inferred again where it has none."""
+        """See Backbone.densify; runs the network again if the depth was dropped."""
         if prediction.depth is not None:
             return prediction
         again = self.infer(images, hints)
@@ -82,7 +90,9 @@ class FeedforwardBackbone:
         return self._network.solve([images[i] for i in part], [fits[i] for i in part])
 
     def _parts(self, images: Sequence[Bytes], hints: Hints) -> list[Int]:
-        """Batch indices; a loop keyframe gets a part of its own, among the views most alike it."""
+        """Batch indices of each part. A loop keyframe gets an extra part with the views around
+        the most similar one.
+        """
         if not hints.loop:
             return window_parts.split(hints.t_ns, self._max_views)
         t_ns = hints.t_ns[:-1]

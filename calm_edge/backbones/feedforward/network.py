@@ -1,4 +1,4 @@
-"""One feedforward graph over one batch: pictures in, what they show out."""
+"""Run a feed-forward graph on a batch of images and decode its outputs."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from calm_edge.types import Bytes
 
 
 class Network:
-    """A loaded model of kind feedforward; stateless."""
+    """A loaded model of kind `feedforward`; stateless."""
 
     def __init__(self, manifest: Manifest, precision: Precision) -> None:
-        """Raises BackboneError."""
+        """Load the graph. Raises BackboneError."""
         if manifest.output is None:
             raise BackboneError(f"{manifest.name}: is of kind {manifest.kind}, not feedforward")
         self._spec, self._outputs, self._frames = manifest.input, manifest.output, manifest.frames
@@ -31,17 +31,17 @@ class Network:
         )
 
     def raw(self, images: Sequence[Bytes], fits: Sequence[Fit]) -> dict[str, Tensor]:
-        """The output tensors that decoding reads; raises BackboneError.
+        """Output tensors needed for decoding, by name. Raises BackboneError.
 
-        images: (H, W, 3) uint8 BGR, as many as the graph takes.
+        images: (H, W, 3) uint8 BGR, a number that the graph accepts.
         """
         tensor = input_tensor(self._spec, images, fits)
         return self._session.run({self._spec.name: tensor}, self._outputs.names())
 
     def solve(self, images: Sequence[Bytes], fits: Sequence[Fit]) -> Decoded:
-        """The pictures, no more than the graph's most, decoded; raises BackboneError.
+        """Run and decode images, at most the graph's maximum. Raises BackboneError.
 
-        Where the graph wants more, the last picture is given again, and its answers dropped.
+        If the graph needs more images, the last one is repeated and the repetitions dropped.
         """
         n, frames = len(images), self._frames
         filled = max(n, frames.min)

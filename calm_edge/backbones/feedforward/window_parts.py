@@ -1,7 +1,7 @@
-"""A window longer than a network takes: split in time with overlap, and stitched again.
+"""Split a window that exceeds the network's maximum into overlapping parts, and stitch these.
 
-Parts share views. Depth of these gives the scale between two parts (it is known at thousands of
-pixels, where the distance of neighbouring views is hardly known at all), their poses the rest.
+The scale between two parts comes from the depth of their common views (thousands of pixels, more
+reliable than the short baselines), rotation and translation from the poses of these views.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.similarity import Similarity
 from calm_edge.types import Int
 
-# Views that neighbouring parts share: more tie them better and cost more runs.
+# Share of a part's views in common with its neighbour: more is more accurate but takes more runs.
 OVERLAP_SHARE = 1 / 3
 MIN_SHARED_PIXELS = 16
 
 
 def overlap(cap: int) -> int:
-    """Views that neighbouring parts of at most `cap` >= 2 share."""
+    """Number of common views of neighbouring parts of at most `cap` >= 2 views."""
     return min(max(2, round(cap * OVERLAP_SHARE)), cap - 1)
 
 
 def split(t_ns: Int, cap: int) -> list[Int]:
-    """Batch indices of each part of at most `cap` >= 2 views, by time, the first view's part first.
+    """Split views by time into parts of at most `cap` >= 2: batch indices, part of view 0 first.
 
-    t_ns: (N,) stamps. Both eyes mix by their stamps, so every part has views of both. The last part
-    is as long as the others and shares more instead.
+    t_ns: (N,) stamps of both cameras, so that each part has views of both. The last part is as
+    long as the others, with a larger overlap. Each part overlaps one before it.
     """
     order = np.argsort(t_ns, kind="stable")
     n, step = len(order), cap - overlap(cap)
@@ -43,17 +43,17 @@ def split(t_ns: Int, cap: int) -> list[Int]:
 
 
 def around(t_ns: Int, view: int, cap: int) -> Int:
-    """Batch indices of the cap - 1 views nearest in time to a view, itself first."""
+    """Batch indices of the cap - 1 views nearest in time to `view`, which is the first of them."""
     near = np.argsort(np.abs(t_ns - t_ns[view]), kind="stable")
     near = np.concatenate([[view], near[near != view]])
     return np.asarray(near[: cap - 1], np.int64)
 
 
 def stitch(n: int, parts: Sequence[Int], solved: Sequence[Decoded]) -> Decoded:
-    """One answer for N views from each part's own; view 0 is the frame.
+    """Merge the results of parts into one for N views, in the frame of view 0.
 
-    parts: batch indices, each sharing views with those before it. A view keeps the answer of the
-    first part that has it. Raises BackboneError where two parts share no depth.
+    parts: batch indices of each part, overlapping with earlier ones. A view keeps the result of
+    its first part. Raises BackboneError if common views have no common depth.
     """
     first = solved[0]
     shape = first.depth.shape[1:]
@@ -63,7 +63,7 @@ def stitch(n: int, parts: Sequence[Int], solved: Sequence[Decoded]) -> Decoded:
     placed = np.zeros(n, np.bool_)
     for part, own in zip(parts, solved, strict=True):
         if own.depth.shape[1:] != shape:
-            raise BackboneError("the parts of a window have depth of unlike size")
+            raise BackboneError("the parts of a window have depth maps of different sizes")
         common = placed[part]
         whole_from_part = Similarity(1.0, np.eye(3), np.zeros(3))
         if placed.any():
@@ -85,11 +85,11 @@ def stitch(n: int, parts: Sequence[Int], solved: Sequence[Decoded]) -> Decoded:
 
 
 def _between(here: Decoded, there: Decoded) -> Similarity:
-    """here -> there, of the same views in both."""
+    """Similarity here -> there from the same views in both. Raises BackboneError."""
     both = (here.depth > 0) & (there.depth > 0)
     if both.sum() < MIN_SHARED_PIXELS:
-        raise BackboneError("two parts of the window share no depth: they cannot be joined")
-    # the half that the new part is surer of
+        raise BackboneError("two parts of the window share no depth and cannot be stitched")
+    # the more confident half of the pixels, by the new part's confidence
     both &= here.strength >= np.median(here.strength[both])
     scale = float(np.exp(np.median(np.log(there.depth[both]) - np.log(here.depth[both]))))
     R_there, R_here = there.T_s_c[:, :3, :3], here.T_s_c[:, :3, :3]

@@ -1,7 +1,7 @@
-"""`model check`: every reason why a model folder must not run here, and how it runs best if none.
+"""Checks of `calm-edge model check`: whether a model is correct and how it runs best here.
 
-Files, then known values, then what they decode to, then time and memory. The first thing that is
-wrong ends it and is the reason; what was measured before stays in the report.
+In order: file hashes, golden values, plausibility of the decoded outputs, time and memory. The
+first failure ends the check and is the refusal; earlier measurements stay in the report.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from calm_edge.backbones.onnx.model_folder import verify
 from calm_edge.backbones.onnx.session import Session, Tensor
 from calm_edge.backbones.onnx.verdict import Verdict
 
-# A smaller number format has to earn the accuracy it costs.
+# A lower precision is chosen only if its time is below this share of the highest one's.
 WORTH_IT = 0.9
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One output of one golden case: relative RMS error of its worst view."""
+    """Comparison of an output with its golden value: relative RMS error of the worst view."""
 
     precision: Precision
     case: str
@@ -37,9 +37,10 @@ class Compared:
 
 @dataclass(slots=True)
 class Report:
-    """What was found, in the order it was looked at. refusal: empty when all is well.
+    """Results of all checks, in order. refusal: reason of the failure, empty on success.
 
-    max_views: a run, by precision, on this machine; why: how the precision was chosen.
+    files: number verified. ended: why no larger number of views was measured, by precision.
+    max_views: maximum per run on this machine, by precision. why: how the precision was chosen.
     """
 
     name: str
@@ -54,12 +55,12 @@ class Report:
     refusal: str = ""
 
     def verdict(self) -> Verdict:
-        """What is kept for the next time the model is opened."""
+        """The part of the report that is cached for opening the model."""
         return Verdict(self.refusal, self.precision, self.max_views, self.why)
 
 
 def check(manifest: Manifest, limits: Limits, say: Callable[[str], None]) -> Report:
-    """Everything; what is wrong is in `refusal`. say: told what is being looked at."""
+    """Run all checks; a failure is in `Report.refusal`. say: called with each step's name."""
     report = Report(manifest.name, precision=manifest.precisions()[0])
     try:
         say("hashes")
@@ -139,7 +140,7 @@ def _measure(
 
 
 def _choose(manifest: Manifest, report: Report) -> None:
-    """The precision that is fastest on the largest runs that all of them managed."""
+    """Choose the fastest precision on the largest number of views that all precisions ran."""
     precisions = manifest.precisions()
     seconds = {p: _seconds(report.measured, p, precisions) for p in precisions}
     first = precisions[0]
@@ -147,15 +148,15 @@ def _choose(manifest: Manifest, report: Report) -> None:
     report.precision = fastest if seconds[fastest] < WORTH_IT * seconds[first] else first
     each = ", ".join(f"{p} {s:.3g} s" for p, s in seconds.items())
     if len(precisions) == 1:
-        report.why = f"{first} is all there is ({each})"
+        report.why = f"{first} is the only precision ({each})"
     elif report.precision == first:
-        report.why = f"{first}: nothing else is 10 % faster ({each})"
+        report.why = f"{first}: no lower precision is 10 % faster ({each})"
     else:
-        report.why = f"{report.precision}: measured fastest ({each})"
+        report.why = f"{report.precision}: fastest ({each})"
 
 
 def _seconds(rows: list[Measured], precision: Precision, all_of: tuple[Precision, ...]) -> float:
-    """Of the largest number of views that every precision ran; of all golden cases together."""
+    """Time of the largest run that every precision completed; for bundle, of all golden cases."""
     shared = set.intersection(*({(r.views, r.what) for r in rows if r.precision == p}
                                 for p in all_of))  # fmt: skip
     largest = max(views for views, _ in shared)

@@ -1,4 +1,4 @@
-"""Known inputs and outputs of a model's graphs, and how far a run is off them."""
+"""Golden values: reference inputs and outputs of a model's graphs, and deviation from them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ PICTURES = "pictures"
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """inputs: tensors of the graph by name. pictures: (N, H, W, 3) uint8 BGR that one of them was
-    made of, or None. outputs: what the original model gave."""
+    """A reference run. inputs, outputs: tensors by name, of the original model.
+
+    pictures: (N, H, W, 3) uint8 BGR images from which the input was made, or None.
+    """
 
     role: str
     name: str
@@ -28,15 +30,15 @@ class Case:
     pictures: Bytes | None = None
 
     def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Of all inputs, by name."""
+        """Shapes of all inputs, sorted by name."""
         return tuple(self.inputs[name].shape for name in sorted(self.inputs))
 
 
 def read_cases(manifest: Manifest) -> list[Case]:
-    """Every case of `golden.npz`; raises ManifestError where a role has too few.
+    """Read all cases of `golden.npz`. Raises ManifestError.
 
-    A role needs two of unlike shapes: a graph traced at one number of views may run at another
-    and be silently wrong. One is enough where the number is fixed.
+    Each role needs cases of two different shapes, or one if the number of views is fixed: a graph
+    traced at one number of views can run at another and give wrong results.
     """
     path = manifest.folder / manifest.golden.file
     try:
@@ -56,14 +58,14 @@ def read_cases(manifest: Manifest) -> list[Case]:
         shapes = {case.shapes() for case in cases if case.role == role}
         if len(shapes) < (2 if manifest.frames.dynamic else 1):
             raise ManifestError(
-                f"{path}: {role}: {len(shapes)} cases of unlike shapes; golden values at two or "
-                "more numbers of views are needed"
+                f"{path}: {role}: {len(shapes)} cases of different shapes; golden values at two "
+                "or more numbers of views are needed"
             )
     return cases
 
 
 def fits_of(manifest: Manifest, case: Case) -> list[Fit]:
-    """How the views of a case lie in the input; of a tensor given as it is, as its pictures."""
+    """Placement of a case's images in the input; for a case given as tensor, it fills the input."""
     if case.pictures is not None:
         return _fits_of_pictures(manifest, case.pictures)
     layout, shape = manifest.input.layout, case.inputs[manifest.input.name].shape
@@ -79,10 +81,10 @@ def _fits_of_pictures(manifest: Manifest, pictures: Bytes) -> list[Fit]:
 
 
 def deviation(found: Tensor, expected: Tensor) -> float:
-    """Relative RMS error of the worst row: along the first axis that is longer than one.
+    """RMS error of the worst slice (usually view) relative to the RMS of the whole tensor.
 
-    Each row is compared with the RMS of the whole, so that one wrong view shows, and one that
-    is all zeros is no division by zero. inf where shapes differ or a number is not finite.
+    Slices are along the first axis longer than one, so that a single wrong view is noticed. inf
+    if the shapes differ or a number is not finite.
     """
     if found.shape != expected.shape or not np.isfinite(found).all():
         return float("inf")
@@ -125,6 +127,6 @@ def _pictures(manifest: Manifest, where: str, array: Tensor) -> Bytes:
     if size != wanted:
         raise ManifestError(
             f"{where}/{PICTURES}: {size[0]}x{size[1]} px, but the input of such pictures is "
-            f"{wanted[0]}x{wanted[1]}: golden pictures have the size of the input"
+            f"{wanted[0]}x{wanted[1]}: golden pictures must have the size of the input"
         )
     return array

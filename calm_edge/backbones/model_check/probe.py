@@ -1,4 +1,7 @@
-"""How many views a model can take here: time and memory, measured upwards until one is too much."""
+"""Measure time and memory of a model for growing numbers of views, up to the limits.
+
+The runs are made in a child process (`probe_process`), which may run out of memory.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from typing import Any
 
 from calm_edge.backbones.onnx.manifest import FrameRange, Manifest, ManifestError, Precision
 
-# Of the memory that is free now, what a model may take: capture, tracker and optimiser need some.
+# Share of the available memory a model may use; capture, tracker and optimiser need the rest.
 MEMORY_SHARE = 0.6
 STEPS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 LOAD_LIMIT_S = 300.0
@@ -22,7 +25,7 @@ LOAD_LIMIT_S = 300.0
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """seconds: for one run. memory_mb: the process's peak. size: width, height px of a picture."""
+    """Limits of a run: seconds; peak memory of the process. size: width, height px of an image."""
 
     seconds: float
     memory_mb: float
@@ -31,7 +34,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One run. views: 0 for a golden case, whose `role/case` is what."""
+    """Time and memory of a run. views: 0 for a golden case. what: its `role/case`, else empty."""
 
     precision: Precision
     views: int
@@ -41,24 +44,24 @@ class Measured:
 
 
 def free_memory_mb() -> float:
-    """What may be taken without swapping, now."""
+    """Memory available without swapping (MemAvailable of /proc/meminfo), MB."""
     for line in Path("/proc/meminfo").read_text().splitlines():
         if line.startswith("MemAvailable:"):
             return int(line.split()[1]) / 1024
-    raise ManifestError("/proc/meminfo does not say how much memory is free")
+    raise ManifestError("/proc/meminfo: has no line MemAvailable; Linux 3.14 or newer is needed")
 
 
 def steps(frames: FrameRange) -> list[int]:
-    """Numbers of views worth measuring, at least two, the largest of the range last."""
+    """Numbers of views to measure, ascending from at least two to the maximum of the range."""
     least = max(2, frames.min)
     return sorted({n for n in (least, *STEPS, frames.max) if least <= n <= frames.max})
 
 
 def ladder(manifest: Manifest, precision: Precision, limits: Limits) -> tuple[list[Measured], str]:
-    """Every number of views that stays within the limits, and one line on what ended it.
+    """Measure growing numbers of views within the limits; also returns why it stopped.
 
-    Before each step its memory is foreseen, growing as the square of the views: that of attention.
-    Raises ManifestError where the first step fails.
+    A step is skipped if its predicted memory exceeds the limit (quadratic in the number of views,
+    as attention is). Raises ManifestError if the first step fails.
     """
     found: list[Measured] = []
     with _child(manifest, precision, limits) as child:
@@ -67,55 +70,60 @@ def ladder(manifest: Manifest, precision: Precision, limits: Limits) -> tuple[li
             if found:
                 last = found[-1]
                 growth = (views / last.views) ** 2
-                foreseen_mb = empty_mb + (last.peak_mb - empty_mb) * growth
-                if foreseen_mb > limits.memory_mb:
+                predicted_mb = empty_mb + (last.peak_mb - empty_mb) * growth
+                if predicted_mb > limits.memory_mb:
                     return found, (
-                        f"{views} views would take up to {foreseen_mb:.0f} MB, "
-                        f"of {limits.memory_mb:.0f} MB that may be used"
+                        f"{views} views would take up to {predicted_mb:.0f} MB, "
+                        f"more than the {limits.memory_mb:.0f} MB allowed"
                     )
-            # twice: a first run, and one that is timed
-            said = child.ask({"views": views}, 2 * limits.seconds)
-            over = said.get("over") or _over(said, limits)
+            # twice: a warm-up run and a timed one
+            answer = child.ask({"views": views}, 2 * limits.seconds)
+            over = answer.get("over") or _over(answer, limits)
             if over and not found:
                 raise ManifestError(f"{precision}: {views} views do not run here: {over}")
             if over:
                 return found, f"{views} views: {over}"
-            found.append(Measured(precision, views, "", said["seconds"], said["peak_mb"]))
-    return found, "all that the manifest allows"
+            found.append(Measured(precision, views, "", answer["seconds"], answer["peak_mb"]))
+    return found, "maximum of the manifest"
 
 
 def golden_runs(
     manifest: Manifest, precision: Precision, names: list[str], limits: Limits
 ) -> list[Measured]:
-    """Time and memory of every golden case; raises ManifestError where one exceeds the limits."""
+    """Measure all golden cases. Raises ManifestError if one exceeds the limits."""
     found: list[Measured] = []
     with _child(manifest, precision, limits) as child:
         child.ask(None, LOAD_LIMIT_S)
         for index, name in enumerate(names):
-            said = child.ask({"case": index}, 2 * limits.seconds)
-            over = said.get("over") or _over(said, limits)
+            answer = child.ask({"case": index}, 2 * limits.seconds)
+            over = answer.get("over") or _over(answer, limits)
             if over:
                 raise ManifestError(f"{precision}: {name} does not run here: {over}")
-            found.append(Measured(precision, 0, name, said["seconds"], said["peak_mb"]))
+            found.append(Measured(precision, 0, name, answer["seconds"], answer["peak_mb"]))
     return found
 
 
-def _over(said: dict[str, Any], limits: Limits) -> str:
-    if said["peak_mb"] > limits.memory_mb:
-        return f"{said['peak_mb']:.0f} MB, more than {limits.memory_mb:.0f} MB"
-    if said["seconds"] > limits.seconds:
-        return f"{said['seconds']:.1f} s, more than {limits.seconds:.1f} s"
+def _over(answer: dict[str, Any], limits: Limits) -> str:
+    """The limit that a measurement exceeds, as text; empty if none."""
+    if answer["peak_mb"] > limits.memory_mb:
+        return f"{answer['peak_mb']:.0f} MB, more than {limits.memory_mb:.0f} MB"
+    if answer["seconds"] > limits.seconds:
+        return f"{answer['seconds']:.1f} s, more than {limits.seconds:.1f} s"
     return ""
 
 
 class _Child:
-    """A probe process and its two pipes."""
+    """The child process that runs the model, and its two pipes."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
 
     def ask(self, request: dict[str, int] | None, limit_s: float) -> dict[str, Any]:
-        """Its answer; `over` in it says why there is none. Raises ManifestError for its error."""
+        """Send a request (None: wait for the start) and return the answer.
+
+        The key `over` holds the reason if there was none in limit_s. Raises ManifestError if the
+        child reports an error.
+        """
         out = self._process.stdout
         assert out is not None and self._process.stdin is not None
         try:
@@ -130,12 +138,12 @@ class _Child:
         if not line:
             code = self._process.wait()
             if request is None:
-                raise ManifestError(f"the process that measures ended at its start (exit {code})")
-            return {"over": f"the process that ran it was ended (exit {code}), by lack of memory?"}
-        said: dict[str, Any] = json.loads(line)
-        if "error" in said:
-            raise ManifestError(said["error"])
-        return said
+                raise ManifestError(f"the measuring process failed to start (exit {code})")
+            return {"over": f"the measuring process died (exit {code}), maybe out of memory"}
+        answer: dict[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise ManifestError(answer["error"])
+        return answer
 
 
 @contextmanager

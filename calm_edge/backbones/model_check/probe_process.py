@@ -1,7 +1,7 @@
-"""What one run costs, measured in a process of its own: lines of JSON in, lines of JSON out.
+"""Program of the child process that measures runs of a model; JSON lines on stdin and stdout.
 
-`python -m calm_edge.backbones.model_check.probe_process FOLDER PRECISION WIDTH HEIGHT`; a line
-`{"views": N}` runs N pictures of that size (feedforward), `{"case": I}` a golden case (bundle).
+`python -m calm_edge.backbones.model_check.probe_process FOLDER PRECISION WIDTH HEIGHT`. Request
+`{"views": N}` runs N images of that size (feedforward), `{"case": I}` a golden case (bundle).
 """
 
 from __future__ import annotations
@@ -25,12 +25,15 @@ from calm_edge.backbones.onnx.picture_input import fit_pictures
 from calm_edge.backbones.onnx.session import Session
 from calm_edge.types import CalmEdgeError
 
-# A run that takes no time is timed several times.
+# A short run is repeated up to RUNS times or ENOUGH_S in total.
 RUNS, ENOUGH_S = 5, 1.0
 
 
 def peak_mb() -> float:
-    """The most memory this process ever had, MB; of this program, not of what started it."""
+    """Peak resident memory of this process, MB (VmHWM).
+
+    Not from getrusage, whose maximum may be inherited from the parent process.
+    """
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) / 1024
@@ -40,7 +43,10 @@ def peak_mb() -> float:
 def runs_of(
     manifest: Manifest, precision: Precision, size: tuple[int, int]
 ) -> Callable[[dict[str, Any]], Callable[[], object]]:
-    """Request -> what to time; the graphs are loaded at once. Raises CalmEdgeError."""
+    """Load the graphs; returns a function from a request to the call to time.
+
+    Raises CalmEdgeError.
+    """
     if manifest.kind == "bundle":
         sessions = {role: Session(manifest.graph_path(role, precision)) for role in manifest.graphs}
         cases = read_cases(manifest)
@@ -63,7 +69,7 @@ def runs_of(
 
 
 def timed(run: Callable[[], object]) -> float:
-    """Seconds, the median of a few runs after a first one."""
+    """Median time [s] of a few runs after a warm-up run."""
     run()
     seconds: list[float] = []
     while len(seconds) < RUNS and sum(seconds) < ENOUGH_S:
@@ -74,7 +80,7 @@ def timed(run: Callable[[], object]) -> float:
 
 
 def main(arguments: list[str]) -> None:
-    """Answers until its input ends; an error is an answer too."""
+    """Answer requests until stdin ends; a CalmEdgeError is sent as an answer."""
     folder, precision, width, height = arguments
     cv2.setNumThreads(1)
 

@@ -1,4 +1,4 @@
-"""Whether what a feedforward model says can be true: of one view, and of the views together."""
+"""Plausibility checks of a feed-forward model's outputs, per view and between views."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from calm_edge.backbones.onnx.session import Tensor
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import Float, Float32, Int
 
-# Depth of one view seen from another, |log ratio|: what a usable model stays below on an easy
-# scene. Wrong conventions give several times as much.
+# Largest median |log ratio| of depth between views; wrong conventions give several times more.
 MAX_DISAGREEMENT = 0.2
-# The inverse poses fitting twice as well is no noise.
+# Poses count as inverted if their inverses halve a disagreement above WORTH_COMPARING.
 INVERSE_BETTER, WORTH_COMPARING = 0.5, 0.02
 MIN_COVISIBLE = 0.05
 SAMPLES = 2000
@@ -25,8 +24,12 @@ SAMPLES = 2000
 
 @dataclass(frozen=True, slots=True)
 class Reprojection:
-    """disagreement: the median |log ratio| of depth carried from view to view and the depth that is
-    there. inverted: the same with all poses inverted. covisible: share of the pixels compared."""
+    """Consistency of depth between views.
+
+    disagreement: median |log ratio| of the depth projected from another view and the view's own.
+    inverted: the same with all poses inverted. covisible: share of pixels that fall into the
+    other view.
+    """
 
     disagreement: float
     inverted: float
@@ -34,7 +37,7 @@ class Reprojection:
 
 
 def check_numbers(outputs: Outputs, raw: Mapping[str, Tensor]) -> None:
-    """Raises ManifestError where an output is not finite, or cannot be what the manifest says."""
+    """Raise ManifestError if an output is not finite or contradicts its encoding."""
     for name in outputs.names():
         if not np.isfinite(raw[name]).all():
             raise ManifestError(f"output {name!r} is not finite")
@@ -43,12 +46,12 @@ def check_numbers(outputs: Outputs, raw: Mapping[str, Tensor]) -> None:
         lowest = float(raw[confidence.name].min())
         if lowest < 1:
             raise ManifestError(
-                f"output {confidence.name!r} falls to {lowest:.3g}: 1 + exp(x) never does"
+                f"output {confidence.name!r} has a minimum of {lowest:.3g}, but expp1 is 1 + exp(x)"
             )
 
 
 def check_poses(decoded: Decoded) -> None:
-    """Raises ManifestError unless every pose is rigid, det R = +1."""
+    """Raise ManifestError unless all poses are rigid with det R = +1."""
     R = decoded.T_s_c[:, :3, :3]
     off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max()
     if off > 1e-6 or np.abs(np.linalg.det(R) - 1).max() > 1e-6:
@@ -56,8 +59,10 @@ def check_poses(decoded: Decoded) -> None:
 
 
 def reprojection(decoded: Decoded, size: tuple[int, int]) -> Reprojection:
-    """Of every view against the first and its neighbour; size: width, height px of the pictures,
-    which are the input."""
+    """Project the depth of each view into the first one and its predecessor, and compare.
+
+    size: width, height px of the images, which are the input.
+    """
     n, (h, w) = len(decoded.K), decoded.depth.shape[1:]
     K = pinhole.resized(decoded.K, w / size[0], h / size[1])
     if n < 2:
@@ -66,7 +71,7 @@ def reprojection(decoded: Decoded, size: tuple[int, int]) -> Reprojection:
     confidence = geometry.percentiles(decoded.strength, decoded.depth)
     views = [_sampled(decoded.depth[i], confidence[i]) for i in range(n)]
     found: dict[bool, list[Float]] = {False: [], True: []}
-    asked = 0
+    total = 0
     for inverse in found:
         T = se3.inverse(decoded.T_s_c) if inverse else decoded.T_s_c
         for i, j in pairs:
@@ -74,15 +79,15 @@ def reprojection(decoded: Decoded, size: tuple[int, int]) -> Reprojection:
             depths = decoded.depth[i], decoded.depth[j]
             errors = _disagreement(views[i], depths, (K[i], K[j]), T_j_i)
             found[inverse].append(errors)
-            asked += 0 if inverse else len(views[i])
+            total += 0 if inverse else len(views[i])
     together = {inverse: np.concatenate(errors) for inverse, errors in found.items()}
     medians = {k: float(np.median(e)) if len(e) else np.inf for k, e in together.items()}
-    shared = len(together[False]) / max(asked, 1)
+    shared = len(together[False]) / max(total, 1)
     return Reprojection(medians[False], medians[True], shared)
 
 
 def check_reprojection(result: Reprojection) -> None:
-    """Raises ManifestError where depth and poses contradict each other."""
+    """Raise ManifestError if depth and poses contradict each other."""
     if result.covisible < MIN_COVISIBLE:
         raise ManifestError(
             f"reprojection: {result.covisible:.0%} of the pixels fall into another view; depth or "
@@ -102,7 +107,7 @@ def check_reprojection(result: Reprojection) -> None:
 
 
 def _sampled(depth: Float32, confidence: Float32) -> Int:
-    """Rows and columns (M, 2) of the better half of the pixels, evenly thinned."""
+    """Rows and columns (M, 2) of up to about SAMPLES pixels of the more confident half."""
     good = np.argwhere((depth > 0) & (confidence >= 0.5))
     return np.asarray(good[:: max(1, len(good) // SAMPLES)])
 
@@ -110,7 +115,10 @@ def _sampled(depth: Float32, confidence: Float32) -> Int:
 def _disagreement(
     pixels: Int, depth: tuple[Float32, Float32], K: tuple[Float, Float], T_j_i: Float
 ) -> Float:
-    """|log ratio| of the pixels (M, 2) of view i that fall into view j; depth and K of both."""
+    """|log ratio| of depth for those pixels (M, 2) of view i that fall into view j.
+
+    depth, K: of views i and j.
+    """
     h, w = depth[1].shape
     z = depth[0][tuple(pixels.T)].astype(np.float64)
     p = se3.transform(T_j_i, pinhole.back_project(K[0], pixels[:, ::-1].astype(np.float64), z))

@@ -1,6 +1,6 @@
-"""The keys of a model folder's `manifest.toml`.
+"""Data classes of a model folder's `manifest.toml`, one per table of the file.
 
-`models/README.md` explains each of them; `model_folder.py` reads and checks them.
+`models/README.md` documents the keys; `model_folder.py` reads and checks the file.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ ROLES: dict[str, tuple[str, ...]] = {
 
 
 class ManifestError(BackboneError):
-    """A model folder that is incomplete, damaged, or says what makes no sense."""
+    """A model folder is incomplete, damaged, or its manifest is inconsistent."""
 
 
 @dataclass(frozen=True, slots=True)
 class GraphFile:
-    """One .onnx file; external: weight files beside it that it names -> their sha256."""
+    """An .onnx file and its sha256. external: sha256 of its external weight files, by name."""
 
     file: str
     sha256: str
     external: dict[str, str] = field(default_factory=dict)
 
     def files(self) -> dict[str, str]:
-        """Every file that has to be there -> its sha256."""
+        """sha256 of all files of the graph, by name."""
         return {self.file: self.sha256, **self.external}
 
 
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """One role's graph in up to three precisions; all take and give the same tensors.
+    """The graph of a role in up to three precisions, all with the same inputs and outputs.
 
-    inputs, outputs: the tensors it must have; empty is not looked at.
+    inputs, outputs: names of tensors the graph must have; not checked if empty.
     """
 
     fp32: GraphFile | None = None
@@ -53,7 +53,7 @@ class Graph:
     outputs: tuple[str, ...] = ()
 
     def variants(self) -> dict[Precision, GraphFile]:
-        """The precisions there are."""
+        """Graph files by precision, for the precisions present."""
         each: dict[Precision, GraphFile | None] = {
             "fp32": self.fp32,
             "fp16": self.fp16,
@@ -64,10 +64,10 @@ class Graph:
 
 @dataclass(frozen=True, slots=True)
 class InputSpec:
-    """How pictures become the input tensor (`picture_input.py`).
+    """Preprocessing of images to the input tensor (`picture_input.py`).
 
-    The value of a channel is (v / 255 - mean) / std. size_px: of `width` or `longest`. height_px:
-    fixed height, 0 for what the picture's shape gives. pad_value: in [0, 1], before mean and std.
+    Channel values are (v / 255 - mean) / std. size_px: target of resize `width` or `longest`.
+    height_px: fixed height, 0 to keep the aspect ratio. pad_value: in [0, 1], before mean and std.
     """
 
     name: str
@@ -87,7 +87,7 @@ class InputSpec:
 
 @dataclass(frozen=True, slots=True)
 class FrameRange:
-    """Views a run: any number in [min, max] when dynamic, else exactly max (= min)."""
+    """Number of views per run: any in [min, max] if dynamic, else exactly max (= min)."""
 
     min: int
     max: int
@@ -96,9 +96,10 @@ class FrameRange:
 
 @dataclass(frozen=True, slots=True)
 class PoseOutput:
-    """quaternion: component order, of `t_quat`. direction: what the numbers do to points.
+    """Encoding of the pose output. direction: which way the poses transform points.
 
-    rotation: of matrices; nearest, if any 3x3 may come and the rotation nearest to it is meant.
+    quaternion: component order of `t_quat`. rotation: of matrices; `nearest` if the network gives
+    an arbitrary 3x3 matrix that must be projected to the nearest rotation.
     """
 
     name: str
@@ -110,10 +111,10 @@ class PoseOutput:
 
 @dataclass(frozen=True, slots=True)
 class IntrinsicsOutput:
-    """name: of `pixels`, and of `fov` unless the pose holds it. The rest is read by decoders.
+    """Encoding of the intrinsics. name: output tensor of `pixels` and, unless in the pose, `fov`.
 
-    pixel_origin: of `pixels`; whether (0, 0) is the corner or the centre of the first pixel.
-    principal_point: of `solved`; free, or held at the middle of the input.
+    pixel_origin: of `pixels`: (0, 0) is the corner or the centre of the first pixel.
+    principal_point: of `solved` (fitted to rays or points): free, or fixed at the image centre.
     """
 
     encoding: Literal["fov", "pixels", "solved"]
@@ -124,7 +125,7 @@ class IntrinsicsOutput:
 
 @dataclass(frozen=True, slots=True)
 class GeometryOutput:
-    """rays: of `ray_depth`, the directions' output; without it they follow from K."""
+    """Encoding of depth. rays: output with ray directions of `ray_depth`; empty: rays from K."""
 
     name: str
     encoding: Literal["z_depth", "point_map", "ray_depth"]
@@ -133,13 +134,15 @@ class GeometryOutput:
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceOutput:
+    """Encoding of the confidence; expp1 is 1 + exp(x)."""
+
     name: str
     encoding: Literal["expp1", "logit", "raw"]
 
 
 @dataclass(frozen=True, slots=True)
 class Outputs:
-    """confidence: None for a model that has none: then all depth is believed alike."""
+    """Meaning of the output tensors. confidence: None if the model has none; all depth is equal."""
 
     pose: PoseOutput
     intrinsics: IntrinsicsOutput
@@ -147,7 +150,7 @@ class Outputs:
     confidence: ConfidenceOutput | None = None
 
     def names(self) -> tuple[str, ...]:
-        """Every output tensor that decoding reads, once."""
+        """Names of all output tensors used in decoding, without duplicates."""
         named = [self.pose.name, self.intrinsics.name, self.geometry.name, self.geometry.rays]
         named += [self.confidence.name] if self.confidence else []
         return tuple(dict.fromkeys(n for n in named if n))
@@ -155,9 +158,9 @@ class Outputs:
 
 @dataclass(frozen=True, slots=True)
 class Golden:
-    """Known inputs and outputs (`golden.py`), and how far a run may be off: relative RMS.
+    """Reference inputs and outputs (`golden.py`) and tolerances per precision, relative RMS.
 
-    scene: the pictures show one scene, so that depth of one view must fit the others.
+    scene: the images show one static scene, so that depth must agree between views.
     """
 
     sha256: str
@@ -168,16 +171,16 @@ class Golden:
     scene: bool = True
 
     def tolerance(self, precision: Precision) -> float:
-        """The largest relative RMS error that is let pass."""
+        """Largest accepted relative RMS error of a precision."""
         return {"fp32": self.fp32, "fp16": self.fp16, "int8": self.int8}[precision]
 
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """folder and digest (sha256 of the manifest) are not keys but where it was read.
+    """A model's manifest. folder and digest (sha256 of the file) are set on reading, not keys.
 
-    unmeasured: the precision to run where `model check` never ran, of a model whose maker knows;
-    empty for fp32, which is said.
+    unmeasured: default precision on a machine where `model check` has not run; empty: fp32 with
+    a notice.
     """
 
     format: int
@@ -195,12 +198,12 @@ class Manifest:
     digest: str = ""
 
     def precisions(self) -> tuple[Precision, ...]:
-        """Those that every graph comes in."""
+        """Precisions in which all graphs are present."""
         each = [graph.variants() for graph in self.graphs.values()]
         return tuple(p for p in PRECISIONS if all(p in variants for variants in each))
 
     def graph_path(self, role: str, precision: Precision) -> Path:
-        """Raises ManifestError when the graph does not come in that precision."""
+        """Path of a role's .onnx file. Raises ManifestError if it has no such precision."""
         variants = self.graphs[role].variants() if role in self.graphs else {}
         if precision not in variants:
             have = ", ".join(variants) or "none"

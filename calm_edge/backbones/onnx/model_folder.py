@@ -1,4 +1,4 @@
-"""A model folder: found by name, its manifest read, its files compared with their hashes."""
+"""Find model folders by name, read and check their manifests, verify file hashes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from calm_edge.backbones.onnx.manifest import (
 MANIFEST = "manifest.toml"
 LICENSE = "LICENSE"
 SHIPPED = Path(__file__).resolve().parents[2] / "models"
-# of a checkout: what `export.py` scripts write
+# in a source checkout: the output of the `export.py` scripts
 EXPORTED = SHIPPED.parents[1] / "models"
 _CHANNELS = {"rgb": 3, "bgr": 3, "gray": 1}
 
@@ -57,7 +57,7 @@ def find_model(name: str) -> Path:
     for folder in folders:
         if name and (folder / name / "export.py").is_file():
             raise ManifestError(
-                f"model {name!r}: not exported yet; its weights are not ours to ship: see "
+                f"model {name!r}: not exported yet; calm-edge does not ship its weights: see "
                 f"{folder / name / 'README.md'}"
             )
     known = ", ".join(model_names())
@@ -67,7 +67,10 @@ def find_model(name: str) -> Path:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """`manifest.toml` of a model folder; its files are not looked at. Raises ManifestError."""
+    """Read and check `manifest.toml` of a model folder, without its other files.
+
+    Raises ManifestError.
+    """
     path = folder / MANIFEST
     try:
         content = path.read_bytes()
@@ -90,12 +93,13 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def verify(manifest: Manifest, precisions: Iterable[Precision] = PRECISIONS) -> int:
-    """Compares files with their hashes; the number of files read. Raises ManifestError.
+    """Compare files with their sha256; returns the number of files. Raises ManifestError.
 
-    precisions: those whose graphs are read; LICENSE and golden values always are.
+    precisions: of the graphs to verify. The golden values are always verified, and that there is
+    a LICENSE.
     """
     if not (manifest.folder / LICENSE).is_file():
-        raise ManifestError(f"{manifest.folder / LICENSE}: missing; a model states its licence")
+        raise ManifestError(f"{manifest.folder / LICENSE}: missing; add the model's licence")
     expected = {manifest.golden.file: manifest.golden.sha256}
     for graph in manifest.graphs.values():
         for precision, variant in graph.variants().items():
@@ -110,32 +114,32 @@ def verify(manifest: Manifest, precisions: Iterable[Precision] = PRECISIONS) -> 
             raise ManifestError(f"{path}: cannot be read ({error.strerror})") from None
         if found != sha256.lower():
             raise ManifestError(
-                f"{path}: sha256 is {found[:12]}..., the manifest says {sha256[:12]}...; "
+                f"{path}: sha256 is {found[:12]}..., the manifest has {sha256[:12]}...; "
                 "fetch or export the file again"
             )
     return len(expected)
 
 
 def _mistakes(m: Manifest) -> Iterator[str]:
-    """One line a thing that makes no sense, though every key is of its kind."""
+    """Inconsistencies of a manifest that is valid by type, one line each."""
     if m.format != FORMAT:
-        yield f"format = {m.format}: this calm-edge reads {FORMAT}"
+        yield f"format = {m.format}: this calm-edge reads {FORMAT}; export the model again"
     yield from _graph_mistakes(m)
     yield from _input_mistakes(m.input)
     frames = m.frames
     if not 1 <= frames.min <= frames.max:
         yield f"frames: expected 1 <= min <= max, got {frames.min} and {frames.max}"
     if not frames.dynamic and frames.min != frames.max:
-        yield "frames: a graph that is not dynamic runs one number: min and max must be equal"
+        yield "frames: dynamic is false, so min and max must be equal"
     if not all(t > 0 and math.isfinite(t) for t in map(m.golden.tolerance, PRECISIONS)):
         yield "golden: a tolerance must be above 0"
     if m.kind == "feedforward":
         if m.output is None:
-            yield "output: missing; a feedforward model says what its outputs mean"
+            yield "output: missing; kind feedforward needs it"
         else:
             yield from _output_mistakes(m.output)
     elif m.output is not None:
-        yield "output: only of kind feedforward"
+        yield "output: only allowed for kind feedforward"
 
 
 def _graph_mistakes(m: Manifest) -> Iterator[str]:
@@ -150,9 +154,9 @@ def _graph_mistakes(m: Manifest) -> Iterator[str]:
         for variant in graph.variants().values():
             files |= variant.files()
     if m.graphs and not m.precisions():
-        yield "graphs: no precision that all of them come in"
+        yield "graphs: there is no precision that all of them have"
     elif m.unmeasured and m.unmeasured not in m.precisions():
-        yield f"unmeasured = {m.unmeasured}: not all graphs come in it"
+        yield f"unmeasured = {m.unmeasured}: not all graphs have it"
     for file, sha256 in files.items():
         path = PurePosixPath(file)
         if not path.name or path.is_absolute() or ".." in path.parts:
@@ -169,7 +173,7 @@ def _input_mistakes(spec: InputSpec) -> Iterator[str]:
     if not all(s > 0 for s in spec.std):
         yield "input.std: must be above 0"
     if (spec.resize == "keep") != (spec.size_px == 0):
-        yield "input.size_px: of resize width and longest, and of these alone"
+        yield "input.size_px: needed for resize width and longest, not allowed for keep"
     if spec.size_px < 0 or spec.height_px < 0 or spec.multiple < 1:
         yield "input: size_px and height_px must not be negative, multiple at least 1"
     for key, size in (("size_px", spec.size_px), ("height_px", spec.height_px)):
@@ -180,16 +184,19 @@ def _input_mistakes(spec: InputSpec) -> Iterator[str]:
 def _output_mistakes(output: Outputs) -> Iterator[str]:
     intrinsics, geometry = output.intrinsics, output.geometry
     if intrinsics.encoding == "pixels" and not intrinsics.name:
-        yield "output.intrinsics.name: missing; pixels are an output of their own"
+        yield "output.intrinsics.name: missing; encoding pixels needs it"
     in_pose = output.pose.encoding == "t_quatxyzw_fovhw"
     if intrinsics.encoding == "fov" and bool(intrinsics.name) == in_pose:
-        yield "output.intrinsics.name: of fov it is given unless the pose is t_quatxyzw_fovhw"
+        yield (
+            "output.intrinsics.name: needed for fov, and not allowed if the pose is "
+            "t_quatxyzw_fovhw"
+        )
     if intrinsics.encoding == "solved":
         if intrinsics.name:
-            yield "output.intrinsics.name: solved has no output of its own"
+            yield "output.intrinsics.name: not allowed for solved"
         if geometry.encoding == "z_depth" or (
             geometry.encoding == "ray_depth" and not geometry.rays
         ):
             yield "output.intrinsics: solved needs a point_map, or ray_depth with rays"
     if geometry.rays and geometry.encoding != "ray_depth":
-        yield "output.geometry.rays: only of ray_depth"
+        yield "output.geometry.rays: only allowed for ray_depth"

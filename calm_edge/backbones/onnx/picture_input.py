@@ -1,7 +1,7 @@
-"""Camera pictures become a network's input, and pixels find their way back.
+"""Preprocess camera images to a network's input tensor, and map its pixels back to the images.
 
-Every picture is resized, then laid into the middle of a canvas that all of a batch share: what
-sticks out is cropped, what is left free is padded. Pixel centres move as cv2.resize moves them.
+Each image is resized and centred in a canvas of the batch's common size: what exceeds it is
+cropped, what is left is padded. Pixel coordinates follow the convention of cv2.resize.
 """
 
 from __future__ import annotations
@@ -27,8 +27,11 @@ _INTERPOLATION = {
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """How one picture lies in the input: (width, height) px of both, of the picture as resized,
-    and the place of the resized picture's first pixel, negative where it is cropped."""
+    """Placement of an image in the network input, all (width, height) px.
+
+    picture, resized, input: sizes of the image, of the resized image and of the input.
+    offset: position of the resized image's first pixel in the input, negative if cropped.
+    """
 
     picture: tuple[int, int]
     resized: tuple[int, int]
@@ -37,25 +40,25 @@ class Fit:
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Input pixels a picture pixel, in x and y."""
+        """Input pixels per image pixel, in x and y."""
         return self.resized[0] / self.picture[0], self.resized[1] / self.picture[1]
 
     @property
     def is_whole(self) -> bool:
-        """The picture is the input, neither cropped nor padded."""
+        """Whether the image fills the input, neither cropped nor padded."""
         return self.resized == self.input
 
     def intrinsics(self, K_input: Float) -> Float:
-        """K (3, 3) px of the input -> px of the picture."""
+        """Convert K (3, 3) from pixels of the input to pixels of the image."""
         K = K_input.astype(np.float64)
         K[:2, 2] -= self.offset
         sx, sy = self.scale
         return pinhole.resized(K, 1 / sx, 1 / sy)
 
     def positions(self, axis: int, count: int, map_size: int) -> Float:
-        """Where in a map of the input the pixels of a picture shrunk to `count` lie, px of the map.
+        """Pixel centres (count,) of the image resized to `count` px, in pixels of an input map.
 
-        axis: 0 x, 1 y. map_size: of the map along that axis. (count,)
+        axis: 0 x, 1 y. map_size: size of the map (a network output) along that axis.
         """
         in_resized = (np.arange(count) + 0.5) * (self.resized[axis] / count)
         in_input = in_resized + self.offset[axis]
@@ -63,7 +66,7 @@ class Fit:
 
 
 def fit_pictures(spec: InputSpec, sizes: Sequence[tuple[int, int]]) -> list[Fit]:
-    """One a picture of (width, height) px, all of one input size."""
+    """Placement of each image of (width, height) px, with a common input size."""
     each = [_of_picture(spec, width, height) for width, height in sizes]
     common = max if spec.common_by == "pad" else min
     width = common(canvas[0] for _, canvas in each)
@@ -76,7 +79,7 @@ def fit_pictures(spec: InputSpec, sizes: Sequence[tuple[int, int]]) -> list[Fit]
 
 
 def input_tensor(spec: InputSpec, images: Sequence[Bytes], fits: Sequence[Fit]) -> Float32:
-    """(H, W, 3) uint8 BGR pictures as the float32 tensor of `spec.layout`."""
+    """Input tensor, float32 in `spec.layout`, of (H, W, 3) uint8 BGR images."""
     views = np.stack([_laid_in(spec, i, f) for i, f in zip(images, fits, strict=True)])
     values = (views - np.asarray(spec.mean, np.float32)) / np.asarray(spec.std, np.float32)
     if spec.layout.endswith("CHW"):
@@ -89,10 +92,10 @@ def input_tensor(spec: InputSpec, images: Sequence[Bytes], fits: Sequence[Fit]) 
 def _of_picture(
     spec: InputSpec, width: int, height: int
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Size of the resized picture, and of the canvas it alone would need."""
+    """Size of the resized image, and of the canvas that this image alone needs."""
     reference = {"width": width, "longest": max(width, height), "keep": 0}[spec.resize]
     scale = spec.size_px / reference if reference else 1.0
-    # to the nearest, below or above; rounding noise must not push a fitting length on
+    # round to a multiple: nearest, down or up; 1e-6 absorbs rounding errors of exact multiples
     up = {"stretch": 0.5, "crop": 1e-6, "pad": 1 - 1e-6}[spec.multiple_by]
     resized, canvas = [], []
     for length, fixed in ((width * scale, 0), (height * scale, spec.height_px)):
@@ -104,10 +107,10 @@ def _of_picture(
 
 
 def _laid_in(spec: InputSpec, image: Bytes, fit: Fit) -> Float32:
-    """(H, W, C) of the input, values in [0, 1]."""
+    """An image placed in the input canvas (H, W, C), values in [0, 1]."""
     if fit.resized != fit.picture:
         shrinks = fit.resized[0] < fit.picture[0] or fit.resized[1] < fit.picture[1]
-        # averaging over an area is no interpolation where a picture grows
+        # INTER_AREA is nearest-neighbour when enlarging
         by = "bilinear" if spec.interpolation == "area" and not shrinks else spec.interpolation
         image = np.asarray(cv2.resize(image, fit.resized, interpolation=_INTERPOLATION[by]))
     colours: NDArray[np.uint8] = image
@@ -125,7 +128,7 @@ def _laid_in(spec: InputSpec, image: Bytes, fit: Fit) -> Float32:
 
 
 def _overlap(fit: Fit, axis: int) -> tuple[slice, slice]:
-    """Along an axis: where the picture lies on the canvas, and the part of it that does."""
+    """Along an axis: slice of the canvas that the image covers, and the covered slice of it."""
     start, length, room = fit.offset[axis], fit.resized[axis], fit.input[axis]
     first, last = max(0, start), min(room, start + length)
     return slice(first, last), slice(first - start, last - start)

@@ -1,4 +1,7 @@
-"""Which precision of a model runs on how many views, so that a recording can say it."""
+"""Choose a model's precision and number of views per run, and open it.
+
+`pinned` writes the choice to the configuration, so that a recording contains it.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,12 @@ from calm_edge.backbones.onnx.manifest import Manifest, ManifestError, Precision
 from calm_edge.backbones.onnx.model_folder import find_model, model_names, read_manifest, verify
 from calm_edge.config import Config
 
-# backbones whose argument is a model
+# backbones that take a model as argument
 WITH_MODEL = ("feedforward", "bundle")
 
 
 def model_of(config: Config) -> str:
-    """The model named by `backbone.name`: alone or behind a backbone; empty for none."""
+    """Name of the model in `backbone.name`, `MODEL` or `BACKBONE:MODEL`; empty for none."""
     name, colon, argument = config.backbone.name.partition(":")
     if name in WITH_MODEL:
         return argument
@@ -23,17 +26,21 @@ def model_of(config: Config) -> str:
 
 
 def chosen(manifest: Manifest, asked: str, *, deterministic: bool = False) -> Precision:
-    """asked: `backbone.precision`. Raises ManifestError where the model does not come in it.
+    """Precision to run. asked: `backbone.precision`.
 
-    auto is what `model check` measured best on this machine, what the manifest says where it never
-    ran, and fp32 where the answer must not depend on the machine.
+    `auto` is the fastest measured by `model check` on this machine, else the manifest's
+    `unmeasured`; with `deterministic`, where results must not depend on the machine, the first
+    one of the model (fp32 if it has that). Raises ManifestError if the model has no such precision.
     """
     have = manifest.precisions()
     if asked != "auto":
         for precision in have:
             if precision == asked:
                 return precision
-        raise ManifestError(f"{manifest.name}: has no {asked} graphs; it has {', '.join(have)}")
+        raise ManifestError(
+            f"backbone.precision = {asked}: {manifest.name} has no {asked} graphs; "
+            f"it has {', '.join(have)}"
+        )
     if deterministic:
         return have[0]
     measured = verdict.load(manifest)
@@ -44,7 +51,7 @@ def chosen(manifest: Manifest, asked: str, *, deterministic: bool = False) -> Pr
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """The model that a config asks for, fit to run. notices: lines for every prediction."""
+    """A verified model and the precision to run. notices: lines to show with each prediction."""
 
     manifest: Manifest
     precision: Precision
@@ -52,7 +59,10 @@ class Opened:
 
 
 def opened(config: Config) -> Opened:
-    """Refuses a folder that is damaged, or that `model check` refused here: BackboneError."""
+    """Open and verify the model of a configuration.
+
+    Raises BackboneError if the folder is damaged or `model check` has refused it on this machine.
+    """
     name = model_of(config)
     manifest = read_manifest(find_model(name))
     precision = chosen(manifest, config.backbone.precision)
@@ -63,16 +73,16 @@ def opened(config: Config) -> Opened:
     notices: tuple[str, ...] = ()
     if found is None and not manifest.unmeasured:
         notices = (
-            f"{manifest.name} runs in {precision}, never checked on this machine: "
+            f"{manifest.name} runs in {precision}, not checked on this machine; run "
             f"calm-edge model check {name}",
         )
     return Opened(manifest, precision, notices)
 
 
 def most_views(manifest: Manifest, precision: Precision, asked: int) -> int:
-    """Views a run: as asked, else what `model check` measured, never above the manifest's.
+    """Maximum number of views per run, at most the manifest's.
 
-    asked: `backbone.max_views`. Raises ManifestError.
+    asked: `backbone.max_views`; 0: as measured by `model check`. Raises ManifestError.
     """
     if asked < 0 or asked == 1:
         raise ManifestError(f"backbone.max_views = {asked}: must be 0 or at least 2")
@@ -84,8 +94,10 @@ def most_views(manifest: Manifest, precision: Precision, asked: int) -> int:
 
 
 def pinned(config: Config, *, deterministic: bool) -> Config:
-    """The config with `backbone.precision` and `max_views` as they will run, so that a recording
-    says it and `map` does the same; raises ManifestError."""
+    """The config with `auto` resolved in `backbone.precision` and `backbone.max_views`.
+
+    Recorded, so that `map` runs the model as `record` did. Raises ManifestError.
+    """
     name = model_of(config)
     if not name:
         return config

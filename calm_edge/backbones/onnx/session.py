@@ -1,4 +1,4 @@
-"""One ONNX graph, loaded and run: the only module that knows ONNX Runtime."""
+"""Load and run an ONNX graph. No other module imports ONNX Runtime."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ except ModuleNotFoundError:
 
 Tensor = NDArray[Any]
 
-# the best that is there runs; building TensorRT engines takes minutes, so it is not among them
+# in order of preference; not TensorRT, which takes minutes to build its engines
 _PROVIDERS = ("CUDAExecutionProvider", "CPUExecutionProvider")
 _DTYPES = {
     "tensor(float)": np.float32,
@@ -37,7 +37,7 @@ _DTYPES = {
 
 
 def default_threads() -> int:
-    """One core is left to capture."""
+    """Number of inference threads: all cores but one, which is left for capture."""
     return max(1, len(os.sched_getaffinity(0)) - 1)
 
 
@@ -48,7 +48,7 @@ def _providers() -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class TensorSpec:
-    """shape: an int where the graph fixes the size, None where it is free."""
+    """An input or output of a graph. shape: None for dimensions of any size."""
 
     name: str
     shape: tuple[int | None, ...]
@@ -59,7 +59,7 @@ class TensorSpec:
 
 
 class Session:
-    """A loaded graph. `inputs` and `outputs` are its tensors by name."""
+    """A loaded graph. inputs, outputs: its tensors by name."""
 
     def __init__(
         self,
@@ -69,20 +69,23 @@ class Session:
         needs_inputs: Iterable[str] = (),
         needs_outputs: Iterable[str] = (),
     ) -> None:
-        """threads: default_threads() when None. Raises BackboneError."""
+        """threads: None for `default_threads`. needs_inputs, needs_outputs: tensors it must have.
+
+        Raises BackboneError if the file cannot be loaded or lacks one of these.
+        """
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads or default_threads()
         options.inter_op_num_threads = 1
         options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
         options.use_deterministic_compute = True
-        # a waiting thread that spins takes the core that capture needs
+        # threads that busy-wait would take CPU time from capture
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        # windows differ in size: plans kept for each shape would only grow
+        # window sizes vary, and ONNX Runtime would keep a memory plan for each
         options.enable_mem_pattern = False
         options.log_severity_level = 4
         self.path = path
         if not path.is_file():
-            raise BackboneError(f"{path}: no such graph")
+            raise BackboneError(f"{path}: no such graph; fetch or export the model again")
         try:
             self._session = onnxruntime.InferenceSession(str(path), options, providers=_providers())
         except Exception as error:
@@ -100,10 +103,10 @@ class Session:
     def run(
         self, feeds: Mapping[str, Tensor], outputs: Iterable[str] | None = None
     ) -> dict[str, Tensor]:
-        """Every output (or those named) of these inputs, given by name.
+        """Run the graph on inputs by name; returns all outputs, or those named.
 
-        Numbers are cast to the kind the graph takes. Raises BackboneError for a missing, unknown
-        or wrongly shaped tensor, and where the graph itself fails.
+        Inputs are cast to the graph's types. Raises BackboneError for a missing, unknown or
+        wrongly shaped input, or if the run fails.
         """
         for name in feeds:
             if name not in self.inputs:
@@ -139,6 +142,6 @@ class Session:
 
 
 def _line(error: Exception) -> str:
-    """The message of ONNX Runtime without its codes, on one line and not longer than one."""
+    """Error message of ONNX Runtime without its prefix, on one line, truncated."""
     text = " ".join(str(error).split()).removeprefix("[ONNXRuntimeError] : ")
     return text if len(text) <= 300 else f"{text[:300]}..."

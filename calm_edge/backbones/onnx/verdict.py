@@ -1,4 +1,4 @@
-"""What `model check` found of a model on this machine, kept for the next time it is opened."""
+"""Results of `model check` for this machine, cached on disk."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ _RUNTIMES = ("onnxruntime", "onnxruntime-gpu")
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """refusal: why the model must not run; empty when it passed. precision: the one to run.
+    """Result of `model check`. refusal: reason not to run the model, empty if it passed.
 
-    max_views: a run on this machine, by precision. why: one line on how that was chosen.
+    precision: the one to run. max_views: maximum views per run by precision. why: one line on
+    how the precision was chosen.
     """
 
     refusal: str
@@ -38,7 +39,7 @@ def cache_folder() -> Path:
 
 
 def machine() -> str:
-    """What a measurement holds for: processor, its number of cores, and the runtime."""
+    """Description of what a measurement depends on: processor, number of cores, ONNX Runtime."""
     model = platform.processor()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -64,7 +65,7 @@ def _path(manifest: Manifest) -> Path:
 
 
 def load(manifest: Manifest) -> Verdict | None:
-    """None where this manifest was not checked on this machine, or the file is not ours."""
+    """Read the cached verdict; None if this manifest was not checked here or it is unreadable."""
     try:
         table = json.loads(_path(manifest).read_text())
         verdict: Verdict = typed.record("", Verdict, table, ManifestError)
@@ -74,13 +75,13 @@ def load(manifest: Manifest) -> Verdict | None:
 
 
 def save(manifest: Manifest, verdict: Verdict) -> Path:
-    """Returns the file; raises ManifestError where it cannot be written."""
+    """Write the verdict to the cache; returns the file. Raises ManifestError."""
     path = _path(manifest)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_text(path, json.dumps(dataclasses.asdict(verdict), indent=1) + "\n")
     except OSError as error:
         raise ManifestError(
-            f"{path}: the verdict cannot be kept ({error.strerror}); set XDG_CACHE_HOME"
+            f"{path}: cannot be written ({error.strerror}); set XDG_CACHE_HOME to another folder"
         ) from None
     return path

@@ -1,4 +1,4 @@
-"""A model folder as a backbone: one run, several runs stitched, and what it refuses."""
+"""The feed-forward backbone: single runs, stitched runs, and errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.backbones.painted_model import FOV, SIZE, centres, paint, write_model
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
-    """Verdicts of this machine stay out of it."""
+    """Use an empty cache instead of this machine's verdicts."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
@@ -40,7 +40,7 @@ def opened(folder, **backbone):
 
 
 def hints_of(n: int, loop: bool = False) -> Hints:
-    """n primary ones 0.2 s apart, n assistant ones 17 ms later, and a keyframe of long before."""
+    """Hints of n primary views 0.2 s apart, n assistant ones 17 ms later, and a loop keyframe."""
     t_ns = 200_000_000 * np.arange(1, n + 1)
     stamps = [t_ns, t_ns + 17_000_000, [5]] if loop else [t_ns, t_ns + 17_000_000]
     eyes = np.repeat([0, 1, 0], [n, n, int(loop)])
@@ -48,7 +48,7 @@ def hints_of(n: int, loop: bool = False) -> Hints:
 
 
 def unit_of(centre):
-    """What the network divides lengths by."""
+    """Length by which the network divides its output: its unit."""
     return (centre[:, 2] + 4).mean()
 
 
@@ -67,7 +67,7 @@ def test_a_window_that_fits_is_one_run(folder):
 
 @pytest.mark.parametrize("cap", [2, 3, 5, 8, 11])
 def test_a_longer_window_is_split_and_stitched(folder, tmp_path, cap):
-    """Each run has a unit of its own; stitched, all are that of the first part."""
+    """Each run has its own unit; the stitched result has that of the first part."""
     capped = write_model(tmp_path / "capped", max_views=cap)
     centre = centres(6)
     images, hints = paint(centre), hints_of(6)
@@ -84,7 +84,7 @@ def test_a_longer_window_is_split_and_stitched(folder, tmp_path, cap):
 
 
 @pytest.mark.parametrize("cap", [2, 4, 30])
-def test_a_loop_keyframe_is_placed_among_the_views_it_looks_like(tmp_path, cap):
+def test_a_loop_keyframe_is_solved_with_the_most_similar_views(tmp_path, cap):
     capped = write_model(tmp_path / "capped", max_views=cap)
     centre = np.concatenate([centres(5), [[0.2, 0, 2.5]]])
     p = opened(capped).infer(paint(centre), hints_of(5, loop=True))
@@ -94,8 +94,8 @@ def test_a_loop_keyframe_is_placed_among_the_views_it_looks_like(tmp_path, cap):
     assert len(p.depth) == 11 and p.loop_found
 
 
-def test_a_fixed_number_of_views_is_filled_up(folder, tmp_path):
-    """The last picture again changes this network's unit, and nothing else."""
+def test_missing_views_of_a_fixed_number_are_filled_up(folder, tmp_path):
+    """Repeating the last image changes only the unit of this network."""
     fixed = write_model(tmp_path / "fixed", max_views=6)
     text = (fixed / "manifest.toml").read_text()
     text = text.replace("min = 1\n", "min = 6\n").replace("dynamic = true", "dynamic = false")
@@ -115,7 +115,7 @@ def test_pictures_of_two_sizes(folder):
     assert p.depth.shape[0] == 4 and (p.depth > 0).mean() > 0.99
 
 
-def test_depth_that_was_not_kept_is_made_again(folder):
+def test_depth_that_was_dropped_is_computed_again(folder):
     backbone = opened(folder)
     images, hints = paint(centres(3)), hints_of(3)
     p = backbone.infer(images, hints)
@@ -134,12 +134,12 @@ def test_models_are_backbones_by_name(folder, monkeypatch):
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("feedforward", "name a model, feedforward:NAME"),
+        ("feedforward", "add a model, feedforward:NAME"),
         ("feedforward:/nowhere", "model '/nowhere': neither a known name"),
         ("bundle:painted", "model 'painted': neither a known name"),
     ],
 )
-def test_a_name_that_means_nothing_is_one_line(name, line):
+def test_an_unknown_name_is_an_error_of_one_line(name, line):
     with pytest.raises(BackboneError, match=line):
         open_backbone(config_of(name))
 
@@ -152,17 +152,17 @@ def test_a_damaged_folder_is_refused(tmp_path):
         opened(folder)
 
 
-def test_one_view_at_a_time_is_no_reconstruction(tmp_path):
+def test_one_view_per_run_is_an_error(tmp_path):
     with pytest.raises(BackboneError, match="runs one view at a time"):
         opened(write_model(tmp_path / "single", max_views=1))
 
 
-def test_what_was_never_checked_says_so(folder):
+def test_a_model_that_was_not_checked_gives_a_notice(folder):
     notices = opened(folder).infer(paint(centres(2)), hints_of(2)).notices
-    assert [n for n in notices if "never checked" in n and "runs in fp32" in n]
+    assert [n for n in notices if "not checked on" in n and "runs in fp32" in n]
 
 
-def test_a_maker_may_say_what_runs_unchecked(folder, tmp_path):
+def test_unmeasured_in_the_manifest_sets_the_default_precision(folder, tmp_path):
     folder = Path(shutil.copytree(folder, tmp_path / "sure"))
     path = folder / "manifest.toml"
     path.write_text('unmeasured = "int8"\n' + path.read_text())
@@ -170,10 +170,10 @@ def test_a_maker_may_say_what_runs_unchecked(folder, tmp_path):
         "int8"
     )
     notices = opened(folder).infer(paint(centres(2)), hints_of(2)).notices
-    assert not [n for n in notices if "never checked" in n]
+    assert not [n for n in notices if "not checked on" in n]
 
 
-def test_a_verdict_rules(folder):
+def test_a_verdict_sets_views_and_refusal(folder):
     manifest = read_manifest(folder)
     verdict.save(manifest, Verdict("", "int8", {"int8": 3, "fp32": 2}, "faster"))
     p = opened(folder).infer(paint(centres(2)), hints_of(2))
@@ -185,7 +185,7 @@ def test_a_verdict_rules(folder):
         opened(folder)
 
 
-def test_what_runs_is_pinned_so_that_it_is_recorded(folder):
+def test_precision_and_views_are_pinned_in_the_config(folder):
     config = config_of(f"feedforward:{folder}")
     assert pinned(config, deterministic=False).backbone.precision == "fp32"
     verdict.save(read_manifest(folder), Verdict("", "int8", {"int8": 3, "fp32": 2}, "faster"))
@@ -200,7 +200,7 @@ def test_what_runs_is_pinned_so_that_it_is_recorded(folder):
     assert pinned(without, deterministic=True) == without
 
 
-def test_a_verdict_file_that_is_not_ours_is_none(folder):
+def test_a_malformed_verdict_file_is_ignored(folder):
     manifest = read_manifest(folder)
     path = verdict.save(manifest, Verdict("", "int8", {"int8": 3}, ""))
     assert verdict.load(manifest) == Verdict("", "int8", {"int8": 3}, "")

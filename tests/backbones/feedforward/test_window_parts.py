@@ -1,4 +1,4 @@
-"""A window in parts: each view is in one, neighbours share some, and stitched it is whole again."""
+"""Splitting of windows into overlapping parts, and stitching of their results."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from calm_edge.geometry.similarity import Similarity
 
 
 def stamps(n: int):
-    """n primary ones, n assistant ones a little later."""
+    """Stamps of n primary views and of n assistant ones shortly after these."""
     t = 100 * np.arange(n)
     return np.concatenate([t, t + 17])
 
 
 @pytest.mark.parametrize("cap", [2, 3, 4, 7, 9, 29, 30, 40])
-def test_every_view_is_in_a_part_and_neighbours_share_some(cap):
+def test_every_view_is_in_a_part_and_neighbours_overlap(cap):
     t_ns = stamps(15)
     parts = split(t_ns, cap)
     assert 0 in parts[0] and max(map(len, parts)) <= cap
@@ -30,12 +30,12 @@ def test_every_view_is_in_a_part_and_neighbours_share_some(cap):
         assert len(seen & set(part.tolist())) >= overlap(cap) >= 1
         seen |= set(part.tolist())
     if cap >= 3:
-        # both eyes in every part: scale needs them
+        # both cameras in each part: the scale needs them
         assert all((part < 15).any() and (part >= 15).any() for part in parts)
 
 
 def test_a_first_view_that_is_not_the_earliest():
-    """Parts then go both ways from the first view's."""
+    """Parts are then ordered outwards from that of view 0, first forward, then backward."""
     t_ns = np.array([500, 600, 0, 100, 200, 300, 400])
     parts = split(t_ns, 3)
     assert 0 in parts[0]
@@ -52,7 +52,7 @@ def test_around_is_the_view_and_its_neighbours_in_time():
 
 
 def window(n: int, seed: int = 0) -> Decoded:
-    """Poses anywhere, depth of any kind; view 0 is the frame."""
+    """Random poses and depth in the frame of view 0."""
     rng = np.random.default_rng(seed)
     T = se3.exp(rng.normal(0, 0.4, (n, 6)))
     K = np.tile(np.diag([100.0, 100.0, 1.0]), (n, 1, 1)) + rng.random((n, 1, 1))
@@ -61,7 +61,7 @@ def window(n: int, seed: int = 0) -> Decoded:
 
 
 def of_part(whole: Decoded, part, scale: float, noise: float = 0.0, seed: int = 0) -> Decoded:
-    """What a run over a part alone would say: its first view the frame, in its own unit."""
+    """Result of a run on a part alone: frame of its first view, a unit of its own."""
     T = whole.T_s_c[part]
     T = se3.inverse(T[0]) @ T
     rng = np.random.default_rng(seed)
@@ -92,14 +92,14 @@ def test_noise_is_averaged_over_what_is_shared():
     assert np.median(found.depth[11] / whole.depth[11]) == pytest.approx(1, abs=0.01)
 
 
-def test_depth_the_part_is_unsure_of_does_not_set_its_scale():
+def test_depth_of_low_confidence_does_not_affect_the_scale():
     whole = window(12)
     parts = split(stamps(6), 8)
     solved = [of_part(whole, p, 2.0) for p in parts]
     unsure = solved[1].strength < 0.4
     solved[1].depth[unsure] *= 5
     found = stitch(12, parts, solved)
-    # everything is in the unit of the first part
+    # all results are in the unit of the first part
     assert found.T_s_c[:, :3, 3] == pytest.approx(2 * whole.T_s_c[:, :3, 3], abs=1e-4)
 
 

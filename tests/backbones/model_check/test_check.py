@@ -1,4 +1,4 @@
-"""`model check` lets a good folder pass, says how it runs best, and refuses with the reason."""
+"""`model check` passes a correct model with its best precision, and gives reasons for others."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ LIMITS = Limits(20.0, 4000.0, (128, 64))
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
-    """Verdicts of this machine stay out of it."""
+    """Use an empty cache instead of this machine's verdicts."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 @pytest.fixture
 def unmeasured(monkeypatch):
-    """No process is started: every number of views takes as many milliseconds."""
+    """Replace the measurement by one where N views take N milliseconds; no process is started."""
 
     def cheap(manifest, precision, limits):
         rows = [Measured(precision, n, "", n / 1000, 100.0) for n in steps(manifest.frames)]
-        return rows, "all that the manifest allows"
+        return rows, "maximum of the manifest"
 
     monkeypatch.setattr(probe, "ladder", cheap)
 
@@ -55,7 +55,7 @@ def replaced(folder, old: str, new: str):
 
 
 def test_a_good_folder_passes_and_is_measured(tmp_path, capsys):
-    """The whole command, with a process that measures."""
+    """Run the whole command, with a real measuring process."""
     folder = write_model(tmp_path / "painted", max_views=3)
     arguments = ["model", "check", str(folder), "--json", "--size", "128x64"]
     assert main(arguments) == 0
@@ -71,8 +71,8 @@ def test_a_good_folder_passes_and_is_measured(tmp_path, capsys):
     assert found is not None and found.max_views == {"fp32": 3} and not found.refusal
 
 
-def test_a_graph_frozen_at_two_views_is_refused_everywhere(tmp_path, capsys):
-    """It runs at any number of views, and is right at two alone."""
+def test_a_graph_traced_at_two_views_is_refused_everywhere(tmp_path, capsys):
+    """It runs at any number of views, but is right for two only."""
     folder = write_model(tmp_path / "frozen", frozen=True)
     assert main(["model", "check", str(folder)]) == 1
     out = capsys.readouterr().out
@@ -108,7 +108,7 @@ def test_record_refuses_what_the_check_refused(tmp_path, capsys):
         (lambda f: (f / "fp32.onnx").write_bytes(b""), "fp32.onnx: sha256 is"),
     ],
 )
-def test_one_thing_wrong_is_the_reason(tmp_path, change, line):
+def test_a_single_fault_is_the_reason_of_refusal(tmp_path, change, line):
     folder = write_model(tmp_path / "painted")
     change(folder)
     refusal = checked(folder).refusal
@@ -116,14 +116,14 @@ def test_one_thing_wrong_is_the_reason(tmp_path, change, line):
 
 
 @pytest.mark.usefixtures("unmeasured")
-def test_a_precision_that_drifts_too_far_is_refused(tmp_path):
+def test_a_precision_with_too_large_a_deviation_is_refused(tmp_path):
     assert not checked(write_model(tmp_path / "little", drift_int8=0.01)).refusal
     report = checked(write_model(tmp_path / "much", drift_int8=0.4))
     assert "golden values: int8 model/n2" in report.refusal
 
 
 @pytest.mark.usefixtures("unmeasured")
-def test_pictures_without_a_scene_say_so_and_are_not_compared(tmp_path):
+def test_images_without_a_common_scene_are_not_compared(tmp_path):
     folder = write_model(tmp_path / "painted")
     replaced(folder, "[golden]", "[golden]\nscene = false")
     assert checked(folder).reprojection == {}
@@ -142,21 +142,21 @@ def measured(precision, *rows):
         ([(2, 1.0)], [(2, 0.5), (4, 9.0)], "int8"),
     ],
 )
-def test_the_faster_precision_runs_where_it_is_worth_it(tmp_path, fp32, int8, precision):
+def test_the_faster_precision_is_chosen_if_ten_percent_faster(tmp_path, fp32, int8, precision):
     manifest = read_manifest(write_model(tmp_path / "painted", drift_int8=0.01))
     report = Report("painted", measured=measured("fp32", *fp32) + measured("int8", *int8))
     _choose(manifest, report)
     assert report.precision == precision and report.why.startswith(f"{precision}: ")
 
 
-def test_steps_go_to_the_most_of_the_manifest():
+def test_steps_end_at_the_maximum_of_the_manifest():
     assert steps(FrameRange(1, 10, True)) == [2, 3, 4, 6, 8, 10]
     assert steps(FrameRange(5, 8, True)) == [5, 6, 8]
     assert steps(FrameRange(6, 6, False)) == [6]
 
 
 class Answers:
-    """A measuring process that says what it is told to."""
+    """Stand-in for the measuring process with given answers."""
 
     def __init__(self, answers):
         self._answers = iter(answers)
@@ -174,27 +174,31 @@ class Answers:
         return next(self._answers)
 
 
-def said(seconds, peak_mb):
+def answer(seconds, peak_mb):
     return {"seconds": seconds, "peak_mb": peak_mb}
 
 
 @pytest.mark.parametrize(
     ("answers", "views", "line"),
     [
-        ([said(1, 200), said(2, 300), said(25, 400)], [2, 3], "4 views: 25.0 s, more than 20.0 s"),
-        ([said(1, 200), said(2, 1900)], [2, 3], "4 views would take up to 3300 MB"),
-        ([said(1, 200), {"over": "ended"}], [2], "3 views: ended"),
-        ([said(1, 200), said(1, 2100)], [2], "3 views: 2100 MB, more than 2000 MB"),
+        (
+            [answer(1, 200), answer(2, 300), answer(25, 400)],
+            [2, 3],
+            "4 views: 25.0 s, more than 20.0 s",
+        ),
+        ([answer(1, 200), answer(2, 1900)], [2, 3], "4 views would take up to 3300 MB"),
+        ([answer(1, 200), {"over": "ended"}], [2], "3 views: ended"),
+        ([answer(1, 200), answer(1, 2100)], [2], "3 views: 2100 MB, more than 2000 MB"),
     ],
 )
-def test_the_ladder_ends_before_it_is_too_much(tmp_path, monkeypatch, answers, views, line):
+def test_the_ladder_stops_before_a_limit_is_exceeded(tmp_path, monkeypatch, answers, views, line):
     monkeypatch.setattr(probe, "_child", Answers([{"peak_mb": 100.0}, *answers]))
     manifest = read_manifest(write_model(tmp_path / "painted", max_views=8))
     rows, ended = ladder(manifest, "fp32", Limits(20.0, 2000.0, (128, 64)))
     assert [row.views for row in rows] == views and line in ended
 
 
-def test_what_does_not_even_run_two_views_is_refused(tmp_path):
+def test_a_model_that_cannot_run_two_views_is_refused(tmp_path):
     folder = write_model(tmp_path / "painted", max_views=4)
     report = check(read_manifest(folder), Limits(20.0, 1.0, (128, 64)), lambda text: None)
     assert (
@@ -203,7 +207,7 @@ def test_what_does_not_even_run_two_views_is_refused(tmp_path):
 
 
 def bundle_folder(folder, weight: float = 2.0):
-    """An encoder that doubles its picture; golden values at two numbers of views."""
+    """A bundle model with an encoder y = 2 x, and golden values for two numbers of views."""
     painted = write_model(folder)
     text = (
         '<ir_version: 9, opset_import: ["" : 17]>'
@@ -239,7 +243,7 @@ def test_a_bundle_is_checked_graph_by_graph(tmp_path, capsys):
     assert "fp32 encoder/n1: code is off by 0.05" in report.refusal
 
 
-def test_models_are_listed_with_what_is_known(tmp_path, capsys, monkeypatch):
+def test_models_are_listed_with_their_verdicts(tmp_path, capsys, monkeypatch):
     from calm_edge.backbones.onnx import model_folder
 
     monkeypatch.setattr(model_folder, "search_path", lambda: [tmp_path / "models"])
@@ -256,7 +260,7 @@ def test_models_are_listed_with_what_is_known(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("size", ["big", "10x10", "640"])
-def test_a_size_that_is_none_is_a_usage_error(size, capsys):
+def test_a_malformed_size_is_a_usage_error(size, capsys):
     with pytest.raises(SystemExit):
         main(["model", "check", "x", "--size", size])
     assert "expected WIDTHxHEIGHT" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Golden values: how they are read, and what counts as off."""
+"""Reading of golden values, and the deviation from them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def manifest(tmp_path):
 
 
 def rewritten(manifest, change):
-    """The golden file after `change` of its arrays."""
+    """Rewrite the golden file with its arrays changed by `change`."""
     path = manifest.folder / "golden.npz"
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
@@ -58,8 +58,8 @@ def test_tensors_may_be_given_as_they_are(manifest):
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (lambda a: {k: v for k, v in a.items() if "n2" in k}, "model: 1 cases of unlike shapes"),
-        (lambda a: {}, "model: 0 cases of unlike shapes"),
+        (lambda a: {k: v for k, v in a.items() if "n2" in k}, "model: 1 cases of different shapes"),
+        (lambda a: {}, "model: 0 cases of different shapes"),
         (lambda a: a | {"encoder/n2/in/x": np.ones(2)}, "expected ROLE/CASE/"),
         (lambda a: a | {"model": np.ones(2)}, "model: expected ROLE/CASE/"),
         (lambda a: a | {"model/n2/pose": np.ones(2)}, "n2/pose: expected pictures, in/X or out/X"),
@@ -74,7 +74,7 @@ def test_tensors_may_be_given_as_they_are(manifest):
         ),
     ],
 )
-def test_what_is_missing_or_strange_is_one_line(manifest, change, line):
+def test_missing_or_malformed_cases_are_errors_of_one_line(manifest, change, line):
     with pytest.raises(ManifestError, match=line):
         read_cases(rewritten(manifest, change))
 
@@ -85,7 +85,7 @@ def test_one_case_is_enough_of_a_fixed_number_of_views(manifest):
     assert len(read_cases(fixed)) == 1
 
 
-def test_a_file_that_is_no_archive_is_refused(manifest):
+def test_a_file_that_is_no_archive_is_an_error(manifest):
     (manifest.folder / "golden.npz").write_bytes(b"nothing")
     with pytest.raises(ManifestError, match=r"golden\.npz: cannot be read"):
         read_cases(manifest)
@@ -100,7 +100,7 @@ def test_one_wrong_view_among_many_shows():
     assert deviation(expected, expected) == 0
 
 
-def test_zeros_and_what_cannot_be_compared():
+def test_deviation_of_zeros_and_of_different_shapes():
     assert deviation(np.full((2, 3), 0.1), np.zeros((2, 3))) == pytest.approx(0.1)
     assert deviation(np.ones((2, 3)), np.ones((3, 2))) == np.inf
     assert deviation(np.full(3, np.nan), np.ones(3)) == np.inf

@@ -1,4 +1,4 @@
-"""A manifest is read whole or refused with one line; files are compared with their hashes."""
+"""Reading of manifests, errors of one line, search of model folders, file hashes."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ BUNDLE = {k: v for k, v in FEEDFORWARD.items() if k != "output"} | {
 
 
 def toml(table: dict, where: str = "") -> str:
-    """A nested dict as TOML text."""
+    """TOML text of a nested dict."""
     plain = [
         f"{json.dumps(k)} = {json.dumps(v)}" for k, v in table.items() if not isinstance(v, dict)
     ]
@@ -63,7 +63,7 @@ def toml(table: dict, where: str = "") -> str:
 
 
 def folder_of(tmp_path, table: dict):
-    """A folder whose manifest is that table, with every file it names."""
+    """Write a model folder with this manifest and all files it names."""
     (tmp_path / "manifest.toml").write_text(toml(table))
     (tmp_path / "LICENSE").write_text("free\n")
     for name in ("a.onnx", "a.data", "b.onnx", "golden.npz"):
@@ -72,7 +72,7 @@ def folder_of(tmp_path, table: dict):
 
 
 def changed(table: dict, key: str, value) -> dict:
-    """A deep copy with `a.b.c` set, or taken out where the value is None."""
+    """A deep copy with key `a.b.c` set, or removed if the value is None."""
     copied = copy.deepcopy(table)
     *parents, last = key.split(".")
     part = copied
@@ -124,8 +124,8 @@ def test_a_bundle_may_have_some_roles(tmp_path):
         ("input.layout", "NHCW", "input.layout = 'NHCW': expected one of"),
         ("input.mean", [0.1, 0.2], "input.mean: expected 1 or 3 numbers, got 2"),
         ("input.std", [0.1, 0.0, 1.0], "input.std: must be above 0"),
-        ("input.resize", "keep", "input.size_px: of resize width and longest"),
-        ("input.size_px", 0, "input.size_px: of resize width and longest"),
+        ("input.resize", "keep", "input.size_px: needed for resize width and longest"),
+        ("input.size_px", 0, "input.size_px: needed for resize width and longest"),
         ("input.size_px", 30, "input.size_px = 30: not a multiple of 14"),
         ("input.height_px", 20, "input.height_px = 20: not a multiple of 14"),
         ("input.multiple", 0, "multiple at least 1"),
@@ -134,9 +134,9 @@ def test_a_bundle_may_have_some_roles(tmp_path):
         ("golden.int8", 0, "golden: a tolerance must be above 0"),
         ("output", None, "output: missing"),
         ("output.intrinsics", {"encoding": "pixels"}, "output.intrinsics.name: missing"),
-        ("output.intrinsics", {"encoding": "fov"}, "output.intrinsics.name: of fov it is given"),
+        ("output.intrinsics", {"encoding": "fov"}, "output.intrinsics.name: needed for fov"),
         ("output.intrinsics", {"encoding": "solved"}, "solved needs a point_map, or ray_depth"),
-        ("output.geometry.rays", "r", "output.geometry.rays: only of ray_depth"),
+        ("output.geometry.rays", "r", "output.geometry.rays: only allowed for ray_depth"),
         ("output.confidence.encoding", "exp", "output.confidence.encoding = 'exp'"),
     ],
 )
@@ -152,24 +152,24 @@ def test_a_mistake_is_one_line_that_names_the_key(tmp_path, key, value, line):
 def test_all_graphs_must_share_a_precision(tmp_path):
     depth = {"fp32": {"file": "b.onnx", "sha256": DIGEST}}
     folder_of(tmp_path, changed(BUNDLE, "graphs.depth", depth))
-    with pytest.raises(ManifestError, match="no precision that all of them come in"):
+    with pytest.raises(ManifestError, match="there is no precision that all of them have"):
         read_manifest(tmp_path)
 
 
-def test_what_runs_unmeasured_has_to_be_there(tmp_path):
+def test_unmeasured_must_be_a_precision_of_the_model(tmp_path):
     folder_of(tmp_path, BUNDLE | {"unmeasured": "fp16"})
-    with pytest.raises(ManifestError, match="unmeasured = fp16: not all graphs come in it"):
+    with pytest.raises(ManifestError, match="unmeasured = fp16: not all graphs have it"):
         read_manifest(tmp_path)
 
 
-def test_outputs_mean_nothing_to_a_bundle(tmp_path):
+def test_bundle_must_not_have_outputs(tmp_path):
     folder_of(tmp_path, BUNDLE | {"output": FEEDFORWARD["output"]})
-    with pytest.raises(ManifestError, match="output: only of kind feedforward"):
+    with pytest.raises(ManifestError, match="output: only allowed for kind feedforward"):
         read_manifest(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["a.onnx", "a.data", "b.onnx", "golden.npz"])
-def test_a_file_that_changed_or_went_is_refused(tmp_path, name):
+def test_a_changed_or_missing_file_is_an_error(tmp_path, name):
     m = read_manifest(folder_of(tmp_path, FEEDFORWARD))
     (tmp_path / name).write_bytes(b"weighty")
     with pytest.raises(ManifestError, match=rf"{name}: sha256 is [0-9a-f]+\.\.\., the manifest"):
@@ -179,20 +179,20 @@ def test_a_file_that_changed_or_went_is_refused(tmp_path, name):
         verify(m)
 
 
-def test_files_of_another_precision_need_not_be_there(tmp_path):
+def test_files_of_another_precision_are_not_verified(tmp_path):
     m = read_manifest(folder_of(tmp_path, FEEDFORWARD))
     (tmp_path / "b.onnx").unlink()
     assert verify(m, ["fp32"]) == 3
 
 
-def test_a_model_states_its_licence(tmp_path):
+def test_a_missing_licence_is_an_error(tmp_path):
     m = read_manifest(folder_of(tmp_path, FEEDFORWARD))
     (tmp_path / "LICENSE").unlink()
     with pytest.raises(ManifestError, match="LICENSE: missing"):
         verify(m)
 
 
-def test_toml_that_is_none_is_refused(tmp_path):
+def test_invalid_toml_is_an_error(tmp_path):
     (tmp_path / "manifest.toml").write_text("name = \n")
     with pytest.raises(ManifestError, match="not valid TOML"):
         read_manifest(tmp_path)
@@ -228,7 +228,7 @@ def test_shipped_exported_and_data_folders_are_searched_in_this_order(tmp_path, 
     assert model_names() == []
 
 
-def test_a_folder_beside_an_installed_package_is_no_checkout(tmp_path, monkeypatch):
+def test_a_models_folder_beside_an_installed_package_is_not_searched(tmp_path, monkeypatch):
     beside = tmp_path / "site-packages/models/small"
     beside.mkdir(parents=True)
     folder_of(beside, FEEDFORWARD)
@@ -236,7 +236,7 @@ def test_a_folder_beside_an_installed_package_is_no_checkout(tmp_path, monkeypat
     assert "small" not in model_names()
 
 
-def test_the_shipped_model_is_whole():
+def test_the_shipped_model_is_complete():
     manifest = read_manifest(find_model("calm-geo"))
     assert manifest.folder == model_folder.SHIPPED / "calm-geo"
     assert verify(manifest) == 4

@@ -1,4 +1,4 @@
-"""Pictures become inputs of the right size, and pixels find their way back."""
+"""Preprocessing of images: input size, intrinsics, padding, normalisation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SPEC = InputSpec("x", "NCHW", "rgb", "width", size_px=56, multiple=14)
         ({}, [(112, 4)], (56, 14)),
     ],
 )
-def test_the_input_has_the_size_of_the_rule(changes, sizes, expected):
+def test_the_input_size_follows_the_manifest(changes, sizes, expected):
     spec = replace(SPEC, **changes)
     fits = fit_pictures(spec, sizes)
     assert [fit.input for fit in fits] == [expected] * len(sizes)
@@ -39,7 +39,7 @@ def test_the_input_has_the_size_of_the_rule(changes, sizes, expected):
 
 
 def smooth(width: int, height: int):
-    """Four times the place in blue (u) and green (v): resizing is exact away from borders."""
+    """Image with 4 u in blue and 4 v in green: resizing is exact away from borders."""
     u, v = np.meshgrid(np.arange(width), np.arange(height))
     return np.stack([4 * u, 4 * v, u + v], -1).astype(np.uint8)
 
@@ -47,7 +47,7 @@ def smooth(width: int, height: int):
 @pytest.mark.parametrize("multiple_by", ["stretch", "crop", "pad"])
 @pytest.mark.parametrize("size_px", [28, 42, 210])
 def test_intrinsics_follow_a_pixel_into_the_input_and_back(multiple_by, size_px):
-    """The value of a linear picture says where in it an input pixel was taken from."""
+    """In a linear image, an input pixel's value is the position it was sampled from."""
     spec = replace(SPEC, size_px=size_px, multiple_by=multiple_by, interpolation="bilinear")
     width, height = 63, 50
     fit = fit_pictures(spec, [(width, height)])[0]
@@ -55,17 +55,17 @@ def test_intrinsics_follow_a_pixel_into_the_input_and_back(multiple_by, size_px)
     off = []
     top, left = max(0, fit.offset[1]), max(0, fit.offset[0])
     for row, column in zip(range(top + 4, top + 14), range(left + 4, left + 14), strict=True):
-        # K of a camera whose ray (0, 0, 1) goes through that input pixel
+        # K of a camera with its principal point at that input pixel
         K = fit.intrinsics(np.array([[50.0, 0, column], [0, 60.0, row], [0, 0, 1]]))
         off.append(K[:2, 2] - tensor[[2, 1], row, column])
-    # grey levels are a quarter of a pixel, and resizing rounds them down
+    # grey levels are in quarter pixels, and resizing rounds down
     assert np.abs(np.mean(off, 0)).max() < 0.15
     sx, sy = fit.scale
     assert K[0, 0] == pytest.approx(50 / sx) and K[1, 1] == pytest.approx(60 / sy)
 
 
-def test_half_a_pixel_is_not_lost():
-    """The middle of the input is the middle of the picture, whatever the scale."""
+def test_the_image_centre_maps_to_the_input_centre():
+    """The pixel centre convention holds at any scale: no shift by half a pixel."""
     for width in (42, 84, 168):
         fit = fit_pictures(replace(SPEC, size_px=width), [(84, 42)])[0]
         middle = (np.array(fit.input) - 1) / 2
@@ -74,11 +74,11 @@ def test_half_a_pixel_is_not_lost():
 
 
 def test_positions_agree_with_a_resized_map():
-    """Shrunk to its own size, a padded picture lies where it was put."""
+    """At its resized size, the pixels of a padded image are at its offset."""
     fit = fit_pictures(replace(SPEC, multiple_by="pad"), [(112, 60)])[0]
     assert fit.offset == (0, 6) and fit.resized == (56, 30)
     assert fit.positions(1, 30, 42) == pytest.approx(np.arange(30) + 6)
-    # a map of half the size: its pixel centres are between two of the input
+    # a map of half the size: its pixel centres are between two input pixels
     assert fit.positions(1, 15, 21) == pytest.approx(np.arange(15) + 3)
     assert fit.positions(0, 56, 56) == pytest.approx(np.arange(56))
 
@@ -103,7 +103,7 @@ def test_channels_layout_and_normalisation(channels, layout, expected):
     assert tensor[1, 5, 7] == pytest.approx(wanted, abs=1e-6)
 
 
-def test_padding_surrounds_and_cropping_keeps_the_middle():
+def test_padding_and_cropping_keep_the_image_centred():
     image = np.full((60, 112, 3), 255, np.uint8)
     spec = replace(SPEC, multiple_by="pad", pad_value=0.5)
     tensor = input_tensor(spec, [image], fit_pictures(spec, [(112, 60)]))[0, 0]

@@ -1,4 +1,4 @@
-"""A graph is loaded and run; what it cannot take is said in one line."""
+"""Loading and running of a graph, and errors of one line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calm_edge.backbones.onnx.session import Session
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    """y = 2 x, z = sum of y over its rows; x: (any, 3) float."""
+    """Graph y = 2 x, z = sum of the rows of y, for x (any, 3) float."""
     nodes = [
         helper.make_node("Add", ["x", "x"], ["y"]),
         helper.make_node("ReduceSum", ["y", "axis"], ["z"], keepdims=0),
@@ -34,14 +34,14 @@ def path(tmp_path_factory):
 
 
 @pytest.mark.parametrize("n", [1, 4])
-def test_outputs_come_by_name_and_for_any_free_size(path, n):
+def test_outputs_are_returned_by_name_for_any_free_size(path, n):
     x = np.arange(3.0 * n).reshape(n, 3)
     out = Session(path).run({"x": x})
     assert np.array_equal(out["y"], 2 * x) and np.array_equal(out["z"], 2 * x.sum(0))
     assert out["y"].dtype == np.float32
 
 
-def test_only_the_outputs_asked_for_come(path):
+def test_only_the_requested_outputs_are_returned(path):
     assert list(Session(path).run({"x": np.zeros((2, 3))}, ["z"])) == ["z"]
 
 
@@ -61,20 +61,20 @@ def test_tensors_are_described(path):
         ({"x": np.zeros(3)}, "input x (any, 3) was given the shape (3,)"),
     ],
 )
-def test_what_does_not_fit_is_one_line(path, feeds, line):
+def test_wrong_inputs_are_errors_of_one_line(path, feeds, line):
     with pytest.raises(BackboneError) as caught:
         Session(path).run(feeds)
     assert str(caught.value) == f"{path}: {line}"
 
 
-def test_a_tensor_that_is_needed_must_be_there(path):
+def test_a_missing_required_tensor_is_an_error(path):
     with pytest.raises(BackboneError, match="has no output 'depth'; it has y, z"):
         Session(path, needs_outputs=["y", "depth"])
     with pytest.raises(BackboneError, match="has no input 'image'; it has x"):
         Session(path, needs_inputs=["image"])
 
 
-def test_a_file_that_is_no_graph_is_refused_in_one_line(tmp_path):
+def test_an_invalid_graph_file_is_an_error_of_one_line(tmp_path):
     with pytest.raises(BackboneError, match="no such graph"):
         Session(tmp_path / "none.onnx")
     (tmp_path / "bad.onnx").write_bytes(b"not a graph")

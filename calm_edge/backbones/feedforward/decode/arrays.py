@@ -1,4 +1,4 @@
-"""Output tensors of a graph, brought to one axis of views."""
+"""Normalise the axes of a graph's output tensors: views first."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from calm_edge.types import Float
 
 
 def of_views(name: str, raw: NDArray[Any], views: int, shape: tuple[int | None, ...]) -> Float:
-    """(N, *shape) float64 of an output; a batch axis and a channel axis of length one are dropped.
+    """Output as (N, *shape), float64, without batch and channel axes of length one.
 
-    None in `shape` is any length. Raises BackboneError.
+    None in `shape` is any length. Raises BackboneError for other shapes.
     """
     wanted = (views, *shape)
     for value in _squeezed(raw, len(wanted)):
@@ -26,7 +26,7 @@ def of_views(name: str, raw: NDArray[Any], views: int, shape: tuple[int | None, 
 
 
 def _squeezed(raw: NDArray[Any], ndim: int) -> Iterator[NDArray[Any]]:
-    """Every way to that many axes: without a batch, with its channel behind, with it second."""
+    """Candidates with `ndim` axes: batch axis removed, channel axis removed (last or second)."""
     of_batch = [raw] + ([raw[0]] if raw.ndim > ndim and raw.shape[0] == 1 else [])
     for value in of_batch:
         if value.ndim == ndim:

@@ -1,4 +1,4 @@
-"""What a network said of its input -> what is true of the pictures: the one way in of decoding."""
+"""Decode a network's output tensors to intrinsics, poses, depth and confidence of the images."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from calm_edge.types import Float, Float32, Prediction
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """One run: N views in the frame of the first, in the network's unit.
+    """Decoded outputs of one run: N views, frame of the first view, unit of the network.
 
-    K: (N, 3, 3) px of the pictures. T_s_c: (N, 4, 4) camera->first view. depth: (N, h, w) z-depth
-    on the grid of the network's input, 0 unknown. strength: (N, h, w) of any unit, larger is more
-    confident, -inf none.
+    K: (N, 3, 3) px of the images. T_s_c: (N, 4, 4) camera -> first view. depth: (N, h, w) z-depth
+    on the grid of the network's input, 0 unknown. strength: (N, h, w) confidence in any unit,
+    larger is better, -inf for none.
     """
 
     K: Float
@@ -34,14 +34,14 @@ class Decoded:
 
 
 def decode(outputs: Outputs, raw: Mapping[str, NDArray[Any]], fits: Sequence[Fit]) -> Decoded:
-    """Output tensors by name of one run over pictures that lay in the input as `fits` say.
+    """Decode the output tensors `raw`, by name, of a run on images placed as in `fits`.
 
-    Raises BackboneError for wrong shapes, and for poses, intrinsics or depth that are none.
+    Raises BackboneError for wrong shapes and for invalid poses, intrinsics or depth.
     """
     K_input = intrinsics(outputs, raw, fits)
     depth = geometry.z_depth(outputs.geometry, raw, K_input, fits)
     if not depth.any():
-        raise BackboneError("the network gave no depth above zero")
+        raise BackboneError("the network's depth is zero or not finite everywhere")
     return Decoded(
         K=np.stack([fit.intrinsics(K) for fit, K in zip(fits, K_input, strict=True)]),
         T_s_c=poses(outputs.pose, raw[outputs.pose.name], len(fits)),
@@ -51,7 +51,7 @@ def decode(outputs: Outputs, raw: Mapping[str, NDArray[Any]], fits: Sequence[Fit
 
 
 def prediction(decoded: Decoded, fits: Sequence[Fit], notices: tuple[str, ...] = ()) -> Prediction:
-    """The same as everything behind a backbone reads it (paper III): maps cover the pictures."""
+    """Convert to a Prediction (paper III): maps resampled to the images, confidence to ranks."""
     depth = geometry.on_picture_grid(decoded.depth, fits, 0.0)
     strength = geometry.on_picture_grid(decoded.strength, fits, -np.inf)
     return Prediction(

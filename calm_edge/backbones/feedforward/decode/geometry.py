@@ -1,4 +1,4 @@
-"""Depth and confidence of any encoding -> z-depth and strength, on the grid of the pictures."""
+"""Decode depth and confidence to z-depth and strength maps, and resample these to the images."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from calm_edge.backbones.onnx.picture_input import Fit
 from calm_edge.geometry import pinhole
 from calm_edge.types import Float, Float32
 
-# below this share expp1 counts as none: exp(x) of the weakest x that float32 tells from zero
+# lower bound of exp(x) for expp1 before taking the logarithm
 _WEAKEST = 1e-30
 
 
 def z_depth(
     spec: GeometryOutput, raw: Mapping[str, NDArray[Any]], K: Float, fits: Sequence[Fit]
 ) -> Float32:
-    """(N, h, w) z-depth on the grid of the output, unit of the network, 0 unknown.
+    """Decode z-depth (N, h, w) on the grid of the output, unit of the network, 0 unknown.
 
     K: (N, 3, 3) px of the input. Raises BackboneError for a wrong shape.
     """
@@ -42,7 +42,10 @@ def z_depth(
 
 
 def _rays(K: Float, shape: tuple[int, ...], size: tuple[int, int]) -> Float:
-    """(N, h, w, 3) rays with z = 1 through the pixels of a map of the input, `size` px."""
+    """Rays (N, h, w, 3), z = 1, through the pixels of a map of `shape` over the input.
+
+    size: width, height of the input, px.
+    """
     (h, w), (width, height) = shape, size
     u = (np.arange(w) + 0.5) * (width / w) - 0.5
     v = (np.arange(h) + 0.5) * (height / h) - 0.5
@@ -53,10 +56,10 @@ def _rays(K: Float, shape: tuple[int, ...], size: tuple[int, int]) -> Float:
 def strength(
     spec: ConfidenceOutput | None, raw: Mapping[str, NDArray[Any]], shape: tuple[int, ...]
 ) -> Float32:
-    """(N, h, w) of any unit, larger is better, -inf none; alike where the model has none.
+    """Decode confidence to a strength (N, h, w): any unit, larger is better, -inf for none.
 
-    shape: of the depth. expp1 is brought to the logarithm of its exponential part, so that no
-    order is lost to the 1. Raises BackboneError for a wrong shape.
+    Constant if the model has no confidence. shape: of the depth maps. expp1 = 1 + exp(x) is
+    converted to x, so that small values remain distinct. Raises BackboneError for a wrong shape.
     """
     if spec is None:
         return np.zeros(shape, np.float32)
@@ -73,10 +76,10 @@ def strength(
 
 
 def on_picture_grid(maps: Float32, fits: Sequence[Fit], unknown: float) -> Float32:
-    """Maps (N, h, w) of the input, cut to what each picture covers: (N, h', w').
+    """Resample maps (N, h, w) of the input to the area of each image, (N, h', w').
 
-    A pixel takes the nearest value; what the input did not show is `unknown`. The grid is as fine
-    as the map is over the largest picture.
+    Nearest neighbour; pixels of the image outside the input get `unknown`. The resolution is that
+    of the map over the largest image.
     """
     h, w = maps.shape[1:]
     if all(fit.is_whole for fit in fits):
@@ -94,9 +97,10 @@ def on_picture_grid(maps: Float32, fits: Sequence[Fit], unknown: float) -> Float
 
 
 def percentiles(strength: Float32, depth: Float32) -> Float32:
-    """Confidence (N, h, w) in [0, 1]: the share of the pixels with depth that are believed no more.
+    """Confidence (N, h, w) in [0, 1] as rank: share of the window's pixels that are not stronger.
 
-    0 without depth or strength. So quantisation, which shifts every score, shifts no threshold.
+    0 for pixels without depth or strength. Ranks make thresholds independent of the model's
+    confidence unit and of quantisation.
     """
     known = (depth > 0) & (strength > -np.inf)
     values = strength[known]

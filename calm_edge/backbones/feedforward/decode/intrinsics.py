@@ -1,4 +1,4 @@
-"""Intrinsics of any encoding -> K in pixels of the network's input."""
+"""Decode intrinsics to K in pixels of the network's input."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from calm_edge.backbones.onnx.picture_input import Fit
 from calm_edge.geometry import pinhole
 from calm_edge.types import Float
 
-# Fitting: enough pixels, rounds of reweighting, and where the weight of a residual begins to fall,
-# in robust sigmas (Huber's 1.345 keeps 95 % of the efficiency on Gaussian noise).
+# Robust fit: minimum pixels, iterations of reweighting, and Huber's threshold in robust sigmas
+# (1.345 has 95 % efficiency for Gaussian noise).
 MIN_PIXELS = 16
 ROUNDS = 4
 HUBER = 1.345
 
 
 def intrinsics(outputs: Outputs, raw: Mapping[str, NDArray[Any]], fits: Sequence[Fit]) -> Float:
-    """K (N, 3, 3) px of the input, pixel centres at whole numbers; raises BackboneError."""
+    """Decode K (N, 3, 3), px of the input, pixel centres at integers. Raises BackboneError."""
     spec, n = outputs.intrinsics, len(fits)
     size = fits[0].input
     if spec.encoding == "pixels":
@@ -41,15 +41,18 @@ def intrinsics(outputs: Outputs, raw: Mapping[str, NDArray[Any]], fits: Sequence
         K = np.stack([solved(r, fit, free) for r, fit in zip(rays, fits, strict=True)])
     focal = K[:, [0, 1], [0, 1]]
     if not (np.isfinite(K).all() and (focal > 0).all()):
-        raise BackboneError("the network gave intrinsics that are not finite or not above zero")
+        raise BackboneError("the network's intrinsics are not finite or a focal is not positive")
     K[:, [1, 2, 2, 2], [0, 0, 1, 2]] = 0, 0, 0, 1
     return K
 
 
 def _of_fov(fov: Float, size: tuple[int, int]) -> Float:
-    """fov: (N, 2) vertical, horizontal [rad]; size: width, height px."""
+    """K (N, 3, 3) from fields of view (N, 2), vertical and horizontal [rad].
+
+    size: width, height px. The principal point is the image centre. Raises BackboneError.
+    """
     if not (np.isfinite(fov).all() and (fov > 0).all() and (fov < np.pi).all()):
-        raise BackboneError("the network gave a field of view outside 0 to 180 degrees")
+        raise BackboneError("the network's field of view is outside 0 to 180 degrees")
     width, height = size
     focal = np.array([height, width]) / 2 / np.tan(fov / 2)
     middle = (width - 1) / 2, (height - 1) / 2
@@ -57,11 +60,11 @@ def _of_fov(fov: Float, size: tuple[int, int]) -> Float:
 
 
 def solved(rays: Float, fit: Fit, free: bool) -> Float:
-    """K (3, 3) px of the input by robust least squares on rays or points (h, w, 3), camera axes.
+    """Fit K (3, 3), px of the input, to rays or points (h, w, 3), camera axes, robustly.
 
-    The rays are fitted over the pixels, not the other way round: they carry the noise, and noise
-    on what is regressed upon would shrink the focal. free: the principal point too; else it is
-    the input's middle. What was padded does not count. Raises BackboneError.
+    Regresses the slopes x/z, which have noise, on the pixel coordinates, which have none; the
+    reverse would bias the focal length low. free: fit the principal point; False: image centre.
+    Padded pixels are ignored. Raises BackboneError with too few points.
     """
     h, w = rays.shape[:2]
     width, height = fit.input
@@ -72,7 +75,7 @@ def solved(rays: Float, fit: Fit, free: bool) -> Float:
         x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
     good = inside & (rays[..., 2] > 0) & np.isfinite(x) & np.isfinite(y)
     if good.sum() < MIN_PIXELS:
-        raise BackboneError("the network gave too few points to solve for a focal length")
+        raise BackboneError("the network gives too few points to fit a focal length")
     U, V = np.broadcast_to(u, (h, w)), np.broadcast_to(v[:, None], (h, w))
     fx, cx = _line(U[good], x[good], (width - 1) / 2, free)
     fy, cy = _line(V[good], y[good], (height - 1) / 2, free)
@@ -85,7 +88,10 @@ def _inside(positions: Float, fit: Fit, axis: int) -> NDArray[np.bool_]:
 
 
 def _line(pixel: Float, slope: Float, middle: float, free: bool) -> tuple[float, float]:
-    """Focal and centre px of slope = (pixel - centre) / focal, robustly."""
+    """Fit slope = (pixel - centre) / focal by reweighted least squares: focal and centre, px.
+
+    middle: centre if not free. Raises BackboneError.
+    """
     weight = np.ones(len(pixel))
     a = b = 0.0
     for _ in range(ROUNDS):
@@ -101,5 +107,5 @@ def _line(pixel: Float, slope: Float, middle: float, free: bool) -> tuple[float,
             break
         weight = np.minimum(1.0, HUBER * sigma / np.maximum(residual, 1e-300))
     if not a > 0:
-        raise BackboneError("the network's points fit no focal length above zero")
+        raise BackboneError("the network's points fit no positive focal length")
     return 1 / a, -b / a

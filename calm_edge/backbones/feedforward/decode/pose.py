@@ -1,4 +1,4 @@
-"""Poses of any encoding -> camera->first view."""
+"""Decode poses to rigid transforms camera -> first view."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from calm_edge.backbones.onnx.manifest import PoseOutput
 from calm_edge.geometry import se3
 from calm_edge.types import Float
 
-# what float16 and quantised weights leave of orthogonality; a mirror or a scale is farther off
+# largest deviation of a singular value from 1: allows float16 and quantisation, not a scale
 MAX_NOT_A_ROTATION = 0.2
-# a matrix of rank one has no nearest rotation: it leaves a turn about its axis open
+# second over first singular value below which the nearest rotation is not unique
 MIN_STRETCH = 1e-6
 
 
 def poses(spec: PoseOutput, raw: NDArray[Any], views: int) -> Float:
-    """(N, 4, 4) camera->first view's camera, rigid, the unit of the network.
+    """Decode T_s_c (N, 4, 4), camera -> camera of the first view, unit of the network.
 
-    Raises BackboneError where a pose is not finite or no rotation.
+    Raises BackboneError for a pose that is not finite or not a rotation.
     """
     if spec.encoding == "t_quatxyzw_fovhw":
         T = _of_quaternions(of_views(spec.name, raw, views, (9,)), "xyzw")
@@ -42,25 +42,26 @@ def _of_quaternions(values: Float, order: str) -> Float:
     quaternion = values[:, 3:7]
     length = np.linalg.norm(quaternion, axis=1)
     if not (np.isfinite(values[:, :7]).all() and (length > 1e-6).all()):
-        raise BackboneError("the network gave a pose that is not finite, or a quaternion of zero")
+        raise BackboneError("a pose of the network is not finite or has a quaternion of zero")
     rotation = Rotation.from_quat(quaternion, scalar_first=order == "wxyz")
     return se3.compose(rotation.as_matrix(), values[:, :3])
 
 
 def _of_matrices(values: Float, nearest: bool) -> Float:
-    """nearest: of any matrix the rotation that is least off it, else a matrix that is none is bad.
+    """Rigid transforms (N, 4, 4) from matrices (N, 3 or 4, 4). Raises BackboneError.
 
-    The least stretched axis turns around where the matrix is a mirror (Kabsch).
+    nearest: project to the nearest rotation, flipping the smallest singular direction of a
+    reflection (Kabsch, 1976); otherwise a matrix that is no rotation is an error.
     """
     if not np.isfinite(values).all():
-        raise BackboneError("the network gave a pose that is not finite")
+        raise BackboneError("a pose of the network is not finite")
     U, stretch, Vt = np.linalg.svd(values[:, :3, :3])
     if nearest:
         if (stretch[:, 1] < MIN_STRETCH * stretch[:, 0]).any():
-            raise BackboneError("the network gave a pose matrix that is near to no one rotation")
+            raise BackboneError("a pose matrix of the network has no unique nearest rotation")
         U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
         return se3.compose(U @ Vt, values[:, :3, 3])
     R = U @ Vt
     if (np.linalg.det(R) < 0).any() or np.abs(stretch - 1).max() > MAX_NOT_A_ROTATION:
-        raise BackboneError("the network gave a pose whose matrix is no rotation")
+        raise BackboneError("a pose matrix of the network is no rotation")
     return se3.compose(R, values[:, :3, 3])

@@ -1,6 +1,6 @@
-"""Every encoding of one known scene decodes to that scene, in pixels of the pictures.
+"""All encodings of a known scene decode to that scene, in pixels of the images.
 
-Raw outputs are made by hand from the definitions (tests/backbones/raw_scene.py).
+Raw outputs are computed from the definitions of the encodings (tests/backbones/raw_scene.py).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from calm_edge.backbones.onnx.manifest import (
 from calm_edge.backbones.onnx.picture_input import fit_pictures
 from tests.backbones.raw_scene import RawScene, make_scene, turn
 
-# pictures of two sizes, so that each eye has its own way into the input
+# images of two sizes: the two cameras are placed differently in the input
 SIZES = [(160, 96), (160, 96), (120, 90)]
 INPUT = InputSpec("x", "NCHW", "rgb", "width", size_px=80, multiple=8)
 PADDED = replace(INPUT, multiple_by="pad", multiple=32, size_px=64)
@@ -32,14 +32,14 @@ CROPPED = replace(INPUT, multiple_by="crop", common_by="crop", multiple=16)
 
 
 def quaternion(R):
-    """x, y, z, w by the textbook formula (w is not near 0 here)."""
+    """Quaternion x, y, z, w of a rotation with w not near 0."""
     w = np.sqrt(1 + R[0, 0] + R[1, 1] + R[2, 2]) / 2
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     return np.array([x / (4 * w), y / (4 * w), z / (4 * w), w])
 
 
 def picture_pixels(scene: RawScene, fit, view: int, shape: tuple[int, int]):
-    """Where in the picture the pixels (h, w) of a map of the input look: u, v."""
+    """Image coordinates u, v of the pixels (h, w) of a map over the input."""
     (h, w), (width, height) = shape, fit.input
     sx, sy = fit.resized[0] / scene.sizes[view][0], fit.resized[1] / scene.sizes[view][1]
     u = ((np.arange(w) + 0.5) * width / w - fit.offset[0]) / sx - 0.5
@@ -48,7 +48,7 @@ def picture_pixels(scene: RawScene, fit, view: int, shape: tuple[int, int]):
 
 
 def raw_outputs(scene: RawScene, fits, reduced: int = 1) -> dict:
-    """Every encoding at once; maps are `reduced` times smaller than the input."""
+    """Outputs in all encodings; maps are `reduced` times smaller than the input."""
     n = len(fits)
     width, height = fits[0].input
     out: dict[str, list] = {name: [] for name in ("z", "points", "along", "rays", "K", "fov")}
@@ -62,7 +62,7 @@ def raw_outputs(scene: RawScene, fits, reduced: int = 1) -> dict:
         out["rays"].append(ray / length[..., None])
         sx, sy = fit.resized[0] / scene.sizes[view][0], fit.resized[1] / scene.sizes[view][1]
         K = scene.K[view]
-        # corner origin: the middle of the first pixel is (0.5, 0.5)
+        # corner origin: the centre of the first pixel is (0.5, 0.5)
         fx, fy = K[0, 0] * sx, K[1, 1] * sy
         cx, cy = (K[0, 2] + 0.5) * sx + fit.offset[0], (K[1, 2] + 0.5) * sy + fit.offset[1]
         out["K"].append([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
@@ -117,7 +117,7 @@ def test_poses(pose):
 
 @pytest.mark.parametrize("stretch", [(1.9, 0.6, 0.3), (1.5, 1.0, -0.4)], ids=["skewed", "mirror"])
 def test_nearest_rotation(stretch):
-    """A = R P with P symmetric: R is nearest also if P has its least eigenvalue below zero."""
+    """A = R P, P symmetric: R is the nearest rotation even if P's least eigenvalue is negative."""
     axes = turn(0, 25) @ turn(1, -40) @ turn(2, 10)
     scene = make_scene(SIZES)
     matrices = scene.T_w_c.copy()
@@ -128,10 +128,10 @@ def test_nearest_rotation(stretch):
         poses(replace(pose, rotation="exact"), matrices, len(SIZES))
 
 
-def test_a_matrix_near_to_no_one_rotation_is_refused():
+def test_a_matrix_without_a_unique_nearest_rotation_is_an_error():
     pose = PoseOutput("any", "mat4x4", "camera_to_world", rotation="nearest")
     flat = np.diag([1.0, 0.0, 0.0, 1.0])[None]
-    with pytest.raises(BackboneError, match="no one rotation"):
+    with pytest.raises(BackboneError, match="no unique nearest rotation"):
         poses(pose, flat, 1)
 
 
@@ -149,7 +149,7 @@ def test_a_matrix_near_to_no_one_rotation_is_refused():
 )
 @pytest.mark.parametrize("reduced", [1, 2])
 def test_intrinsics_and_depth(spec, intrinsics, geometry, reduced):
-    """Principal points off the middle, two picture sizes, maps at half the resolution."""
+    """Off-centre principal points, two image sizes, maps at half the resolution."""
     outputs = Outputs(POSES[1], intrinsics, geometry)
     scene, fits, out = decoded(outputs, spec, (4.0, -3.0), reduced)
     assert pytest.approx(scene.K, rel=1e-4, abs=1e-3) == out.K
@@ -161,7 +161,7 @@ def test_intrinsics_and_depth(spec, intrinsics, geometry, reduced):
         u = (np.arange(w) + 0.5) * width / w - 0.5
         v = (np.arange(h) + 0.5) * height / h - 0.5
         truth = scene.z(view, *np.meshgrid(u, v))
-        # a pixel may be taken from up to half a map pixel beside it
+        # nearest neighbour: up to half a map pixel off
         same_grid = fits[view].resized == (w * reduced, h * reduced)
         assert np.abs(depth / truth - 1)[known].max() < (2e-5 if same_grid else 0.01)
         assert known.mean() > (0.75 if spec is CROPPED else 0.999)
@@ -169,7 +169,7 @@ def test_intrinsics_and_depth(spec, intrinsics, geometry, reduced):
 
 @pytest.mark.parametrize("named", [True, False])
 def test_intrinsics_of_a_field_of_view(named):
-    """Two numbers know no principal point: it is the middle, to the half pixel."""
+    """A field of view gives no principal point: it is the image centre, exact to half a pixel."""
     scene = make_scene(SIZES[:2])
     fits = fit_pictures(INPUT, SIZES[:2])
     intrinsics = IntrinsicsOutput("fov", "fov" if named else "")
@@ -187,7 +187,7 @@ def test_pixels_may_count_from_the_centre():
     assert pytest.approx(scene.K, rel=1e-5) == decode(outputs, raw, fits).K
 
 
-def test_the_principal_point_can_be_held_at_the_middle():
+def test_the_principal_point_can_be_fixed_at_the_centre():
     outputs = Outputs(POSES[1], replace(SOLVED, principal_point="centre"), POINTS)
     scene, _, out = decoded(outputs, offset_px=(4.0, -3.0))
     for K, (width, height) in zip(out.K, SIZES, strict=True):
@@ -195,8 +195,8 @@ def test_the_principal_point_can_be_held_at_the_middle():
     assert out.K[:, 0, 0] == pytest.approx(scene.K[:, 0, 0], rel=0.05)
 
 
-def test_what_was_padded_does_not_count():
-    """Half of the input and more shows nothing; what the network says of it is anything."""
+def test_padded_pixels_are_ignored():
+    """More than half of the input is padding, where outputs are arbitrary."""
     spec = replace(PADDED, height_px=128)
     scene = make_scene(SIZES, (4.0, -3.0))
     fits = fit_pictures(spec, SIZES)
@@ -209,8 +209,8 @@ def test_what_was_padded_does_not_count():
     assert pytest.approx(scene.K, rel=1e-4, abs=1e-3) == out.K
 
 
-def test_solving_outlives_wrong_points_and_noise():
-    """A tenth of the points anywhere, noise on the rest: the focal is not drawn to either."""
+def test_solving_is_robust_to_outliers_and_noise():
+    """A tenth of the points are outliers, the others noisy: the focal length is unbiased."""
     scene = make_scene(SIZES)
     fits = fit_pictures(INPUT, SIZES)
     raw = raw_outputs(scene, fits)
@@ -235,13 +235,13 @@ def test_confidence_is_a_rank_over_the_whole_window(encoding):
     assert confidence.ravel() == pytest.approx(np.arange(1, count + 1) / count, abs=1e-6)
 
 
-def test_without_confidence_all_depth_is_believed():
+def test_without_confidence_all_depth_has_confidence_one():
     _, fits, out = decoded(PLAIN)
     whole = prediction(out, fits)
     assert np.array_equal(whole.confidence, (whole.depth > 0).astype(np.float32))
 
 
-def test_what_is_unknown_is_not_believed():
+def test_unknown_depth_has_no_confidence():
     scene = make_scene(SIZES[:2])
     fits = fit_pictures(INPUT, SIZES[:2])
     raw = raw_outputs(scene, fits)
@@ -255,8 +255,8 @@ def test_what_is_unknown_is_not_believed():
 
 
 @pytest.mark.parametrize("views", [1, 3])
-def test_axes_of_one_do_not_matter(views):
-    """A batch of one in front, a channel behind or second, or both."""
+def test_axes_of_length_one_are_dropped(views):
+    """A batch axis in front, a channel axis last or second, or both."""
     scene = make_scene(SIZES[:views])
     fits = fit_pictures(INPUT, SIZES[:views])
     raw = raw_outputs(scene, fits)
@@ -274,16 +274,16 @@ def test_axes_of_one_do_not_matter(views):
     ("name", "change", "line"),
     [
         ("w2c_34", lambda a: a[:2], r"output 'w2c_34' has the shape \(2, 3, 4\); expected \(3"),
-        ("w2c_34", lambda a: a * np.nan, "a pose that is not finite"),
-        ("w2c_34", lambda a: a * [-1, 1, 1, 1], "a pose whose matrix is no rotation"),
-        ("w2c_34", lambda a: 1.5 * a, "a pose whose matrix is no rotation"),
-        ("K", lambda a: -a, "intrinsics that are not finite or not above zero"),
-        ("K", lambda a: a * np.inf, "intrinsics that are not finite or not above zero"),
-        ("z", lambda a: -a, "no depth above zero"),
+        ("w2c_34", lambda a: a * np.nan, "a pose of the network is not finite"),
+        ("w2c_34", lambda a: a * [-1, 1, 1, 1], "a pose matrix of the network is no rotation"),
+        ("w2c_34", lambda a: 1.5 * a, "a pose matrix of the network is no rotation"),
+        ("K", lambda a: -a, "intrinsics are not finite or a focal is not positive"),
+        ("K", lambda a: a * np.inf, "intrinsics are not finite or a focal is not positive"),
+        ("z", lambda a: -a, "depth is zero or not finite everywhere"),
         ("z", lambda a: a[..., :2, None, :], "output 'z' has the shape"),
     ],
 )
-def test_nonsense_is_one_line(name, change, line):
+def test_invalid_outputs_are_errors_of_one_line(name, change, line):
     scene = make_scene(SIZES)
     fits = fit_pictures(INPUT, SIZES)
     raw = raw_outputs(scene, fits)
@@ -299,7 +299,7 @@ def test_zero_quaternions_and_wide_fields_of_view_are_refused():
     raw = raw_outputs(scene, fits)
     outputs = Outputs(POSES[0], IntrinsicsOutput("fov"), DEPTH)
     raw["w2c_9"][1, 8] = np.pi
-    with pytest.raises(BackboneError, match="a field of view outside 0 to 180 degrees"):
+    with pytest.raises(BackboneError, match="field of view is outside 0 to 180 degrees"):
         decode(outputs, raw, fits)
     raw = raw_outputs(scene, fits)
     raw["w2c_9"][1, 3:7] = 0
@@ -307,13 +307,13 @@ def test_zero_quaternions_and_wide_fields_of_view_are_refused():
         decode(outputs, raw, fits)
 
 
-def test_points_that_fit_no_camera_are_refused():
+def test_points_that_fit_no_camera_are_errors():
     scene = make_scene(SIZES)
     fits = fit_pictures(INPUT, SIZES)
     raw = raw_outputs(scene, fits)
     outputs = Outputs(POSES[1], SOLVED, POINTS)
     flipped = raw | {"points": raw["points"] * np.float32([-1, 1, 1])}
-    with pytest.raises(BackboneError, match="fit no focal length above zero"):
+    with pytest.raises(BackboneError, match="fit no positive focal length"):
         decode(outputs, flipped, fits)
     behind = raw | {"points": -raw["points"]}
     with pytest.raises(BackboneError, match="too few points"):
