@@ -15,20 +15,20 @@ from calm_edge import __version__
 from calm_edge.commands.exit_codes import ERROR
 
 COMMANDS = {
-    "record": "log two cameras (or replay a folder) and estimate poses live",
-    "map": "make a dense map, a trajectory and a report of a recording",
+    "record": "record two cameras (or replay a folder) and estimate poses live",
+    "map": "build a dense map, a trajectory and a report from a recording",
     "eval": "compare a recording, a map or a TUM file with ground truth",
-    "recover": "rewrite what can be read of a damaged recording",
-    "validate": "check every byte of a recording",
-    "keep": "keep a recording from being removed when the disk is full",
+    "recover": "copy the intact part of a damaged recording",
+    "validate": "check a recording for damage",
+    "keep": "mark a recording so that it is not removed when the disk is full",
     "cameras": "list the cameras of this machine",
     "model": "list the models, or check one on this machine",
-    "doctor": "say what is missing on this machine and what it costs",
+    "doctor": "list what is missing on this machine, and the consequences",
 }
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The parser of all commands; imports nothing heavy."""
+    """Build the parser of all commands without importing heavy modules."""
     parser = argparse.ArgumentParser(
         prog="calm-edge",
         description="Calibration-free SLAM with two ordinary cameras.",
@@ -45,9 +45,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command; every error that a user can mend is one line and exit code 1."""
+    """Run one command and return its exit code; print errors a user can correct as one line."""
     arguments = build_parser().parse_args(argv)
-    # read by the camera library as it is loaded
+    # depthai reads these when it is imported
     os.environ.setdefault("DEPTHAI_TELEMETRY", "0")
     os.environ.setdefault("DEPTHAI_INSTALL_SIGNAL_HANDLER", "0")
     try:
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("calm-edge: interrupted", file=sys.stderr)
         return ERROR
     except BrokenPipeError:
-        # the reader of our stdout has gone: nothing is left to say, not even at exit
+        # the reader of stdout is gone: avoid a second error when Python flushes it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ERROR
     except Exception as error:

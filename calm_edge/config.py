@@ -1,4 +1,4 @@
-"""One typed section a folder; the defaults are the paper's values where it gives them."""
+"""Configuration: a typed section for each part; defaults are the paper's values where given."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from device.frame import JPEG_QUALITY
 
 @dataclass(frozen=True, slots=True)
 class CaptureConfig:
-    """device/ and the fixed-rate loop. primary / assistant: `driver:address`.
+    """[capture]: cameras and capture loop. primary, assistant: `driver:address`.
 
-    realtime_priority: SCHED_FIFO of the capture threads, 1 to 99; 0 leaves them ordinary.
-    exposure_us, gain, white_balance_k, focus: a number, `auto`, `auto-then-lock` (after two
-    seconds) or `lock` (as it stands): device/camera, CameraControls. Autofocus only by `auto`.
+    stale_after_ms: time without a frame after which a camera is stale. realtime_priority:
+    SCHED_FIFO priority of the capture threads, 1 to 99; 0: normal scheduling. exposure_us, gain,
+    white_balance_k, focus: a number, `auto`, `auto-then-lock` (after two seconds) or `lock` (at the
+    current value), see device.camera.CameraControls. Autofocus only with `auto`.
     """
 
     primary: str = "v4l2:"
@@ -37,9 +38,11 @@ class CaptureConfig:
 
 @dataclass(frozen=True, slots=True)
 class RecordingConfig:
-    """keep_free_gib, keep_free_percent: the larger of the two stays free on the disk.
+    """[recording]: files of a recording. segment_s: length of a file. flush_s: time between writes.
 
-    remove_old: under `record --root`, the oldest drives not kept make room before recording stops.
+    log_depth: record the depth of sub-maps. keep_free_gib, keep_free_percent: disk space to leave
+    free, the larger of the two. remove_old: with `record --root`, remove the oldest drives not
+    marked to keep before recording stops.
     """
 
     segment_s: float = 300.0
@@ -54,10 +57,11 @@ class RecordingConfig:
 
 @dataclass(frozen=True, slots=True)
 class DegradeConfig:
-    """Work is shed in the order depth, half the keyframes, all windows; frames never.
+    """[degrade]: reduction of work when hot or behind: depth, half the keyframes, all windows.
 
-    hot_c: from here on, or with more than behind_windows waiting or some given up for newer ones, a
-    step each step_s; back below cool_c and caught up. thermal_root: the kernel's thermal zones.
+    A step is taken every step_s while the temperature is above hot_c, or more than behind_windows
+    wait, or windows are dropped; and taken back below cool_c when none wait. Frames are always
+    recorded. thermal_root: the kernel's thermal zones.
     """
 
     hot_c: float = 85.0
@@ -69,10 +73,13 @@ class DegradeConfig:
 
 @dataclass(frozen=True, slots=True)
 class FrontendConfig:
-    """Paper IV-A and its implementation details.
+    """[frontend]: keyframes, windows and the live tracker (paper IV-A and Implementation Details).
 
-    first_window: keyframes of the first window, at most n_max, so that there is a pose soon; the
-    second one holds them all again.
+    flow_px: mean flow between keyframes, in px of an image flow_reference_width_px wide.
+    max_keyframe_gap_s: longest time between keyframes while moving. first_window: keyframes of the
+    first window, at most n_max, so that there is a pose soon; the second window holds them again.
+    standstill_px: flow below which the car stands still. lost_after_ms: age after which a pose is
+    lost.
     """
 
     flow_px: float = 25.0
@@ -89,13 +96,15 @@ class FrontendConfig:
 
 @dataclass(frozen=True, slots=True)
 class BackboneConfig:
-    """name: `bundle:NAME_OR_FOLDER`, matching by that model; `bundle`, without one;
-    `scripted:FOLDER`; or a model alone: `feedforward:NAME_OR_FOLDER`, or its NAME.
+    """[backbone]: reconstruction of windows (paper III).
 
-    precision: of a model's graphs; auto is what `model check` found best here, fp32 in lockstep.
-    max_views: a run of a feedforward model, at least 2; 0 is what `model check` found.
-    resolve_windows: how many recent windows can be solved again when the kit is known better.
-    kit_file: where what a drive learns of these cameras is kept for the next one; empty for none.
+    name: `bundle:NAME_OR_FOLDER` (matching by that model), `bundle` (without a model),
+    `scripted:FOLDER`, or a model alone: `feedforward:NAME_OR_FOLDER` or NAME. precision: of a
+    model's graphs; auto: as found best by `model check`, fp32 in lockstep. max_views: views per run
+    of a feedforward model, at least 2; 0: as found by `model check`. hfov_deg: horizontal field of
+    view, one for both cameras or one each; empty: unknown. resolve_windows: number of recent
+    windows that are solved again once the kit is better known. kit_file: stores the calibration of
+    these cameras for the next drive; empty: none.
     """
 
     name: str = "bundle:calm-geo"
@@ -108,16 +117,17 @@ class BackboneConfig:
 
     @property
     def hfov_of_eye(self) -> tuple[float | None, float | None]:
-        """hfov_deg of the primary and the assistant: one value serves both, none is unknown."""
+        """hfov_deg of (primary, assistant); a single value applies to both, None: unknown."""
         return (self.hfov_deg[0], self.hfov_deg[-1]) if self.hfov_deg else (None, None)
 
 
 @dataclass(frozen=True, slots=True)
 class ScaleConfig:
-    """spacing_m: metres between the optical centres; 0 leaves the world in spacings.
+    """[scale]: scale of sub-maps (paper IV-B).
 
-    average_placement: place by all common frames instead of the paper's first one.
-    rectify: off, every sub-map takes the factor of the first one placed, as that now is (ablation).
+    spacing_m: metres between the optical centres; 0: the world unit is the spacing.
+    average_placement: place a sub-map by all common frames, not only the first as in the paper.
+    rectify: if off, every sub-map takes the factor of the first one placed (ablation).
     """
 
     spacing_m: float = 0.0
@@ -132,15 +142,15 @@ class ScaleConfig:
 
 @dataclass(frozen=True, slots=True)
 class CorrectionConfig:
-    """Paper V. apply: `auto` (where the backbone does not learn the kit itself), always, never.
+    """[correction]: correction of intrinsics and poses (paper V).
 
-    matches: `auto` (the backbone's own where it gives any, else SIFT) or `sift`.
-    weighted, refine: past the paper; each F weighs what it can tell, and the score is minimised
-    on the bank; off, the search chooses among the backbone's guesses by the plain mean.
-    rotation, translation: the two halves of the pose correction. general_translation: the skew
-    part of M; off, the simplified t = S t_est. adaptive_damping: off, K_global
-    is trusted wholly (damping 1) as soon as there is one.
-    rigid_rig: an even turn of the assistant against the primary is taken out (past the paper).
+    apply: `auto` (if the backbone does not estimate the kit itself), always, never. matches: `auto`
+    (the backbone's if it provides them, else SIFT) or `sift`. weighted, refine: extensions of the
+    paper: each F is weighted by its information, and the score is minimised over the bank; if off,
+    the search chooses among the backbone's guesses by the unweighted mean. rotation, translation:
+    parts of the pose correction. general_translation: use the skew part of M, else the simplified
+    t = S t_est. rigid_rig: remove a constant rotation rate of the assistant relative to the primary
+    (extension). adaptive_damping: if off, damping is 1 as soon as there is a K_global.
     """
 
     apply: Literal["auto", "always", "never"] = "auto"
@@ -161,9 +171,11 @@ class CorrectionConfig:
 
 @dataclass(frozen=True, slots=True)
 class LoopConfig:
-    """Paper IV-D. min_gap: keyframes between a place and its return. max_places: remembered.
+    """[loops]: loop closure (paper IV-D).
 
-    descriptor: `auto` (the network's of the backbone where it has one, else gradients), or either.
+    min_gap: least number of keyframes between a place and its return. top_k: candidates per query.
+    max_places: size of the database. min_matches: inliers needed. descriptor: `learned` (by the
+    backbone's network), `gradients`, or `auto` (learned if there is a network).
     """
 
     enabled: bool = True
@@ -176,7 +188,11 @@ class LoopConfig:
 
 @dataclass(frozen=True, slots=True)
 class PoseGraphConfig:
-    """Paper IV-C: variances, in map units and radians. optimise: off, poses stay as placed."""
+    """[posegraph]: joint pose graph optimisation (paper IV-C).
+
+    optimise: if off, poses stay as placed. window: K preceding frames in E_ast. Variances are in
+    map units² and rad².
+    """
 
     optimise: bool = True
     window: int = 3
@@ -187,11 +203,12 @@ class PoseGraphConfig:
 
 @dataclass(frozen=True, slots=True)
 class MappingConfig:
-    """Paper VI. suppression_radius, max_range, cloud_voxel: map units (spacings).
+    """[mapping]: dense map (paper VI). suppression_radius, max_range, cloud_voxel: map units.
 
-    max_range: z-depth beyond which a pixel is neither anchor nor point.
-    cloud_voxel: the cloud keeps one point a voxel (0.1 m for cameras half a metre apart).
-    suppress, distance_weight, deform: the parts of VI-C and VI-D, each off for an ablation.
+    suppress, distance_weight, deform: parts of VI-C and VI-D, switched off for ablations. grid:
+    anchor candidates per image side. depth_tolerance: share of the depth. max_range: z-depth beyond
+    which pixels are not used. cloud_voxel: one point per voxel is kept (0.1 m for cameras half a
+    metre apart).
     """
 
     suppress: bool = True
@@ -211,9 +228,10 @@ class MappingConfig:
 
 @dataclass(frozen=True, slots=True)
 class PoseOutputConfig:
-    """port: a serial device, empty for none. rate_hz: at most; no pose is sent twice.
+    """[pose_output]: MAVLink output. port: a serial device; empty: none.
 
-    mounting_rpy_deg, mounting_xyz_m: body(FRD)<-primary camera. system_id: the autopilot's own.
+    rate_hz: highest rate of poses. system_id: that of the autopilot. mounting_rpy_deg,
+    mounting_xyz_m: mounting T_b_c of the primary camera in the body (FRD).
     """
 
     port: str = ""
@@ -226,6 +244,8 @@ class PoseOutputConfig:
 
 @dataclass(frozen=True, slots=True)
 class Config:
+    """All sections of the configuration."""
+
     capture: CaptureConfig = field(default_factory=CaptureConfig)
     recording: RecordingConfig = field(default_factory=RecordingConfig)
     degrade: DegradeConfig = field(default_factory=DegradeConfig)
@@ -239,16 +259,16 @@ class Config:
     pose_output: PoseOutputConfig = field(default_factory=PoseOutputConfig)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
-        """Plain nested dict: what goes into every recording's metadata."""
+        """Convert to a nested dict, as stored in the metadata of recordings."""
         return dataclasses.asdict(self)
 
 
 class ConfigError(CalmEdgeError):
-    """An unknown key or a value of the wrong kind."""
+    """A key is unknown or a value is invalid."""
 
 
 def merge(config: Config, changes: dict[str, Any]) -> Config:
-    """A config with nested `changes` applied; raises ConfigError on unknown keys or kinds."""
+    """Apply nested `changes` to a config; raises ConfigError on unknown keys or wrong types."""
     sections = {f.name: getattr(config, f.name) for f in dataclasses.fields(Config)}
     for section, values in changes.items():
         if section not in sections:
@@ -265,7 +285,7 @@ def merge(config: Config, changes: dict[str, Any]) -> Config:
 
 
 def parse_assignment(text: str) -> dict[str, Any]:
-    """`section.key=value` (a TOML value, or a bare word) -> nested dict; raises ConfigError."""
+    """Parse `section.key=value` (a TOML value or a bare word) to a nested dict; ConfigError."""
     name, equals, value = text.partition("=")
     section, dot, key = name.strip().partition(".")
     if not (equals and dot and key):
@@ -278,7 +298,10 @@ def parse_assignment(text: str) -> dict[str, Any]:
 
 
 def load(path: Path | None, assignments: list[str] | None = None) -> Config:
-    """Defaults, then the TOML file, then `section.key=value` assignments; raises ConfigError."""
+    """Combine defaults, the TOML file and `section.key=value` assignments, in this order.
+
+    Raises ConfigError.
+    """
     config = Config()
     if path is not None:
         try:

@@ -1,4 +1,4 @@
-"""The environment that child processes start in."""
+"""Environment variables of child processes."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# Solvers of one process get one thread each: two cores, three processes, and the same sums in
-# the same order on every machine.
+# one thread per process for linear algebra: three processes share two cores, and sums are
+# computed in the same order on every machine
 CHILD_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -17,7 +17,7 @@ CHILD_ENVIRONMENT = {
 
 @contextmanager
 def environment(values: dict[str, str]) -> Iterator[None]:
-    """Sets environment variables for the processes started inside."""
+    """Context in which started processes get these environment variables."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

@@ -1,6 +1,6 @@
-"""Trajectories: joined from the pieces that updates carry, and as TUM and KITTI files.
+"""Merge trajectories of successive updates; read and write TUM and KITTI files.
 
-TUM rows are `t x y z qx qy qz qw`; KITTI rows the 12 numbers of [R|t].
+TUM rows are `t x y z qx qy qz qw`; KITTI rows are the 12 numbers of [R|t].
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from calm_edge.types import CalmEdgeError, Float, Int, Trajectory
 
 
 class TrajectoryError(CalmEdgeError):
-    """A trajectory file cannot be read; the text names the file, the line and what is wrong."""
+    """A trajectory file cannot be read; the text names file, line and fault."""
 
 
 def folded(pieces: Iterable[Trajectory]) -> Trajectory | None:
-    """The pieces in their order as one: of a keyframe said twice the later pose holds.
+    """Merge trajectories given in order: of a keyframe in several, the last pose is taken.
 
-    None without a piece. T_p_a and epoch are those of the last one.
+    T_p_a and epoch are those of the last piece. None if there is no piece.
     """
     pieces = list(pieces)
     if not pieces:
         return None
     ids = np.concatenate([piece.keyframe_ids for piece in pieces])
-    # the first of the reversed rows is the last said
+    # the first of the reversed rows is the latest
     kept, reverse = np.unique(ids[::-1], return_index=True)
     rows = len(ids) - 1 - reverse
     return Trajectory(
@@ -41,15 +41,15 @@ def folded(pieces: Iterable[Trajectory]) -> Trajectory | None:
 
 
 def quaternions(R: Float) -> Float:
-    """(..., 3, 3) -> (..., 4) unit quaternions x y z w, w >= 0."""
+    """Convert rotations (..., 3, 3) to unit quaternions (..., 4) in order x y z w, w >= 0."""
     half = se3.so3_log(R) / 2
     angle = np.linalg.norm(half, axis=-1, keepdims=True)
-    # sin(a) / a, continued through 0
+    # sinc is finite at an angle of zero
     return np.concatenate([half * np.sinc(angle / np.pi), np.cos(angle)], -1)
 
 
 def tum_text(t_ns: Int, T_w_c: Float) -> str:
-    """t_ns (N,), T_w_c (N, 4, 4) -> TUM text, seconds exact to the nanosecond."""
+    """Format t_ns (N,), T_w_c (N, 4, 4) as TUM rows, seconds exact to the nanosecond."""
     q = quaternions(T_w_c[:, :3, :3])
     lines = []
     for t, p, r in zip(t_ns, T_w_c[:, :3, 3], q, strict=True):
@@ -66,14 +66,14 @@ def write_tum(path: Path, t_ns: Int, T_w_c: Float) -> None:
 
 
 def rotations(q: Float) -> Float:
-    """(..., 4) unit quaternions x y z w -> (..., 3, 3)."""
+    """Convert unit quaternions (..., 4) in order x y z w to rotations (..., 3, 3)."""
     v, w = q[..., :3], q[..., 3:, None]
     V = se3.hat(v)
     return np.asarray(np.eye(3) + 2 * w * V + 2 * V @ V)
 
 
 def kitti_text(T_w_c: Float) -> str:
-    """T_w_c (N, 4, 4) -> KITTI text: the rows of [R|t], a pose a line."""
+    """Format T_w_c (N, 4, 4) as KITTI rows, one pose [R|t] per line."""
     rows = T_w_c[:, :3].reshape(-1, 12)
     return "".join(" ".join(f"{v:.9e}" for v in row) + "\n" for row in rows)
 
@@ -115,7 +115,10 @@ def _numbers(path: Path, number: int, words: list[str]) -> Float:
 
 
 def read_tum(path: Path) -> tuple[Int, Float]:
-    """TUM file -> t_ns (N,) exact, T_w_c (N, 4, 4), sorted by time; raises TrajectoryError."""
+    """Read t_ns (N,), exact, and T_w_c (N, 4, 4) of a TUM file, sorted by time.
+
+    Raises TrajectoryError.
+    """
     stamps, values = [], []
     for number, words in _rows(path, 8, "TUM"):
         row = _numbers(path, number, words)
@@ -133,7 +136,7 @@ def read_tum(path: Path) -> tuple[Int, Float]:
 
 
 def read_kitti(path: Path) -> Float:
-    """KITTI file -> T_w_c (N, 4, 4); raises TrajectoryError."""
+    """Read T_w_c (N, 4, 4) of a KITTI file; raises TrajectoryError."""
     rows = [_numbers(path, number, words) for number, words in _rows(path, 12, "KITTI")]
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3] = np.array(rows).reshape(-1, 3, 4)

@@ -1,4 +1,4 @@
-"""Tables of a TOML file as typed dataclasses: unknown keys and wrong kinds are errors."""
+"""Convert TOML tables to typed dataclasses; unknown keys and wrong types are errors."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from calm_edge.types import CalmEdgeError
 
 
 def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any:
-    """`value`, read from TOML, as a `kind`; `where` names it in the one line of `error` raised.
+    """Convert a `value` read from TOML to the type `kind`; raises `error` with a line on `where`.
 
-    Known kinds: str, bool, int, float, Any, Literal, tuple[X, ...] (a lone number is a tuple of
-    one), dict[str, X], X | None, int | str, and dataclasses of these.
+    Supported: str, bool, int, float, Any, Literal, tuple[X, ...] (from a single number too),
+    dict[str, X], X | None, int | str, and dataclasses of these.
     """
     origin = get_origin(kind)
     if kind is Any:
@@ -46,7 +46,10 @@ def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any
 
 
 def record(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any:
-    """A dataclass `kind` of a table; keys without a default are required. Raises `error`."""
+    """Convert a table to the dataclass `kind`; fields without a default are required.
+
+    Raises `error`, with `where` before the name of a key.
+    """
     table = _table(where, value, error)
     kinds = get_type_hints(kind)
     before = f"{where}." if where else ""

@@ -1,4 +1,4 @@
-"""The command line: what goes wrong is one line and the right exit code; help is light."""
+"""The command line: errors are one line with the right exit code; --help imports little."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _backwards(folder: Path) -> None:
     ("harm", "names"),
     [(_gone, "sequence"), (_one_camera, "cam1"), (_unequal, "000003"), (_backwards, "times0.txt")],
 )
-def test_a_bad_sequence_is_one_line(
+def test_an_invalid_sequence_gives_one_line(
     harm: Callable[[Path], None],
     names: str,
     drive: Path,
@@ -107,7 +107,7 @@ def test_a_bad_sequence_is_one_line(
 
 
 @pytest.mark.parametrize("pace", ["lockstep", "realtime"])
-def test_an_unreadable_image_is_one_line_that_names_it(
+def test_an_unreadable_image_gives_one_line_with_its_name(
     pace: str, drive: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "sequence"
@@ -146,7 +146,7 @@ def test_an_unreadable_image_is_one_line_that_names_it(
         (["--spacing-m", "-1"], "spacing_m"),
     ],
 )
-def test_a_bad_setting_is_one_line(
+def test_an_invalid_setting_gives_one_line(
     extra: list[str],
     names: str,
     drive: Path,
@@ -159,7 +159,7 @@ def test_a_bad_setting_is_one_line(
     assert not out.exists()
 
 
-def test_a_kit_file_that_is_none_is_one_line_and_left_as_it_is(
+def test_a_file_that_is_not_a_kit_file_gives_one_line_and_is_unchanged(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kept, out = tmp_path / "kit.json", tmp_path / "rec"
@@ -171,7 +171,7 @@ def test_a_kit_file_that_is_none_is_one_line_and_left_as_it_is(
     assert kept.read_text() == '{"precious": 1}' and not out.exists()
 
 
-def test_a_folder_that_holds_a_recording_is_never_overwritten(
+def test_a_folder_with_a_recording_is_not_overwritten(
     recorded: Path, drive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {p.name: p.stat().st_mtime_ns for p in recorded.iterdir()}
@@ -180,7 +180,7 @@ def test_a_folder_that_holds_a_recording_is_never_overwritten(
     assert before == {p.name: p.stat().st_mtime_ns for p in recorded.iterdir()}
 
 
-def test_lockstep_of_live_cameras_is_refused(
+def test_lockstep_with_live_cameras_is_an_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["record", "--out", str(tmp_path / "r"), "--pace", "lockstep"]) == 1
@@ -248,7 +248,7 @@ def test_a_truncated_recording_is_mapped_with_loss(
     assert main(["validate", str(tmp_path / "whole.mcap")]) == 0
 
 
-def test_what_is_no_recording_is_one_line(
+def test_a_path_that_is_not_a_recording_gives_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for path in (tmp_path / "missing", tmp_path):

@@ -1,4 +1,4 @@
-"""Tables as dataclasses: what is not exactly right is one line that names the key."""
+"""TOML tables become dataclasses; every error is one line with the key."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_table_becomes_its_dataclass():
     assert type(whole.extra.share) is float
 
 
-def test_a_lone_number_is_a_list_of_one():
+def test_a_single_number_becomes_a_tuple():
     assert typed.record("", Whole, GOOD | {"numbers": 3}, TableError).numbers == (3.0,)
 
 
@@ -61,12 +61,12 @@ def test_a_lone_number_is_a_list_of_one():
         ({"more": {"k": 1}}, "more.k: expected str, got 1"),
     ],
 )
-def test_a_mistake_is_one_line_that_names_the_key(change, line):
+def test_an_invalid_table_raises_one_line_with_the_key(change, line):
     with pytest.raises(TableError) as caught:
         typed.record("", Whole, GOOD | change, TableError)
     assert str(caught.value) == line
 
 
-def test_a_key_without_a_default_is_needed():
+def test_a_key_without_a_default_is_required():
     with pytest.raises(TableError, match=r"^whole\.name: missing$"):
         typed.record("whole", Whole, {"kind": "a", "parts": {}}, TableError)

@@ -1,4 +1,4 @@
-"""`calm-edge cameras`: what could be written into `capture.primary` and `capture.assistant`."""
+"""`calm-edge cameras`: list cameras, and write their addresses to [capture] of a config file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    parser.add_argument("--json", action="store_true", help="all of it, for a program")
+    """Add the command's arguments."""
+    parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
     parser.add_argument(
         "--identify", action="store_true", help="tell them apart by unplugging one at a time"
     )
@@ -25,16 +25,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--write",
         type=Path,
         metavar="KIT.TOML",
-        help="put primary and assistant into [capture] of this file, and leave the rest as it is",
+        help="write primary and assistant to [capture] of this file, leaving the rest unchanged",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Lists the cameras, tells them apart, writes the config: as asked for."""
+    """List the cameras, identify them by unplugging, write the config file: as requested."""
     from device.camera import discover
 
-    found, troubles = discover(details=not arguments.identify)
-    for line in troubles:
+    found, errors = discover(details=not arguments.identify)
+    for line in errors:
         print(f"calm-edge: {line}", file=sys.stderr)
     pair = _identified() if arguments.identify else None
     if arguments.write is not None:
@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         for camera in found:
             print("\n".join(_lines(camera)))
     if not found:
-        if not arguments.json and not troubles:
+        if not arguments.json and not errors:
             print("calm-edge: no camera found; plug one in, see: ls /dev/video*", file=sys.stderr)
         return ERROR
     return OK
@@ -71,24 +71,26 @@ def _identified() -> tuple[str, str]:
 
     if not sys.stderr.isatty():
         raise IdentifyError(
-            "no terminal: --identify asks somebody to unplug a camera; run it in one (ssh -t), "
-            "or write the addresses that `calm-edge cameras` lists into the config"
+            "no terminal: --identify asks for cameras to be unplugged; run it in one (ssh -t), "
+            "or write the addresses that `calm-edge cameras` lists to the config file"
         )
 
-    def look() -> set[str]:
+    def addresses() -> set[str]:
         return {camera.address for camera in discover(details=False)[0]}
 
-    return by_unplugging(look, SystemClock(), lambda line: print(line, file=sys.stderr))
+    return by_unplugging(addresses, SystemClock(), lambda line: print(line, file=sys.stderr))
 
 
 def _first_two(found: list[FoundCamera]) -> tuple[str, str]:
     from calm_edge.types import CalmEdgeError
 
     if len(found) != 2:
-        raise CalmEdgeError(f"{len(found)} camera(s) found, --write needs two; or add --identify")
+        raise CalmEdgeError(
+            f"{len(found)} camera(s) found, --write needs two; add --identify to choose"
+        )
     first, second = sorted(camera.address for camera in found)
     print(
-        "calm-edge: the first by port is written as the primary; --identify makes sure",
+        "calm-edge: the primary is assumed to be the first by port; --identify makes sure",
         file=sys.stderr,
     )
     return first, second
@@ -98,4 +100,4 @@ def _write(path: Path, pair: tuple[str, str]) -> None:
     from calm_edge.commands.config_file import write_keys
 
     write_keys(path, "capture", {"primary": pair[0], "assistant": pair[1]})
-    print(f"calm-edge: {path}: [capture] has primary and assistant", file=sys.stderr)
+    print(f"calm-edge: {path}: wrote primary and assistant to [capture]", file=sys.stderr)

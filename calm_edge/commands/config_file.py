@@ -1,4 +1,4 @@
-"""Changing keys of a config file by hand, as it were: comments and all else stay as they are."""
+"""Change keys of a TOML config file while keeping comments and everything else."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from device.atomic_file import replace_text
 
 
 def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
-    """A TOML text whose `[section]` has these strings; raises ConfigError where that cannot be
-    done without touching anything else.
+    """Set string values in `[section]` of a TOML text and return the new text.
+
+    Raises ConfigError if the text is invalid or nothing else would stay unchanged.
     """
     try:
         before = tomllib.loads(text)
@@ -33,7 +34,7 @@ def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
     )
     missing = []
     for key, value in values.items():
-        # the comment behind a value is kept
+        # the comment after the value is kept
         pattern = re.compile(rf"""(\s*{re.escape(key)}\s*=\s*)("[^"]*"|'[^']*')(.*)$""", re.DOTALL)
         for i in range(start + 1, end):
             if found := pattern.match(lines[i]):
@@ -49,12 +50,15 @@ def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
         after = {}
     old = before.get(section, {})
     if not isinstance(old, dict) or after != before | {section: old | dict(values)}:
-        raise ConfigError(f"[{section}] cannot be changed as it is written; edit it by hand")
+        raise ConfigError(f"[{section}] cannot be changed automatically; edit it by hand")
     return changed
 
 
 def write_keys(path: Path, section: str, values: Mapping[str, str]) -> None:
-    """The same in a file, made where there is none, replaced whole or not at all; ConfigError."""
+    """Set string values in `[section]` of a file, replaced atomically; raises ConfigError.
+
+    A missing file is created.
+    """
     try:
         text = path.read_text() if path.exists() else ""
         replace_text(path, with_keys(text, section, values))

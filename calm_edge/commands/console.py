@@ -1,4 +1,4 @@
-"""Messages of the commands: results to stdout, everything else to stderr."""
+"""Messages of the commands to the user; results go to stdout, everything else to stderr."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import sys
 
 
 def say(text: str) -> None:
-    """Print a line for the user to stderr."""
+    """Print a message line to stderr."""
     print(f"calm-edge: {text}", file=sys.stderr, flush=True)

@@ -33,9 +33,9 @@ FREE_GB = 2.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
+    """Add the command's arguments."""
     parser.add_argument(
-        "--out", type=Path, default=Path(), help="where recordings go, to check for space"
+        "--out", type=Path, default=Path(), help="folder for recordings, checked for free space"
     )
 
 
@@ -50,7 +50,7 @@ def findings(out: Path) -> Iterator[tuple[bool, str]]:
     if cores < 2:
         yield False, f"{cores} core: the estimator will lag behind; map catches up"
     if not out.is_dir():
-        yield False, f"{out}: no such folder yet; the disk it would lie on was not checked"
+        yield False, f"{out}: no such folder yet; its disk was not checked"
     else:
         free_gb = shutil.disk_usage(out).free / 1e9
         if free_gb < FREE_GB:

@@ -1,4 +1,4 @@
-"""`calm-edge eval`: the error against ground truth."""
+"""`calm-edge eval`: measure the error against ground truth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from calm_edge.commands.exit_codes import OK
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
+    """Add the command's arguments."""
     parser.add_argument("target", type=Path, help="a recording, a map folder or a TUM file")
     parser.add_argument("--truth", type=Path, required=True, metavar="FOLDER")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints the figures."""
+    """Print the error metrics."""
     from calm_edge.evaluation.results import evaluate
     from calm_edge.evaluation.table import json_text, print_result
 

@@ -1,4 +1,4 @@
-"""Which camera is which: one is unplugged, and what vanished is the one that was meant."""
+"""Identify the primary and the assistant camera by unplugging them one at a time."""
 
 from __future__ import annotations
 
@@ -8,53 +8,56 @@ from calm_edge.types import CalmEdgeError
 from device.clock import NS_PER_S, Clock
 
 POLL_NS = NS_PER_S // 2
-# time enough to walk round a car; a forgotten command must end all the same
-PATIENCE_NS = 300 * NS_PER_S
+# long enough to walk around a car; a forgotten command must still end
+TIMEOUT_NS = 300 * NS_PER_S
 
 
 class IdentifyError(CalmEdgeError):
-    """The cameras could not be told apart."""
+    """The cameras could not be identified."""
 
 
-def _settled(
-    look: Callable[[], set[str]], clock: Clock, done: Callable[[set[str]], bool]
+def _wait_until(
+    addresses: Callable[[], set[str]], clock: Clock, done: Callable[[set[str]], bool]
 ) -> set[str]:
-    """What there is once `done` holds of two looks in a row: a plug bounces. IdentifyError."""
-    limit_ns = clock.now_ns() + PATIENCE_NS
+    """Return the addresses once `done` holds for two equal polls in a row (plugs bounce).
+
+    Raises IdentifyError after TIMEOUT_NS.
+    """
+    limit_ns = clock.now_ns() + TIMEOUT_NS
     previous: set[str] | None = None
     while clock.now_ns() < limit_ns:
-        now = look()
+        now = addresses()
         if done(now) and now == previous:
             return now
         previous = now
         clock.sleep_until_ns(clock.now_ns() + POLL_NS)
-    raise IdentifyError(f"nothing happened in {PATIENCE_NS // NS_PER_S} s; start again")
+    raise IdentifyError(f"no change within {TIMEOUT_NS // NS_PER_S} s; start again")
 
 
 def by_unplugging(
-    look: Callable[[], set[str]], clock: Clock, say: Callable[[str], None]
+    addresses: Callable[[], set[str]], clock: Clock, say: Callable[[str], None]
 ) -> tuple[str, str]:
-    """Addresses of the primary and the assistant; raises IdentifyError.
+    """Prompt to unplug cameras and return the addresses (primary, assistant).
 
-    look: the addresses that are there now. say: shows a line to whoever is at the cameras.
+    addresses: returns those plugged in now. say: shows a prompt. Raises IdentifyError.
     """
-    there = look()
-    if len(there) < 2:
-        raise IdentifyError(f"{len(there)} camera(s) found, two are needed; plug in both")
+    present = addresses()
+    if len(present) < 2:
+        raise IdentifyError(f"{len(present)} camera(s) found, two are needed; plug in both")
     chosen: list[str] = []
     for role in ("primary (its path is the trajectory)", "assistant (it gives the scale)"):
-        left = there - set(chosen)
+        left = present - set(chosen)
         if chosen and len(left) == 1:
             chosen += left
             break
         say(f"unplug the camera that is to be the {role} ...")
-        now = _settled(look, clock, lambda now: now < there)
-        gone = there - now
+        now = _wait_until(addresses, clock, lambda now: now < present)
+        gone = present - now
         if len(gone) > 1:
-            raise IdentifyError(f"{', '.join(sorted(gone))} vanished together; unplug one alone")
+            raise IdentifyError(f"{', '.join(sorted(gone))} vanished together; unplug only one")
         if gone <= set(chosen):
             raise IdentifyError(f"{gone.pop()} is the primary already; start again")
-        say(f"  it was {next(iter(gone))}; plug it in again, at the same port ...")
-        _settled(look, clock, lambda now: now >= there)
+        say(f"  it is {next(iter(gone))}; plug it in again, at the same port ...")
+        _wait_until(addresses, clock, lambda now: now >= present)
         chosen += gone
     return chosen[0], chosen[1]

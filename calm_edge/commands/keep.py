@@ -1,4 +1,4 @@
-"""`calm-edge keep`: a drive that must not make room for newer ones."""
+"""`calm-edge keep`: protect a recording from removal when the disk is full."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from calm_edge.commands.exit_codes import OK
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
+    """Add the command's arguments."""
     parser.add_argument("recording", type=Path, nargs="+", help="a recording folder")
     parser.add_argument(
-        "--release", action="store_true", help="it may be removed again, as it may from the start"
+        "--release", action="store_true", help="remove the mark: it may be deleted to make room"
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Sets or takes away the flag of each."""
+    """Set or remove the mark of each recording."""
     from calm_edge.recording.retention import set_kept
 
     for drive in arguments.recording:

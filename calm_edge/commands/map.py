@@ -1,4 +1,4 @@
-"""`calm-edge map`: recording -> sub-maps -> depth -> map, trajectory, report."""
+"""`calm-edge map`: build a dense map, a trajectory and a report from a recording."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
+    """Add the command's arguments."""
     parser.add_argument("recording", type=Path, help="a recording folder or an MCAP file")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
     parser.add_argument(
-        "--truth", type=Path, metavar="FOLDER", help="show the error against it in the report"
+        "--truth", type=Path, metavar="FOLDER", help="report the error against this ground truth"
     )
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Makes the map; exit code 3 when the recording had lost something."""
+    """Build the map; return 3 if the recording has losses."""
     from calm_edge.commands.console import say
     from calm_edge.config import merge, parse_assignment
     from calm_edge.evaluation.truth import read_truth
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def new_folder(out: Path) -> Path:
-    """The output folder, which must not hold a map yet; raises CalmEdgeError."""
+    """Check that the output folder holds no map yet; raises CalmEdgeError."""
     from calm_edge.offline.map_drive import MAP, REPORT, SUMMARY, TUM
     from calm_edge.types import CalmEdgeError
 
@@ -105,7 +105,7 @@ def write_report(
     losses: Sequence[str],
     out: Path,
 ) -> None:
-    """report.html, with the error where there is truth. color: (P, 3) RGB of estimate.points_w."""
+    """Write report.html, with the error if truth is given. color: (P, 3) RGB of the points."""
     from calm_edge.evaluation.results import compare
     from calm_edge.offline.map_drive import REPORT
     from calm_edge.report.drive_report import report_data

@@ -1,4 +1,4 @@
-"""`calm-edge model`: what models there are, and whether one may run on this machine."""
+"""`calm-edge model`: list the models, and check whether one runs correctly on this machine."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ LIMIT_S = 30.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
+    """Add the command's arguments."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    actions.add_parser("list", help="list the models and what `check` found of each here")
-    check = actions.add_parser("check", help="test a model folder on this machine, or refuse it")
+    actions.add_parser("list", help="list the models with the result of `check` on this machine")
+    check = actions.add_parser("check", help="test a model folder on this machine")
     check.add_argument("name", metavar="NAME", help="a model's name, or the path of its folder")
     check.add_argument("--json", action="store_true", help="the report as JSON on stdout")
     check.add_argument(
-        "--limit-s", type=float, default=LIMIT_S, metavar="S", help="seconds a run may take"
+        "--limit-s", type=float, default=LIMIT_S, metavar="S", help="longest run in seconds"
     )
     check.add_argument(
-        "--memory-mb", type=float, metavar="MB", help="memory it may take (default: 60 %% of free)"
+        "--memory-mb", type=float, metavar="MB", help="memory limit (default: 60 %% of free)"
     )
     check.add_argument(
-        "--size", type=_size, default=(1280, 720), metavar="WxH", help="of a camera's pictures"
+        "--size", type=_size, default=(1280, 720), metavar="WxH", help="size of camera images"
     )
 
 
@@ -44,7 +44,7 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Lists or checks; 1 where a model is refused."""
+    """List the models, or check one; return 1 if it is refused."""
     return _list() if arguments.action == "list" else _check(arguments)
 
 
@@ -60,11 +60,11 @@ def _list() -> int:
             print(f"{name:14} {error}")
             continue
         found = verdict.load(manifest)
-        said = "not checked here"
+        result = "not checked here"
         if found is not None:
-            said = f"refused: {found.refusal}" if found.refusal else f"passed; runs {found.why}"
-        have = "/".join(manifest.precisions())
-        print(f"{name:14} {manifest.kind:11} {have:14} {manifest.license:14} {said}")
+            result = f"refused: {found.refusal}" if found.refusal else f"passed; runs {found.why}"
+        precisions = "/".join(manifest.precisions())
+        print(f"{name:14} {manifest.kind:11} {precisions:14} {manifest.license:14} {result}")
     return OK
 
 
@@ -81,9 +81,9 @@ def _check(arguments: argparse.Namespace) -> int:
     limits = Limits(arguments.limit_s, memory_mb, arguments.size)
     say = _silent if arguments.json else _say
     report = check(manifest, limits, say)
-    kept = verdict.save(manifest, report.verdict())
+    path = verdict.save(manifest, report.verdict())
     print(json.dumps(_plain(report), indent=1) if arguments.json else _text(report))
-    say(f"kept in {kept}")
+    say(f"result saved in {path}")
     return ERROR if report.refusal else OK
 
 
@@ -92,11 +92,11 @@ def _say(text: str) -> None:
 
 
 def _silent(text: str) -> None:
-    """Who reads JSON needs no progress."""
+    """Print nothing, for output as JSON."""
 
 
 def _plain(report: Report) -> dict[str, object]:
-    """As JSON has it: no number that is not finite."""
+    """Convert to a JSON object, with null for numbers that are not finite."""
     import dataclasses
 
     def clean(value: object) -> object:
@@ -115,7 +115,7 @@ def _plain(report: Report) -> dict[str, object]:
 
 
 def _text(report: Report) -> str:
-    """A table a person reads."""
+    """Format a report as a table."""
     lines = [f"files        {report.files} with the hashes of the manifest"] if report.files else []
     worst: dict[tuple[str, str], tuple[float, float]] = {}
     for row in report.compared:
@@ -126,7 +126,7 @@ def _text(report: Report) -> str:
     for where, seen in report.reprojection.items():
         lines.append(
             f"reprojection {where}: depth of views differs by {seen.disagreement:.1%} "
-            f"({seen.inverted:.1%} with inverted poses), {seen.covisible:.0%} seen by both"
+            f"({seen.inverted:.1%} with inverted poses), {seen.covisible:.0%} covisible"
         )
     for run in report.measured:
         what = run.what or f"{run.views} views"

@@ -1,4 +1,4 @@
-"""`calm-edge recover`: a whole recording out of a damaged one."""
+"""`calm-edge recover`: copy the intact part of a damaged recording."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
+    """Add the command's arguments."""
     parser.add_argument("recording", type=Path, help="a recording folder or an MCAP file")
     parser.add_argument(
         "--out", type=Path, help="a new folder, or a new file; by default beside the recording"
@@ -15,9 +15,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Copies what can be read; its exit code says whether something was lost."""
-    from calm_edge.commands.validate import tell
+    """Copy the intact messages; return 3 if some were lost, 1 if nothing could be read."""
+    from calm_edge.commands.validate import print_report
     from calm_edge.recording.recovery import default_target, recover
 
     source: Path = arguments.recording
-    return tell(recover(source, arguments.out or default_target(source)))
+    return print_report(recover(source, arguments.out or default_target(source)))

@@ -1,4 +1,4 @@
-"""`calm-edge validate`: is a recording whole?"""
+"""`calm-edge validate`: check a recording for damage."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
+    """Add the command's arguments."""
     parser.add_argument("recording", type=Path, help="a recording folder or an MCAP file")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Reads every byte; its exit code says whether something is lost."""
+    """Check every chunk; return 3 if some messages are lost, 1 if nothing can be read."""
     from calm_edge.recording.recovery import validate
 
-    return tell(validate(arguments.recording))
+    return print_report(validate(arguments.recording))
 
 
-def tell(report: RecordingReport) -> int:
-    """Counts to stdout, losses to stderr; returns the exit code."""
+def print_report(report: RecordingReport) -> int:
+    """Print the counts to stdout and the losses to stderr; return the exit code."""
     for file in report.files:
         print(file)
     for topic, count in sorted(report.messages.items()):

@@ -15,9 +15,9 @@ _UNKNOWN = 1e-12
 def product(beliefs: Iterable[KitBelief | None]) -> KitBelief | None:
     """Multiply independent beliefs: informations add, and so do informations times means.
 
-    None entries are skipped; None without any other. Informations may be singular: along
-    directions in which all are zero the first belief's mean stays. Raises ValueError when they
-    differ in size.
+    None entries are skipped; returns None if there are no others. Informations may be singular:
+    along directions in which all are zero the first belief's mean is kept. Raises ValueError if
+    they differ in size.
     """
     known = [belief for belief in beliefs if belief is not None]
     if not known:

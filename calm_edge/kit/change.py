@@ -1,8 +1,8 @@
 """Detect that a kit has changed since an earlier drive, by chi-square tests on two beliefs.
 
-A kit drifts between two drives without anyone touching it: it warms, it is refocused, it gets
-knocks. `faded` adds that drift to an earlier drive's covariance; a difference beyond it is a
-change (`changes`): a bumped mount turns the rig, another lens changes a focal.
+An untouched kit drifts between two drives by temperature, refocusing and vibration. `faded` adds
+that drift to an earlier drive's covariance; a larger difference is a change (`changes`), such as
+a turned mount or another lens.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.types import Float, KitBelief
 
-# p-value below which a part counts as changed: the rate of false alarms, a part.
+# p-value below which a part counts as changed, which is the rate of false alarms per part
 FALSE_ALARM = 1e-3
 # A direction counts as observed where its sigma is below this share of the prior's.
 _OBSERVED_SHARE = 0.5
-# Directions weaker than this share of the strongest are rounding.
+# Directions weaker than this share of the strongest are taken for rounding errors.
 _ROUNDING = 1e-12
 
 
@@ -29,8 +29,8 @@ class Change:
     """Difference of one part of the kit from the earlier drive's.
 
     distance2: squared Mahalanobis distance over the `observed` directions, those known to both
-    beliefs; chi-square with so many degrees of freedom while nothing changed. p_value: of that
-    distance. text: the difference in words, along the observed directions.
+    beliefs; chi-square distributed with that many degrees of freedom if nothing changed. p_value:
+    of that distance. text: description of the difference along the observed directions.
     """
 
     text: str
@@ -46,8 +46,8 @@ class Change:
 def faded(belief: KitBelief) -> KitBelief:
     """Add the drift between two drives to the belief's covariance.
 
-    (Lambda^-1 + Q)^-1, written so that Lambda may be singular. Raises ValueError where the
-    belief has not layout.SIZE entries.
+    (Lambda^-1 + Q)^-1, written so that Lambda may be singular. Raises ValueError if the belief
+    has not layout.SIZE entries.
     """
     _check(belief)
     sigma = layout.drift_sigma()
@@ -58,11 +58,11 @@ def faded(belief: KitBelief) -> KitBelief:
 
 
 def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
-    """Test the focals of both eyes, then the assistant's rotation and position, each on its own.
+    """Test the focal of each eye, the assistant's rotation and its position separately.
 
     remembered: faded. evidence: of this drive alone. The prior bounds the principal points and
-    distortion, without which a short drive leaves the focal undetermined. Raises ValueError where
-    a belief has not layout.SIZE entries.
+    distortion, without which a short drive leaves the focal undetermined. Raises ValueError if a
+    belief has not layout.SIZE entries.
     """
     bounds = _bounds()
     remembered, evidence = (_bounded(belief, bounds) for belief in (remembered, evidence))
@@ -91,7 +91,7 @@ def _check(belief: KitBelief) -> None:
 
 
 def _bounds() -> KitBelief:
-    """The prior of a kit without the parts that are tested."""
+    """Return the prior of a kit without information on the parts that are tested."""
     prior = layout.prior((None, None))
     information = np.diag(prior.information).copy()
     information[layout.LOG_FOCAL] = 0
@@ -115,10 +115,10 @@ def _change(text: str, part: tuple[float, int]) -> Change:
 def _part(
     remembered: KitBelief, evidence: KitBelief, axes: Float, prior_sigma: float
 ) -> tuple[Float, tuple[float, int]]:
-    """The difference along `axes` (D, k), orthonormal: its observed part (k,); distance2, rank.
+    """Return the observed difference (k,) along orthonormal `axes` (D, k), and (distance2, rank).
 
-    The information of a difference is the parallel sum A (A + B)^+ B of the marginals', zero
-    along directions that either leaves open (Anderson and Duffin, Series and Parallel Addition of
+    The information of a difference is the parallel sum A (A + B)^+ B of the marginal ones, zero
+    along directions undetermined in either (Anderson and Duffin, Series and Parallel Addition of
     Matrices, 1969). prior_sigma: of these terms, the unit of the test.
     """
     A, B = (_marginal(b.information, axes) * prior_sigma**2 for b in (remembered, evidence))

@@ -1,4 +1,4 @@
-"""The kit file: a drive's belief on its kit, kept for the next drive of the same cameras."""
+"""Kit file: stores the kit belief of a drive for the next drive with the same cameras."""
 
 from __future__ import annotations
 
@@ -26,10 +26,9 @@ class KitFileError(CalmEdgeError):
 
 
 def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) -> None:
-    """Write the belief atomically: after a power cut the old or the new file is there.
+    """Write the belief atomically, safe against power cuts; raises KitFileError.
 
     cameras: the capture address of each eye. sizes: (2, 2) width, height [px] of each eye.
-    Raises KitFileError.
     """
     content = {
         "format": FORMAT,
@@ -42,7 +41,7 @@ def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) ->
     try:
         text = json.dumps(content, indent=1, allow_nan=False)
     except ValueError:
-        raise KitFileError(f"{path}: not written, the kit's belief is not finite") from None
+        raise KitFileError(f"{path}: not written: the kit belief is not finite") from None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_text(path, text + "\n")
@@ -54,7 +53,7 @@ def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) ->
 class KitFile:
     """Content of a kit file. cameras, sizes: as in `save`, not validated.
 
-    belief: as saved; None where another version of the program saved it in another layout, which
+    belief: as saved; None if another version of the program saved it in another layout, which
     `unknown` then describes.
     """
 
@@ -65,9 +64,9 @@ class KitFile:
 
 
 def read(path: Path) -> KitFile | None:
-    """Read a kit file of any cameras; None where there is none yet.
+    """Read a kit file, of whichever cameras; None if there is no file yet.
 
-    Raises KitFileError on a damaged file, or one of another kind, which must not be overwritten.
+    Raises KitFileError if the file is damaged or not a kit file; it must not be overwritten then.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -100,20 +99,20 @@ def read(path: Path) -> KitFile | None:
 def remembered(
     path: Path, kept: KitFile | None, cameras: tuple[str, str], sizes: Int
 ) -> tuple[KitBelief | None, str]:
-    """The belief `kept` for these cameras with the drift since added; else None and the reason.
+    """Return the stored belief for these cameras with drift added, or None and the reason.
 
-    cameras, sizes: as in `save`. No file, other cameras, another picture size or another version's
-    layout are no errors: that kit is learned from the start.
+    cameras, sizes: as in `save`. A missing file, other cameras, another image size or the layout
+    of another version are no errors: the kit is then learned from scratch.
     """
     if kept is None:
         return None, f"{path}: no earlier drive of this kit"
     if kept.belief is None:
         return None, f"{path}: {kept.unknown}"
     if kept.cameras != list(cameras):
-        return None, f"{path}: kept for other cameras ({kept.cameras}, not {list(cameras)})"
+        return None, f"{path}: of other cameras ({kept.cameras}, not {list(cameras)})"
     wanted = np.asarray(sizes).tolist()
     if kept.sizes != wanted:
-        return None, f"{path}: kept for pictures of {kept.sizes} px, not {wanted}"
+        return None, f"{path}: of images of {kept.sizes} px, not {wanted}"
     return faded(kept.belief), ""
 
 
@@ -134,7 +133,7 @@ def _numbers(path: Path, content: dict[str, Any], key: str, dimensions: int) -> 
 
 
 def _is_information(information: Float) -> bool:
-    """Symmetric and positive semidefinite, whatever the units of its rows."""
+    """Whether a matrix is symmetric and positive semidefinite, independent of its rows' units."""
     diagonal = np.diag(information)
     if (diagonal < 0).any():
         return False

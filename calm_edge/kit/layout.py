@@ -25,8 +25,8 @@ RIG = slice(RIG_ROTATION.start, RIG_CENTRE.stop)
 TIME_OFFSET = RIG.stop
 SIZE = TIME_OFFSET + 1
 
-# The prior's one-sigmas. A phone, dash or web camera sees 45 to 110 degrees: log f/W has its
-# middle near 73 degrees. A hint is a data sheet's number.
+# Sigmas of the prior. Phone, dashboard and web cameras have fields of view of 45 to 110 degrees,
+# which in log(f / W) are centred near 73 degrees. A hint is the field of view in a data sheet.
 DEFAULT_HFOV_DEG = 73.0
 LOG_FOCAL_SIGMA = 0.30
 HINTED_LOG_FOCAL_SIGMA = 0.01
@@ -36,22 +36,22 @@ RIG_ROTATION_SIGMA_RAD = 0.5
 RIG_DIRECTION_SIGMA = 1.0
 SPACING_SIGMA = 1e-4
 EVIDENCE_SPACING_SIGMA = 0.05
-# Host clocks stamp what has arrived: two cameras of one kind differ by less than a frame. At
-# constant velocity the time offset and the rig's forward offset are one unknown, which this
-# prior divides between them.
+# Stamps are times of arrival, so two cameras of one type differ by less than a frame. At constant
+# velocity the time offset and the rig's forward offset cannot be separated; this prior divides
+# the sum between them.
 TIME_OFFSET_SIGMA_S = 0.01
 
-# One sigma of what changes between two drives of a kit that nobody touched.
-# Log focal: temperature and refocusing, and what the pinhole model leaves out on another road.
+# Sigmas of the drift between two drives of an untouched kit.
+# Log focal: temperature, refocusing, and model errors that differ from road to road.
 LOG_FOCAL_DRIFT = 0.015
 # A lens shifts in its mount by some pixels.
 PRINCIPAL_POINT_DRIFT = 0.003
 RADIAL_DRIFT = 0.0001
-# 0.3 degrees: doors, bumps in the road, a windscreen that warms.
+# 0.3 degrees: vibration, and a windscreen that warms up
 RIG_ROTATION_DRIFT_RAD = 0.005
-# 5 mm of cameras half a metre apart.
+# 5 mm for cameras half a metre apart
 RIG_CENTRE_DRIFT = 0.01
-# Clocks are set anew in each drive.
+# the offset is a new one in each drive
 TIME_OFFSET_DRIFT_S = 1.0
 
 
@@ -71,7 +71,7 @@ def _vector(
 
 
 def prior(hfov_deg: tuple[float | None, float | None]) -> KitBelief:
-    """Belief before the first picture; hfov_deg: horizontal fields of view, None where unknown."""
+    """Prior belief; hfov_deg: horizontal field of view of each eye, None where unknown."""
     mean = np.zeros(SIZE)
     sigma = _vector(
         LOG_FOCAL_SIGMA, PRINCIPAL_POINT_SIGMA, RADIAL_SIGMA,

@@ -16,13 +16,11 @@ TRUSTED_AFTER = 3
 
 
 class KitPrior:
-    """Owns the belief read from `backbone.kit_file`; without that key there is none.
+    """Owner of the belief read from `backbone.kit_file`; None without that key.
 
     Windows solved under a wrong belief fail or reproduce it. So the first TRUSTED_AFTER sub-maps
-    are solved without it, and `belief` returns it once they agree.
-
-    The constructor reads the file, so that a damaged one stops the drive at its start; it raises
-    KitFileError.
+    are solved without it, and `belief` returns it once they agree. The constructor reads the file,
+    so that a damaged one stops the drive at its start; it raises KitFileError.
     """
 
     def __init__(self, config: Config) -> None:
@@ -36,11 +34,11 @@ class KitPrior:
 
     @property
     def belief(self) -> KitBelief | None:
-        """The earlier drives' belief once it is trusted, else None."""
+        """Belief of earlier drives once it is trusted, else None."""
         return self._remembered if self._compared >= TRUSTED_AFTER else None
 
     def open(self, sizes: Int | None) -> None:
-        """Take the file's belief if it was kept for pictures of these sizes (2, 2) [px]."""
+        """Use the file's belief if it was stored for images of these sizes (2, 2) [px]."""
         if self._path is None or self._sizes is not None or sizes is None:
             return
         self._sizes = sizes
@@ -51,8 +49,7 @@ class KitPrior:
     def contradicted(self, evidence: KitBelief | None) -> tuple[str, ...]:
         """Compare with the evidence of this drive: one line for each part that has changed.
 
-        On any change the whole belief is dropped: a kit that was touched in one place may have
-        been touched in others.
+        On any change the whole belief is dropped, since other parts may have changed as well.
         """
         if self._remembered is None or evidence is None:
             return ()
@@ -75,7 +72,7 @@ class KitPrior:
         if self._path is None or self._sizes is None or known is None:
             return
         try:
-            # it may have been replaced since the drive began
+            # the file may have been replaced since the drive began
             file.read(self._path)
             file.save(self._path, self._cameras, self._sizes, known)
         except file.KitFileError as error:

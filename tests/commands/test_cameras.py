@@ -26,7 +26,7 @@ def there(monkeypatch: pytest.MonkeyPatch) -> list[FoundCamera]:
 
 
 @pytest.mark.usefixtures("there")
-def test_identity_formats_controls_and_troubles_are_listed(
+def test_identity_formats_controls_and_errors_are_listed(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main(["cameras"]) == 0
@@ -40,7 +40,7 @@ def test_identity_formats_controls_and_troubles_are_listed(
 
 
 @pytest.mark.usefixtures("there")
-def test_json_holds_all_of_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_holds_every_field(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["cameras", "--json"]) == 0
     right, left = json.loads(capsys.readouterr().out)["cameras"]
     assert left["address"] == "v4l2:usb-1" and left["serial"] == "A7"
@@ -68,7 +68,7 @@ def test_write_does_not_choose_among_three(
 
 
 @pytest.mark.usefixtures("there")
-def test_identify_without_a_terminal_is_one_line(
+def test_identify_without_a_terminal_raises_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     text = io.StringIO()
@@ -77,14 +77,14 @@ def test_identify_without_a_terminal_is_one_line(
     assert len(text.getvalue().splitlines()) == 1 and "no terminal" in text.getvalue()
 
 
-def test_identify_writes_what_was_unplugged_as_the_primary(
+def test_identify_writes_the_camera_unplugged_first_as_primary(
     there: list[FoundCamera],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     class Terminal(io.StringIO):
-        """What is said to it moves the hands."""
+        """Text stream whose prompts trigger the unplugging."""
 
         def isatty(self) -> bool:
             return True

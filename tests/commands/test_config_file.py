@@ -23,7 +23,7 @@ primary = "not this one"
 """
 
 
-def test_only_the_two_lines_change() -> None:
+def test_only_the_two_values_change() -> None:
     changed = with_keys(KIT.replace('primary = "not this one"\n', ""), "capture", PAIR)
     assert tomllib.loads(changed)["capture"] == PAIR | {"rate_hz": 15.0}
     assert '  primary = "v4l2:usb-1"   # left\n' in changed
@@ -31,7 +31,7 @@ def test_only_the_two_lines_change() -> None:
         assert line + "\n" in changed
 
 
-def test_the_same_key_of_another_section_stays() -> None:
+def test_the_same_key_in_another_section_is_unchanged() -> None:
     assert tomllib.loads(with_keys(KIT, "capture", PAIR))["backbone"]["primary"] == "not this one"
 
 
@@ -51,12 +51,12 @@ def test_a_missing_section_or_key_is_added(text: str) -> None:
         'note = """\n[capture]\n"""\n',
     ],
 )
-def test_what_cannot_be_changed_alone_is_refused(text: str) -> None:
+def test_text_that_cannot_be_changed_safely_raises(text: str) -> None:
     with pytest.raises(ConfigError, match="edit it by hand"):
         with_keys(text, "capture", PAIR)
 
 
-def test_the_file_is_replaced_whole_and_can_be_loaded(tmp_path: Path) -> None:
+def test_the_file_is_replaced_atomically_and_can_be_loaded(tmp_path: Path) -> None:
     path = tmp_path / "kit.toml"
     path.write_text(KIT.replace('primary = "not this one"\n', ""))
     path.chmod(0o640)
@@ -68,7 +68,7 @@ def test_the_file_is_replaced_whole_and_can_be_loaded(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["kit.toml"]
 
 
-def test_faults_are_one_line_with_the_file(tmp_path: Path) -> None:
+def test_errors_are_one_line_with_the_file(tmp_path: Path) -> None:
     broken = tmp_path / "kit.toml"
     broken.write_text("[capture\n")
     with pytest.raises(ConfigError, match=r"kit\.toml: not valid TOML"):

@@ -10,14 +10,14 @@ def belief(mean, *rows):
     return KitBelief(mean=np.array(mean, float), information=J.T @ J)
 
 
-def test_nothing_known_leaves_the_other():
+def test_product_skips_missing_beliefs():
     one = belief([1, 2], [1, 0])
     assert product([None, None]) is None
     assert product([None, one]) is one or np.array_equal(product([None, one]).mean, one.mean)
     assert np.array_equal(product([one, None]).information, one.information)
 
 
-def test_informations_add_and_the_mean_solves():
+def test_informations_add_and_means_are_weighted():
     a, b = belief([0, 0], [2, 0], [0, 1]), belief([1, 4], [1, 1], [0, 3])
     both = product([a, b])
     assert np.allclose(both.information, a.information + b.information)
@@ -25,25 +25,25 @@ def test_informations_add_and_the_mean_solves():
     assert np.allclose(both.mean, expected)
 
 
-def test_singular_sides_complete_each_other():
+def test_singular_informations_combine():
     both = product([belief([3, 99], [1, 0]), belief([-99, 7], [0, 5])])
     assert np.allclose(both.mean, [3, 7])
 
 
-def test_a_direction_nobody_knows_keeps_the_first_mean():
+def test_undetermined_directions_keep_the_first_mean():
     both = product([belief([3, 5, 8], [1, 0, 0]), belief([4, 0, 1], [1, 0, 0])])
     assert np.allclose(both.mean, [3.5, 5, 8])
     nothing = product([belief([3, 5], [0, 0]), belief([1, 1], [0, 0])])
     assert np.array_equal(nothing.mean, [3, 5])
 
 
-def test_units_ten_decades_apart_are_all_solved():
+def test_units_ten_decades_apart_are_solved():
     a = belief([1, 0], [1e-5, 0], [0, 1e5])
     b = belief([3, 2], [1e-5, 0], [0, 1e5])
     assert np.allclose(product([a, b]).mean, [2, 1])
 
 
-def test_order_does_not_matter_where_the_sum_is_full():
+def test_the_product_is_commutative_if_the_sum_has_full_rank():
     rng = np.random.default_rng(3)
     beliefs = [belief(rng.normal(size=4), *rng.normal(size=(2, 4))) for _ in range(5)]
     together = product(beliefs)
@@ -54,6 +54,6 @@ def test_order_does_not_matter_where_the_sum_is_full():
     assert np.allclose(together.information, one_by_one.information)
 
 
-def test_layouts_must_agree():
+def test_beliefs_of_different_sizes_raise():
     with pytest.raises(ValueError, match="number of entries"):
         product([belief([1, 2], [1, 0]), belief([1], [1])])

@@ -30,9 +30,9 @@ def true_kit():
 
 
 def learned(rng, theta, unknown=()):
-    """A belief whose error is as large as it says; `unknown`: entries it says nothing of.
+    """A belief with errors drawn from its covariance. `unknown`: entries without information.
 
-    Every entry is entangled with every other, as focals, rig and points are.
+    All entries are correlated, as focals and rig are.
     """
     mixing = np.linalg.qr(rng.normal(size=(D, D)))[0]
     J = (mixing * rng.uniform(0.7, 1.5, D)) @ np.diag(1 / SIGMA)
@@ -44,7 +44,7 @@ def learned(rng, theta, unknown=()):
 
 
 def drives(seed, bump=None, unknown=()):
-    """What one drive taught, faded, and what the next one teaches after `bump`."""
+    """The faded belief of one drive, and the evidence of the next after a change by `bump`."""
     rng = np.random.default_rng(seed)
     theta = true_kit()
     remembered = change.faded(learned(rng, theta))
@@ -53,11 +53,11 @@ def drives(seed, bump=None, unknown=()):
 
 
 @pytest.mark.parametrize("unknown", [(), (PRIMARY, ASSISTANT), (TURN[0], layout.RIG_CENTRE.start)])
-def test_an_unmoved_kit_alarms_as_rarely_as_stated(unknown):
+def test_an_unchanged_kit_has_the_stated_false_alarm_rate(unknown):
     parts = [change.changes(*drives(seed, unknown=unknown)) for seed in range(200)]
     p_values = np.array([[part.p_value for part in four] for four in parts])
     assert sum(part.noticed for four in parts for part in four) <= 3
-    # of an honest test the p-values are even: each tenth is met as often
+    # the p-values of a correct test are uniformly distributed
     seen = np.array([[part.observed > 0 for part in four] for four in parts]).all(0)
     for part in np.nonzero(seen)[0]:
         low = (p_values[:, part] < 0.1).mean()
@@ -65,7 +65,7 @@ def test_an_unmoved_kit_alarms_as_rarely_as_stated(unknown):
         assert 0.42 < p_values[:, part].mean() < 0.58
 
 
-def test_a_bumped_mount_is_noticed_and_said():
+def test_a_turned_mount_is_noticed_and_described():
     bump = np.zeros(D)
     bump[TURN[1]] = np.radians(3.0)
     caught = [change.changes(*drives(seed, bump)) for seed in range(50)]
@@ -76,7 +76,7 @@ def test_a_bumped_mount_is_noticed_and_said():
     assert np.mean(degrees) == pytest.approx(3.0, abs=0.3)
 
 
-def test_another_lens_is_noticed_on_its_own_eye():
+def test_another_lens_is_noticed_for_its_eye_only():
     bump = np.zeros(D)
     bump[ASSISTANT] = np.log(1.12)
     caught = [change.changes(*drives(seed, bump)) for seed in range(50)]
@@ -87,7 +87,7 @@ def test_another_lens_is_noticed_on_its_own_eye():
     assert np.mean(percent) == pytest.approx(12, abs=1.5)
 
 
-def test_an_assistant_moved_to_another_place_is_noticed_but_its_distance_is_the_unit():
+def test_a_moved_assistant_is_noticed_but_not_a_change_of_distance():
     theta = true_kit()
     across = np.cross(theta[layout.RIG_CENTRE], [0, 0, 1.0])
     for bump, expected in ((0.2 * across, True), (0.2 * theta[layout.RIG_CENTRE], False)):
@@ -97,7 +97,7 @@ def test_an_assistant_moved_to_another_place_is_noticed_but_its_distance_is_the_
         assert np.mean(caught) > 0.9 if expected else not any(caught)
 
 
-def test_what_either_drive_did_not_observe_is_not_judged():
+def test_directions_unobserved_in_either_drive_are_not_tested():
     bump = np.zeros(D)
     bump[[PRIMARY, TURN[1]]] = 1.0, 0.5
     remembered, evidence = drives(3, bump, unknown=(PRIMARY, *TURN))
@@ -110,7 +110,7 @@ def test_what_either_drive_did_not_observe_is_not_judged():
     assert not any(part.observed for part in change.changes(remembered, nothing))
 
 
-def test_a_half_observed_rotation_is_judged_by_its_observed_half():
+def test_a_partly_observed_rotation_is_tested_in_its_observed_part():
     bump = np.zeros(D)
     bump[TURN[:2]] = 0.05, 0.5
     rotation = change.changes(*drives(5, bump, unknown=(TURN[1],)))[ROTATION]
@@ -118,7 +118,7 @@ def test_a_half_observed_rotation_is_judged_by_its_observed_half():
     assert float(rotation.text.split()[3]) == pytest.approx(np.degrees(0.05), abs=1.0)
 
 
-def test_the_distance_is_mahalanobis_of_the_marginals():
+def test_the_distance_is_the_mahalanobis_distance_of_the_marginals():
     remembered, evidence = drives(11)
     prior = layout.prior((None, None))
     bounds = np.diag(prior.information).copy()
@@ -147,7 +147,7 @@ def test_fading_adds_its_variances_to_the_covariance(seed):
     assert np.array_equal(faded.mean, belief.mean)
 
 
-def test_fading_leaves_the_unknown_unknown_and_the_certain_no_surer_than_what_can_happen():
+def test_fading_bounds_information_by_the_drift():
     belief = learned(np.random.default_rng(2), true_kit(), unknown=(PRIMARY, TURN[1]))
     faded = change.faded(belief).information
     assert np.abs(faded[[PRIMARY, TURN[1]]]).max() < 1e-6
@@ -155,7 +155,7 @@ def test_fading_leaves_the_unknown_unknown_and_the_certain_no_surer_than_what_ca
     assert np.allclose(np.diag(change.faded(certain).information) ** -0.5, FADES)
 
 
-def test_ten_drives_make_a_kit_no_surer_than_the_last_step_allows():
+def test_ten_drives_give_no_more_information_than_the_drift_allows():
     rng, belief = np.random.default_rng(8), None
     for _ in range(10):
         earlier = None if belief is None else change.faded(belief)
@@ -164,13 +164,13 @@ def test_ten_drives_make_a_kit_no_surer_than_the_last_step_allows():
     assert (sigma > FADES).all()
 
 
-def test_what_is_no_part_of_the_kit_is_forgotten():
+def test_the_time_offset_is_forgotten_between_drives():
     certain = change.faded(KitBelief(true_kit(), np.eye(D) * 1e16))
     assert certain.information[layout.TIME_OFFSET, layout.TIME_OFFSET] < 1.01
 
 
-def test_a_focal_entangled_with_its_centre_is_judged_within_what_centres_can_be():
-    # 1 % of the width of centre would look like 2 % of focal: neither is known on its own
+def test_a_focal_correlated_with_its_centre_is_tested_with_the_prior_of_the_centre():
+    # 1 % of the width in the centre has the effect of 2 % in the focal
     information = np.zeros((D, D))
     row = np.zeros(D)
     row[layout.OPTICS[0, :2]] = 1.0, 2.0
@@ -183,7 +183,7 @@ def test_a_focal_entangled_with_its_centre_is_judged_within_what_centres_can_be(
     assert primary.distance2 == pytest.approx(0.5**2 / (2 * sigma**2), rel=1e-6)
 
 
-def test_beliefs_of_other_layouts_are_refused():
+def test_beliefs_of_another_size_raise():
     belief, other = KitBelief(true_kit(), np.eye(D)), KitBelief(np.zeros(3), np.eye(3))
     for pair in ((belief, other), (other, belief)):
         with pytest.raises(ValueError, match="not 3"):

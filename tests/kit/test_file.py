@@ -23,7 +23,7 @@ def belief(seed=0, rank=layout.SIZE):
 
 
 def saved(folder, **changed):
-    """A kit file with some of its keys replaced; a value of None leaves the key out."""
+    """A kit file with some keys replaced; None removes the key."""
     path = folder / "kit.json"
     file.save(path, CAMERAS, SIZES, belief())
     content = json.loads(path.read_text()) | changed
@@ -37,7 +37,7 @@ def load(path, cameras, sizes):
 
 @settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(0, layout.SIZE))
-def test_there_and_back_is_the_belief_faded(tmp_path_factory, seed, rank):
+def test_a_saved_belief_is_read_back_faded(tmp_path_factory, seed, rank):
     path = tmp_path_factory.mktemp("kit") / "kit.json"
     kept = belief(seed, rank)
     file.save(path, CAMERAS, SIZES, kept)
@@ -53,7 +53,7 @@ def test_the_same_belief_gives_the_same_bytes(tmp_path):
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
-def test_a_kit_not_driven_before_has_nothing_to_remember(tmp_path):
+def test_without_a_file_nothing_is_remembered(tmp_path):
     assert load(tmp_path / "kit.json", CAMERAS, SIZES) == (
         None,
         f"{tmp_path}/kit.json: no earlier drive of this kit",
@@ -61,20 +61,20 @@ def test_a_kit_not_driven_before_has_nothing_to_remember(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("cameras", "sizes", "said"),
+    ("cameras", "sizes", "message"),
     [
         (CAMERAS[::-1], SIZES, "other cameras"),
         (("v4l2:usb-9", CAMERAS[1]), SIZES, "other cameras .*usb-9"),
-        (CAMERAS, SIZES[::-1], "pictures of .*not .*640, 480"),
+        (CAMERAS, SIZES[::-1], "images of .*not .*640, 480"),
     ],
 )
-def test_another_kit_is_not_this_one(tmp_path, cameras, sizes, said):
+def test_the_belief_of_another_kit_is_not_used(tmp_path, cameras, sizes, message):
     back, reason = load(saved(tmp_path), cameras, sizes)
     assert back is None
-    assert re.search(said, reason)
+    assert re.search(message, reason)
 
 
-def test_another_version_is_said_and_not_used(tmp_path):
+def test_another_version_is_reported_and_not_used(tmp_path):
     back, reason = load(saved(tmp_path, version=2), CAMERAS, SIZES)
     assert back is None and "version 2" in reason
     shorter = saved(tmp_path, mean=[0.0] * 12, information=np.eye(12).tolist())
@@ -104,7 +104,7 @@ LOPSIDED = (np.eye(layout.SIZE) + np.eye(layout.SIZE, k=1)).tolist()
         {"information": LOPSIDED},
     ],
 )
-def test_a_damaged_file_is_one_line_that_names_the_mend(tmp_path, changed):
+def test_a_damaged_file_raises_one_line_with_the_remedy(tmp_path, changed):
     path = saved(tmp_path, **changed)
     with pytest.raises(file.KitFileError) as caught:
         load(path, CAMERAS, SIZES)
@@ -113,7 +113,7 @@ def test_a_damaged_file_is_one_line_that_names_the_mend(tmp_path, changed):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-def test_a_torn_file_is_damaged(tmp_path, share):
+def test_a_truncated_file_is_damaged(tmp_path, share):
     path = saved(tmp_path)
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * share)])
@@ -128,14 +128,14 @@ def test_a_torn_file_is_damaged(tmp_path, share):
 
 
 @pytest.mark.parametrize("text", ["[]", "3", '{"format": "other", "mean": [1]}', "{}"])
-def test_a_file_of_something_else_is_left_alone(tmp_path, text):
+def test_a_file_of_another_kind_is_not_overwritten(tmp_path, text):
     path = tmp_path / "settings.json"
     path.write_text(text)
     with pytest.raises(file.KitFileError, match=r"not a kit file; set backbone\.kit_file"):
         load(path, CAMERAS, SIZES)
 
 
-def test_a_folder_in_its_place_is_said(tmp_path):
+def test_a_folder_in_place_of_the_file_raises(tmp_path):
     with pytest.raises(file.KitFileError, match=f"{tmp_path}: cannot be read"):
         load(tmp_path, CAMERAS, SIZES)
     with pytest.raises(file.KitFileError, match=f"{tmp_path}: cannot be written"):
@@ -146,13 +146,13 @@ def test_a_folder_in_its_place_is_said(tmp_path):
         file.save(below / "kit.json", CAMERAS, SIZES, belief())
 
 
-def test_a_failed_write_keeps_the_file_there_was(tmp_path, monkeypatch):
+def test_a_failed_write_keeps_the_previous_file(tmp_path, monkeypatch):
     path = tmp_path / "deep" / "kit.json"
     file.save(path, CAMERAS, SIZES, belief(1))
     before = path.read_bytes()
 
     def full(fd):
-        # the folder's own sync comes after the rename, when the new file is already there
+        # the folder is synced after the rename, when the new file is in place
         if stat.S_ISREG(os.fstat(fd).st_mode):
             raise OSError(28, "No space left on device")
 
@@ -163,7 +163,7 @@ def test_a_failed_write_keeps_the_file_there_was(tmp_path, monkeypatch):
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_belief_that_is_no_number_is_not_written(tmp_path):
+def test_a_belief_that_is_not_finite_is_not_written(tmp_path):
     path = tmp_path / "kit.json"
     broken = KitBelief(np.full(layout.SIZE, np.nan), np.eye(layout.SIZE))
     with pytest.raises(file.KitFileError, match="not finite"):

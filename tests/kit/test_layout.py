@@ -21,29 +21,29 @@ def test_drift_and_prior_are_set_for_every_term():
     for vector in (sigma, drift):
         assert np.isfinite(vector).all() and (vector > 0).all()
         assert np.array_equal(vector[layout.OPTICS[0]], vector[layout.OPTICS[1]])
-    # but for the clocks, a drive starts from what the last one learned
+    # except for the time offset, a drive starts from the belief of the last one
     assert (drift < sigma)[: layout.TIME_OFFSET].all() and drift[layout.TIME_OFFSET] == 1.0
 
 
-def test_a_hint_sets_the_focal_of_its_eye_and_how_sure_it_is():
+def test_a_hint_sets_the_focal_of_its_eye_and_its_sigma():
     belief = layout.prior((90.0, None))
     sigma = np.diag(belief.information) ** -0.5
     expected = [0.5, 0.5 / np.tan(np.radians(73 / 2))]
     assert np.exp(belief.mean[layout.LOG_FOCAL]) == pytest.approx(expected)
     assert sigma[layout.LOG_FOCAL] == pytest.approx([0.01, 0.30])
-    # a hint is of the focal only
+    # a hint concerns the focal only
     others = np.delete(belief.mean, layout.LOG_FOCAL)
     assert np.array_equal(others, np.zeros(layout.SIZE - 2))
     assert np.ptp(sigma[layout.PRINCIPAL_POINT]) == 0 and (sigma[layout.RIG] >= 0.5).all()
 
 
-def test_the_camera_matrix_of_a_hint_is_the_pinholes():
+def test_the_camera_matrix_of_a_hint_has_its_field_of_view():
     theta = layout.prior((81.0, 64.0)).mean
     for eye, hfov, size in ((0, 81.0, (640, 240)), (1, 64.0, (480, 200))):
         assert np.allclose(layout.camera_matrix(theta, eye, *size), pinhole.from_hfov(hfov, *size))
 
 
-def test_the_principal_point_is_a_share_of_the_width_from_the_middle():
+def test_the_principal_point_is_a_share_of_the_width_from_the_centre():
     theta = layout.prior((None, None)).mean
     theta[layout.PRINCIPAL_POINT[1]] = 0.01, -0.02
     K = layout.camera_matrix(theta, 1, 480, 200)
@@ -51,7 +51,7 @@ def test_the_principal_point_is_a_share_of_the_width_from_the_middle():
     assert layout.camera_matrix(theta, 0, 480, 200)[:2, 2] == pytest.approx([239.5, 99.5])
 
 
-def test_the_rig_there_and_back():
+def test_the_rig_round_trips():
     theta = layout.prior((None, None)).mean
     theta[layout.RIG] = [0.1, -0.7, 0.2, 0.48, -0.6, 0.64]
     assert np.allclose(layout.rig_vector(layout.rig(theta)), theta[layout.RIG])
@@ -59,12 +59,12 @@ def test_the_rig_there_and_back():
     assert np.allclose(se3.transform(layout.rig(theta), np.zeros(3)), [0.48, -0.6, 0.64])
 
 
-def test_a_rig_of_any_length_becomes_one_spacing():
+def test_a_rig_of_any_length_is_scaled_to_one_spacing():
     T_p_a = se3.compose(se3.so3_exp(np.array([0.0, 0.1, 0.0])), np.array([3.0, 0.0, 4.0]))
     assert np.allclose(layout.rig_vector(T_p_a), [0, 0.1, 0, 0.6, 0, 0.8])
 
 
-def test_a_window_off_the_kits_lateness_blurs_that_and_nothing_else():
+def test_time_jitter_adds_variance_to_the_time_offset_only():
     belief = layout.prior((None, None))
     rng = np.random.default_rng(0)
     mixed = belief.information + 1e4 * np.cov(rng.normal(size=(layout.SIZE, 40)))
@@ -74,7 +74,7 @@ def test_a_window_off_the_kits_lateness_blurs_that_and_nothing_else():
     where[layout.TIME_OFFSET, layout.TIME_OFFSET] = 1
     assert np.allclose(more, 0.002**2 * where, atol=1e-10)
     assert np.array_equal(blurred.mean, belief.mean)
-    # evidence that is silent on some of the kit has no covariance
+    # singular evidence has no covariance
     silent = replace(
         belief, information=np.diag(1e8 * (np.arange(layout.SIZE) == layout.TIME_OFFSET))
     )

@@ -16,8 +16,8 @@ def config(path):
     return merge(Config(), {"backbone": {"kit_file": str(path)}})
 
 
-def taught(turned_rad=0.0):
-    """What a good drive teaches: focals to 0.5 %, the rig to half a milliradian."""
+def evidence(turned_rad=0.0):
+    """The evidence of a good drive: focals to 0.5 %, the rig to half a milliradian."""
     mean = layout.prior((70.0, 70.0)).mean
     mean[layout.RIG] = [0.02, 0.05 + turned_rad, 0.0, 1.0, 0.0, 0.0]
     sigma = np.full(layout.SIZE, 0.005)
@@ -25,35 +25,35 @@ def taught(turned_rad=0.0):
     return KitBelief(mean, np.diag(sigma**-2.0))
 
 
-def test_what_one_drive_learned_the_next_one_knows(tmp_path):
+def test_the_belief_of_one_drive_is_used_in_the_next(tmp_path):
     first = KitPrior(config(tmp_path / "kit.json"))
     first.open(SIZES)
     assert first.belief is None
-    first.save(taught())
+    first.save(evidence())
     second = KitPrior(config(tmp_path / "kit.json"))
     second.open(SIZES)
     for _ in range(TRUSTED_AFTER):
-        # nothing is solved under it before the drive's own evidence was compared
+        # not used before it has been compared with this drive's evidence
         assert second.belief is None
-        assert second.contradicted(taught()) == ()
-    assert np.allclose(second.belief.mean, taught().mean)
+        assert second.contradicted(evidence()) == ()
+    assert np.allclose(second.belief.mean, evidence().mean)
 
 
-def test_a_bumped_mount_is_said_and_the_memory_dropped(tmp_path):
+def test_a_turned_mount_is_reported_and_the_belief_dropped(tmp_path):
     first = KitPrior(config(tmp_path / "kit.json"))
     first.open(SIZES)
-    first.save(taught())
+    first.save(evidence())
     second = KitPrior(config(tmp_path / "kit.json"))
     second.open(SIZES)
-    notices = second.contradicted(taught(np.radians(4.0)))
+    notices = second.contradicted(evidence(np.radians(4.0)))
     assert any("assistant turned by 4.0 deg" in line for line in notices)
-    assert second.belief is None and second.contradicted(taught()) == ()
+    assert second.belief is None and second.contradicted(evidence()) == ()
 
 
-def test_without_a_file_nothing_is_kept(tmp_path):
+def test_without_a_file_nothing_is_stored(tmp_path):
     prior = KitPrior(Config())
     prior.open(SIZES)
-    prior.save(taught())
+    prior.save(evidence())
     assert prior.belief is None and not list(tmp_path.iterdir())
 
 
@@ -61,27 +61,27 @@ FOREIGN = ("[]", "not JSON", '{"format": "calm-edge kit", "version": 1, "mean": 
 
 
 @pytest.mark.parametrize("text", FOREIGN)
-def test_a_file_that_is_not_understood_stops_the_drive_at_its_start(tmp_path, text):
+def test_an_invalid_file_raises_at_the_start(tmp_path, text):
     (tmp_path / "kit.json").write_text(text)
     with pytest.raises(KitFileError, match=r"kit\.json"):
         KitPrior(config(tmp_path / "kit.json"))
 
 
 @pytest.mark.parametrize("text", FOREIGN)
-def test_a_file_that_is_not_understood_is_never_written_over(tmp_path, caplog, text):
+def test_an_invalid_file_is_not_overwritten(tmp_path, caplog, text):
     prior = KitPrior(config(tmp_path / "kit.json"))
     prior.open(SIZES)
     (tmp_path / "kit.json").write_text(text)
     with caplog.at_level(logging.ERROR):
-        prior.save(taught())
+        prior.save(evidence())
     assert "kit.json" in caplog.text
     assert (tmp_path / "kit.json").read_text() == text
 
 
-def test_a_file_that_cannot_be_written_costs_a_line(tmp_path, caplog):
+def test_a_file_that_cannot_be_written_is_logged(tmp_path, caplog):
     prior = KitPrior(config(tmp_path / "folder" / "kit.json"))
     prior.open(SIZES)
     (tmp_path / "folder").write_text("")
     with caplog.at_level(logging.ERROR):
-        prior.save(taught())
+        prior.save(evidence())
     assert "Not a directory" in caplog.text

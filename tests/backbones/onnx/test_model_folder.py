@@ -140,7 +140,7 @@ def test_a_bundle_may_have_some_roles(tmp_path):
         ("output.confidence.encoding", "exp", "output.confidence.encoding = 'exp'"),
     ],
 )
-def test_a_mistake_is_one_line_that_names_the_key(tmp_path, key, value, line):
+def test_an_invalid_table_raises_one_line_with_the_key(tmp_path, key, value, line):
     folder_of(tmp_path, changed(FEEDFORWARD, key, value))
     with pytest.raises(ManifestError) as caught:
         read_manifest(tmp_path)
