@@ -1,4 +1,4 @@
-"""Fundamental matrices from matches, with what the matches' noise leaves open.
+"""Fundamental matrices from matches, with their uncertainty.
 
 F: (3, 3) px, `x_b^T F x_a = 0` for homogeneous pixels of views a and b; unit Frobenius norm.
 """
@@ -16,23 +16,23 @@ from calm_edge.geometry import se3
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
-# seven matches are always met exactly; one more gives the first hint of their noise
+# F has seven degrees of freedom; one more match is needed to estimate the noise
 MIN_MATCHES = 8
 _REFINEMENTS = 4
 _HUBER = 1.5
-# of a unit normal clipped at _HUBER
+# variance of a unit normal clipped at _HUBER
 _CLIPPED_VARIANCE = 0.778
-# no detector is better: keeps exact synthetic matches from claiming infinite certainty
+# lower bound of a match's sigma, so that exact synthetic matches do not give zero uncertainty
 _NOISE_FLOOR_PX = 0.05
 _GENERATORS = se3.hat(np.eye(3))
 
 
 @dataclass(frozen=True, slots=True)
 class Fundamental:
-    """F (3, 3) of rank 2 and its uncertainty.
+    """A fundamental matrix F (3, 3) of rank 2 and its uncertainty.
 
-    steps: (7, 3, 3) independent changes of F, each of one sigma. inliers: (M,) bool of the
-    matches it came from. noise_px: sigma of a match, in each image axis.
+    steps: (7, 3, 3) one-sigma changes of F along independent directions. inliers: (M,) mask of
+    the matches used. noise_px: sigma of a match per image axis.
     """
 
     F: Float
@@ -42,7 +42,7 @@ class Fundamental:
 
 
 def homogeneous(uv: Float) -> Float:
-    """Pixels (..., 2) -> (..., 3)."""
+    """Homogeneous coordinates (..., 3) of pixels (..., 2)."""
     uv = np.asarray(uv, np.float64)
     return np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], -1)
 
@@ -55,7 +55,10 @@ def from_motion(K_a: Float, K_b: Float, T_b_a: Float) -> Float:
 
 
 def sampson(F: Float, uv_a: Float, uv_b: Float) -> Float:
-    """Signed distances (M,) px of matches (M, 2) from F (3, 3), to first order."""
+    """Signed Sampson distances (M,) px of matches (M, 2) for F (3, 3).
+
+    First-order geometric error: Hartley and Zisserman, "Multiple View Geometry", 2004, 11.4.3.
+    """
     value, gradient = _algebraic(F, homogeneous(uv_a), homogeneous(uv_b))
     return np.asarray(value / np.maximum(np.linalg.norm(gradient, axis=1), 1e-300))
 
@@ -63,9 +66,10 @@ def sampson(F: Float, uv_a: Float, uv_b: Float) -> Float:
 def fundamental(
     uv_a: Float, uv_b: Float, threshold_px: float = 1.0, iterations: int = 500, seed: int = 0
 ) -> Fundamental | None:
-    """F of matches (M, 2) px with outliers, by MAGSAC, then refined on its inliers.
+    """Estimate F from matches (M, 2) px with outliers by MAGSAC, then `refine`.
 
-    None where too few agree. The seed fixes the random samples.
+    None with too few inliers. seed: of the random samples. See cv2.findFundamentalMat and
+    cv2.UsacParams.
     """
     if len(uv_a) < MIN_MATCHES:
         return None
@@ -87,10 +91,11 @@ def fundamental(
 
 
 def refine(F: Float, uv_a: Float, uv_b: Float, threshold_px: float = 1.0) -> Fundamental | None:
-    """Gauss-Newton on the Sampson distances of the matches (M, 2) px within the threshold of F.
+    """Refine F by Gauss-Newton on the Sampson distances of its inliers among matches (M, 2) px.
 
-    F stays of rank 2: it moves by two rotations and the ratio of its singular values. None where
-    fewer than MIN_MATCHES lie within the threshold or they leave F open.
+    Rank 2 is kept by the parametrisation: two rotations and the ratio of the singular values
+    (Bartoli and Sturm, 2004). None with fewer than MIN_MATCHES inliers, or if these do not
+    determine F.
     """
     unit_px = max(float(np.hypot(uv_a.std(), uv_b.std())), 1e-9)
     to_a, x_a = _normalised(uv_a, unit_px)
@@ -127,14 +132,14 @@ def refine(F: Float, uv_a: Float, uv_b: Float, threshold_px: float = 1.0) -> Fun
 
 
 def _normalised(uv: Float, unit_px: float) -> tuple[Float, Float]:
-    """The similarity (3, 3) that centres pixels (M, 2) and measures in unit_px; (M, 3) so."""
+    """Centre pixels (M, 2) and divide by unit_px: the transform (3, 3) and the result (M, 3)."""
     x, y = -uv.mean(0) / unit_px
     to = np.array([[1 / unit_px, 0, x], [0, 1 / unit_px, y], [0, 0, 1]])
     return to, homogeneous(uv) @ to.T
 
 
 def _tangent(F: Float) -> tuple[Float, Float]:
-    """F (3, 3) made of rank 2 and unit norm, and the seven directions (7, 3, 3) it can move in."""
+    """F (3, 3) projected to rank 2 and unit norm, and its tangent directions (7, 3, 3)."""
     U, s, Vt = np.linalg.svd(F)
     s = np.array([s[0], s[1], 0.0]) / np.hypot(s[0], s[1])
     left = U @ _GENERATORS @ np.diag(s) @ Vt
@@ -144,13 +149,13 @@ def _tangent(F: Float) -> tuple[Float, Float]:
 
 
 def _algebraic(F: Float, x_a: Float, x_b: Float) -> tuple[Float, Float]:
-    """x_b^T F x_a (M,) and its derivative (M, 4) by the four pixel coordinates."""
+    """Algebraic errors x_b^T F x_a (M,) and derivatives (M, 4) by the pixel coordinates."""
     line_b, line_a = x_a @ F.T, x_b @ F
     return (x_b * line_b).sum(1), np.concatenate([line_b[:, :2], line_a[:, :2]], 1)
 
 
 def _linearised(F: Float, tangent: Float, x_a: Float, x_b: Float) -> tuple[Float, Float]:
-    """Sampson distances (M,) and their derivative (M, 7) along the tangent (7, 3, 3)."""
+    """Sampson distances (M,) and derivatives (M, 7) along the tangent directions (7, 3, 3)."""
     value, gradient = _algebraic(F, x_a, x_b)
     size = np.maximum(np.linalg.norm(gradient, axis=1), 1e-300)
     line_b = np.einsum("kij,mj->mki", tangent, x_a)

@@ -1,4 +1,4 @@
-"""Corners and where they went: Shi-Tomasi and pyramidal Lucas-Kanade with a backward check."""
+"""Shi-Tomasi corners, and pyramidal Lucas-Kanade tracking with a forward-backward check."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ Float32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class LucasKanade:
-    """How to follow. backward_px: how near its start a point must return, over backward_levels.
+    """Parameters of Lucas-Kanade tracking (see cv2.calcOpticalFlowPyrLK).
 
-    margin_px: what of the image's border is not believed.
+    levels: pyramid levels. step_px: convergence threshold. backward_px: largest distance from
+    its start of a point tracked back over backward_levels. margin_px: points this close to the
+    image border are rejected.
     """
 
     window_px: int = 17
@@ -32,7 +34,7 @@ TRACKING = LucasKanade()
 
 
 def away_from(shape: tuple[int, int], taken: Float32, radius_px: float) -> Gray:
-    """A mask (H, W) that is 0 within radius_px of the points taken (Q, 2), else 255."""
+    """Mask (H, W), 0 within radius_px of the points `taken` (Q, 2) px, else 255."""
     mask = np.full(shape, 255, np.uint8)
     for u, v in taken:
         cv2.circle(mask, (round(float(u)), round(float(v))), round(radius_px), 0, -1)
@@ -40,9 +42,9 @@ def away_from(shape: tuple[int, int], taken: Float32, radius_px: float) -> Gray:
 
 
 def corners(gray: Gray, count: int, taken: Float32 | None = None) -> Float32:
-    """Up to `count` Shi-Tomasi corners spread over the image, (M, 2) px, strongest first.
+    """Detect up to `count` Shi-Tomasi corners (M, 2) px, spread over the image, strongest first.
 
-    taken: (Q, 2) px to stay away from.
+    taken: (Q, 2) px points to keep a distance from. See cv2.goodFeaturesToTrack.
     """
     spread = max(5.0, 0.5 * float(np.sqrt(gray.size / max(count, 1))))
     height, width = gray.shape
@@ -60,10 +62,10 @@ def follow(
     guess: Float32 | None = None,
     how: LucasKanade = TRACKING,
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Where points (M, 2) px of `source` are in `target`: (M, 2) px and which to believe (M,).
+    """Track points (M, 2) px from `source` to `target`: positions (M, 2) px and valid mask (M,).
 
-    guess: (M, 2) px to start from, e.g. the projection of a predicted pose. A point is believed
-    when tracking it back returns to its start and it lies inside the image.
+    guess: (M, 2) px initial positions. A point is valid if it lies inside the image and tracking
+    it back returns to its start (Kalal et al., "Forward-backward error", 2010).
     """
     if len(uv) == 0:
         return np.zeros((0, 2), np.float32), np.zeros(0, bool)
@@ -81,9 +83,12 @@ def follow(
 def follow_ahead(
     source: Gray, target: Gray, uv: Float32, guess: Float32, how: LucasKanade
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Points (M, 2) px, M > 0, from a guess (M, 2) px, and which were found (M,): no way back."""
+    """Track points (M, 2) px, M > 0, without the backward check: positions and found mask (M,).
+
+    guess: (M, 2) px initial positions.
+    """
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, how.iterations, how.step_px)
-    # a copy: OpenCV writes into its guess
+    # a copy, because OpenCV overwrites the initial positions
     begin = np.array(guess, np.float32, order="C")
     ahead, found, _ = cv2.calcOpticalFlowPyrLK(
         source, target, np.ascontiguousarray(uv, np.float32), begin,
@@ -94,7 +99,7 @@ def follow_ahead(
 
 
 def neighbouring_flow(uv: Float32, flow: Float32, known: NDArray[np.bool_]) -> Float32:
-    """Flow (N, 2) at uv (N, 2) px, unknown entries being the median of the nearest known ones."""
+    """Fill unknown entries of the flow (N, 2) at uv (N, 2) px by the median of near known ones."""
     if not known.any():
         return np.zeros_like(flow)
     if known.all():

@@ -1,4 +1,8 @@
-"""Rigid motions as stacks (..., 4, 4); twists are (..., 6) = (translation, rotation)."""
+"""SE(3) and SO(3): exponential, logarithm, Jacobians, interpolation and mean, vectorised.
+
+Poses are stacks (..., 4, 4), twists (..., 6) = (translation, rotation). Formulas as in Barfoot,
+"State Estimation for Robotics", 2017, chapter 7.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ Float = NDArray[np.float64]
 
 
 def hat(v: Float) -> Float:
-    """(..., 3) -> (..., 3, 3) cross-product matrices."""
+    """Cross-product matrices (..., 3, 3) of vectors (..., 3)."""
     v = np.asarray(v, np.float64)
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
@@ -18,7 +22,7 @@ def hat(v: Float) -> Float:
 
 
 def so3_exp(w: Float) -> Float:
-    """Rodrigues: (..., 3) rotation vectors [rad] -> (..., 3, 3)."""
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues' formula)."""
     w = np.asarray(w, np.float64)
     theta2 = (w * w).sum(-1)[..., None, None]
     theta = np.sqrt(theta2)
@@ -31,9 +35,9 @@ def so3_exp(w: Float) -> Float:
 
 
 def so3_log(R: Float) -> Float:
-    """(..., 3, 3) -> (..., 3) rotation vectors [rad], accurate up to and including pi."""
+    """Rotation vectors (..., 3) [rad] of matrices (..., 3, 3); accurate up to and including pi."""
     R = np.asarray(R, np.float64)
-    # quaternion by the largest component: stable both at 0 and at pi
+    # via the quaternion, computed from its largest component: stable at 0 and at pi
     m = R
     t = np.stack(
         [
@@ -70,7 +74,7 @@ def so3_log(R: Float) -> Float:
 
 
 def compose(R: Float, t: Float) -> Float:
-    """(..., 3, 3) and (..., 3) -> (..., 4, 4)."""
+    """Poses (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3)."""
     R, t = np.asarray(R, np.float64), np.asarray(t, np.float64)
     shape = np.broadcast_shapes(R.shape[:-2], t.shape[:-1])
     T = np.zeros((*shape, 4, 4))
@@ -79,13 +83,13 @@ def compose(R: Float, t: Float) -> Float:
 
 
 def inverse(T: Float) -> Float:
-    """(..., 4, 4) -> (..., 4, 4), using the rigid structure."""
+    """Inverse of rigid poses (..., 4, 4)."""
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return compose(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 
 
 def so3_left_jacobian(w: Float) -> Float:
-    """(..., 3) -> (..., 3, 3): J with exp(w + d) = exp(J d) exp(w) + O(d^2)."""
+    """Left Jacobian of SO(3) (..., 3, 3) at w (..., 3): exp(w + d) = exp(J d) exp(w) + O(d^2)."""
     theta2 = (w * w).sum(-1)[..., None, None]
     theta = np.sqrt(theta2)
     small = theta2 < 1e-10
@@ -97,32 +101,33 @@ def so3_left_jacobian(w: Float) -> Float:
 
 
 def exp(xi: Float) -> Float:
-    """Twists (..., 6) = (translation, rotation) -> (..., 4, 4)."""
+    """Exponential map of SE(3): poses (..., 4, 4) of twists (..., 6)."""
     xi = np.asarray(xi, np.float64)
     rho, w = xi[..., :3], xi[..., 3:]
     return compose(so3_exp(w), (so3_left_jacobian(w) @ rho[..., None])[..., 0])
 
 
 def log(T: Float) -> Float:
-    """(..., 4, 4) -> twists (..., 6) = (translation, rotation)."""
+    """Logarithm of SE(3): twists (..., 6) of poses (..., 4, 4)."""
     w = so3_log(T[..., :3, :3])
     rho = np.linalg.solve(so3_left_jacobian(w), T[..., :3, 3, None])[..., 0]
     return np.concatenate([rho, w], -1)
 
 
 def interpolate(T_0: Float, T_1: Float, alpha: Float | float) -> Float:
-    """SE(3) geodesic from T_0 (alpha 0) to T_1 (alpha 1), (..., 4, 4); alpha may leave [0, 1].
+    """Interpolate poses (..., 4, 4) on the SE(3) geodesic from T_0 (alpha 0) to T_1 (alpha 1).
 
-    Paper IV-B: the reference pose of an assistant frame between two primary frames.
+    alpha: (...), outside [0, 1] it extrapolates. Paper IV-B: the reference pose T_ref of an
+    assistant frame between two primary frames.
     """
     xi = log(inverse(T_0) @ T_1)
     return np.asarray(T_0 @ exp(xi * np.asarray(alpha, np.float64)[..., None]))
 
 
 def interpolate_at(t: Float, T: Float, query: Float) -> Float:
-    """Poses at times `query` (M,) from a sorted trajectory t (N,), T (N, 4, 4), N >= 2.
+    """Interpolate a trajectory T (N, 4, 4) at sorted times t (N,), N >= 2, to `query` (M,).
 
-    Beyond either end the nearest segment's velocity is extrapolated.
+    Beyond either end, extrapolates with the velocity of the nearest segment.
     """
     t, query = np.asarray(t, np.float64), np.asarray(query, np.float64)
     i = np.clip(np.searchsorted(t, query, side="right") - 1, 0, len(t) - 2)
@@ -131,12 +136,12 @@ def interpolate_at(t: Float, T: Float, query: Float) -> Float:
 
 
 def transform(T: Float, p: Float) -> Float:
-    """T (4, 4) applied to points p (..., 3) -> (..., 3)."""
+    """Transform points p (..., 3) by T (4, 4)."""
     return np.asarray(p @ T[:3, :3].T + T[:3, 3])
 
 
 def adjoint(T: Float) -> Float:
-    """(..., 4, 4) -> (..., 6, 6), twists ordered (translation, rotation)."""
+    """Adjoint (..., 6, 6) of poses (..., 4, 4) for twists (translation, rotation)."""
     A = np.zeros((*T.shape[:-2], 6, 6))
     A[..., :3, :3] = A[..., 3:, 3:] = T[..., :3, :3]
     A[..., :3, 3:] = hat(T[..., :3, 3]) @ T[..., :3, :3]
@@ -144,11 +149,11 @@ def adjoint(T: Float) -> Float:
 
 
 def right_jacobian_inverse(xi: Float) -> Float:
-    """(..., 6) -> (..., 6, 6): J with log(exp(xi) exp(d)) = xi + J d + O(d^2), rotation < 2 pi.
+    """Inverse right Jacobian of SE(3) (..., 6, 6): log(exp(xi) exp(d)) = xi + J d + O(d^2).
 
-    I + ad/2 + a ad^2 + b ad^4: the Bernoulli series, folded by the characteristic polynomial
-    of ad, ad^5 + 2 theta^2 ad^3 + theta^4 ad = 0; a and b follow from (theta/2) cot(theta/2)
-    and its derivative.
+    xi: (..., 6), rotation below 2 pi. J = I + ad/2 + a ad^2 + b ad^4: the Bernoulli series
+    reduced by the characteristic polynomial ad^5 + 2 theta^2 ad^3 + theta^4 ad = 0; a and b are
+    from (theta/2) cot(theta/2) and its derivative.
     """
     ad = np.zeros((*xi.shape[:-1], 6, 6))
     ad[..., :3, :3] = ad[..., 3:, 3:] = hat(xi[..., 3:])
@@ -169,12 +174,12 @@ def right_jacobian_inverse(xi: Float) -> Float:
 
 
 def mean(T: Float, iterations: int = 20) -> Float:
-    """The average of poses (..., N, 4, 4) on the manifold -> (..., 4, 4): zero mean twist."""
+    """Mean (..., 4, 4) of poses (..., N, 4, 4) on the manifold: the twists to it average to 0."""
     average = np.asarray(T[..., 0, :, :], np.float64)
     for _ in range(iterations):
         step = log(inverse(average)[..., None, :, :] @ T).mean(-2)
         average = average @ exp(step)
-        # rounding grows with the distance from the origin: kilometres never get to 1e-14
+        # relative to the distance from the origin, to which rounding errors are proportional
         if (np.abs(step).max(-1) < 1e-14 * (1 + np.abs(average[..., :3, 3]).max(-1))).all():
             break
     return average

@@ -1,4 +1,4 @@
-"""SIFT features of a picture and which of two pictures' are the same point of the scene."""
+"""SIFT features and their matching between two images (Lowe, 2004; cv2.SIFT)."""
 
 from __future__ import annotations
 
@@ -14,25 +14,31 @@ Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Int = NDArray[np.int64]
 
-# Larger pictures are brought down to this: what the finest scale adds is mostly not found again.
+# Wider images are reduced to this width: features of the finest scale are rarely matched.
 WIDTH_PX = 960
+# Lowe's ratio test: largest ratio of the best to the second best distance.
 RATIO = 0.8
-# Half the default: a road between meadows has little to offer, and `count` caps a rich picture.
+# Half of OpenCV's default, for scenes of low texture; `count` limits the others.
 CONTRAST = 0.02
-GRID = (8, 4)  # columns, rows: what is well spread lies in so many of its cells and columns
+# Columns and rows of the grid of `well_spread`, and the occupied cells and columns it requires.
+GRID = (8, 4)
 MIN_CELLS, MIN_COLUMNS = 6, 3
 
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """uv (N, 2) px of the full picture; vector (N, 128), square roots of shares: unit length."""
+    """uv: (N, 2) px of the full image. vector: (N, 128) RootSIFT descriptors of unit length.
+
+    Arandjelovic and Zisserman, "Three things everyone should know to improve object retrieval",
+    2012.
+    """
 
     uv: Float32
     vector: Float32
 
 
 def detect(gray: NDArray[np.uint8], count: int) -> Features:
-    """The strongest `count` features of a picture (H, W)."""
+    """Detect the `count` strongest features of a grey image (H, W)."""
     height, width = gray.shape
     scale = min(1.0, WIDTH_PX / width)
     if scale < 1:
@@ -40,12 +46,12 @@ def detect(gray: NDArray[np.uint8], count: int) -> Features:
         small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
     else:
         small = gray
-    # without the precise upscaling every feature lies a quarter of a pixel off
+    # without enable_precise_upscale all positions are off by a quarter of a pixel
     sift = cv2.SIFT.create(count, contrastThreshold=CONTRAST, enable_precise_upscale=True)
     points, vector = sift.detectAndCompute(small, None)
     if vector is None or len(points) == 0:
         return Features(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
-    # at a corner of two orientations SIFT gives one point twice
+    # SIFT repeats a keypoint for each of its dominant orientations: keep the first
     at, first = np.unique(cv2.KeyPoint.convert(points), axis=0, return_index=True)
     shares = vector[first] / np.maximum(vector[first].sum(1, keepdims=True), 1e-9)
     stretch = np.array([width / small.shape[1], height / small.shape[0]])
@@ -54,7 +60,7 @@ def detect(gray: NDArray[np.uint8], count: int) -> Features:
 
 
 def match(a: Features, b: Features) -> Int:
-    """(M, 2) rows of a and b that choose each other, clearly better than the second best."""
+    """Match features: rows (M, 2) of a and b, mutual nearest neighbours passing the ratio test."""
     if min(len(a.uv), len(b.uv)) < 2:
         return np.zeros((0, 2), np.int64)
     likeness = a.vector @ b.vector.T
@@ -68,7 +74,7 @@ def match(a: Features, b: Features) -> Int:
 
 
 def consistent(a: Features, b: Features, threshold_px: float) -> Int:
-    """The matches (M, 2), rows of a and b, that one fundamental matrix explains."""
+    """Matches (M, 2), rows of a and b, that are inliers of one fundamental matrix."""
     pairs = match(a, b)
     uv_a, uv_b = a.uv[pairs[:, 0]].astype(np.float64), b.uv[pairs[:, 1]].astype(np.float64)
     found = epipolar.fundamental(uv_a, uv_b, threshold_px)
@@ -76,12 +82,12 @@ def consistent(a: Features, b: Features, threshold_px: float) -> Int:
 
 
 def cells(uv: Float | Float32, size: Int) -> Int:
-    """(M,) which cell of the picture's lattice each pixel (M, 2) lies in, columns first."""
+    """Index (M,) of the GRID cell of each pixel (M, 2), column-major. size: (2,) width, height."""
     at = np.clip((uv + 0.5) / size * GRID, 0, np.array(GRID) - 1).astype(np.int64)
     return np.asarray(at[:, 0] * GRID[1] + at[:, 1])
 
 
 def well_spread(uv: Float | Float32, size: Int) -> bool:
-    """Whether pixels (M, 2) lie in enough cells of the picture, and not all in one strip."""
+    """Whether pixels (M, 2) cover at least MIN_CELLS cells in MIN_COLUMNS columns of the GRID."""
     taken = np.unique(cells(uv, size))
     return len(taken) >= MIN_CELLS and len(np.unique(taken // GRID[1])) >= MIN_COLUMNS

@@ -1,4 +1,4 @@
-"""Similarities of 3-D points: a rotation, a translation and one scale."""
+"""Similarity transforms, Sim(3), and their least-squares estimation from point pairs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Similarity:
-    """target = scale * R @ source + t. R: (3, 3), t: (3,) target unit."""
+    """Similarity target = scale * R @ source + t. R: (3, 3), t: (3,) in the target's unit."""
 
     scale: float
     R: Float
@@ -22,36 +22,36 @@ class Similarity:
 
     @classmethod
     def from_matrix(cls, T: Float) -> Similarity:
-        """Of T (4, 4) = [[scale R, t], [0, 1]]."""
+        """Similarity of a matrix T (4, 4) = [[scale R, t], [0, 1]]."""
         scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
         return cls(scale, T[:3, :3] / scale, T[:3, 3])
 
     def matrix(self) -> Float:
-        """(4, 4) [[scale R, t], [0, 1]], which takes homogeneous source points to target."""
+        """Matrix (4, 4) = [[scale R, t], [0, 1]]."""
         return se3.compose(self.scale * self.R, self.t)
 
     def points(self, p: Float) -> Float:
-        """(..., 3) source points -> target."""
+        """Transform points (..., 3) from source to target."""
         return np.asarray(self.scale * (p @ self.R.T) + self.t)
 
     def inverse(self) -> Similarity:
-        """The map from target back to source."""
+        """The inverse transform, target to source."""
         R = self.R.T
         return Similarity(1 / self.scale, R, -(R @ self.t) / self.scale)
 
     def poses(self, T: Float) -> Float:
-        """(..., 4, 4) source poses -> target; positions scale, rotations do not."""
+        """Transform poses (..., 4, 4) from source to target; they stay rigid."""
         return se3.compose(self.R @ T[..., :3, :3], self.points(T[..., :3, 3]))
 
 
 def align(
     source: Float, target: Float, with_scale: bool, weights: Float | None = None
 ) -> Similarity:
-    """Least-squares similarity or rigid motion (scale 1) taking source (N, 3) to target (N, 3).
+    """Least-squares similarity, or rigid motion (scale 1), from source (N, 3) to target (N, 3).
 
-    weights: (N,) >= 0 and not all 0, of the squared distances; None is all alike.
-    Umeyama, "Least-squares estimation of transformation parameters between two point
-    patterns", 1991, Eqs. (34)-(43). N >= 2; a straight path leaves its roll at the smallest turn.
+    N >= 2. weights: (N,) >= 0, not all 0, of the squared distances; None: equal. For collinear
+    points the rotation about the line is arbitrary. Umeyama, "Least-squares estimation of
+    transformation parameters between two point patterns", 1991, Eqs. (34)-(43).
     """
     share = np.full(len(source), 1 / len(source)) if weights is None else weights / weights.sum()
     mean_s, mean_t = share @ source, share @ target

@@ -1,4 +1,4 @@
-"""Thin-plate spline in space: a smooth deformation through control points (paper VI-D)."""
+"""Thin-plate splines in 3-D: smooth deformations given by control points (paper VI-D)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 Float = NDArray[np.float64]
 Kind = Literal["thin_plate", "rigid", "translation", "identity"]
 
-# the distances of a tile to 150 controls stay in the processor's cache
+# points evaluated at once: their distances to 150 control points fit into the CPU cache
 TILE = 512
-# singular values of the controls below this share of the largest count as no extent at all
+# control points with a singular value below this share of the largest count as flat
 FLAT = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class ThinPlate:
-    """Phi(x) = x A + t + sum_i w_i |x - p_i|, all in coordinates (x - centre) / size.
+    """Deformation Phi(x) = x A + t + sum_i w_i |x - p_i|, in coordinates (x - centre) / size.
 
-    centre: (3,) and size: scalar, in the points' unit. controls: (N, 3) p_i, weights: (N, 3) w_i,
-    affine: (4, 3) rows of A, then t; all without unit. kind: which fall-back `fit` ended in.
+    centre: (3,), size: scalar, in the unit of the points. Dimensionless: controls (N, 3) p_i,
+    weights (N, 3) w_i, affine (4, 3) rows of A, then t. kind: model that `fit` could determine.
     """
 
     centre: Float
@@ -33,10 +33,10 @@ class ThinPlate:
     kind: Kind
 
     def apply(self, points: NDArray[np.floating]) -> Float:
-        """(M, 3) -> (M, 3), same unit; works in tiles of 512 points, so memory is O(N).
+        """Deform points (M, 3). Works in tiles of 512 points, so memory is O(N).
 
-        Squared distances are one product of matrices, which costs half the digits of a distance
-        at a control point itself: some 1e-8 of `size` times its weight.
+        Squared distances are computed by a matrix product, whose cancellation error near a
+        control point is about 1e-8 of `size` times its weight.
         """
         points = np.asarray(points, np.float64)
         out = np.empty_like(points)
@@ -55,15 +55,15 @@ class ThinPlate:
         return out
 
     def determinants(self, points: NDArray[np.floating]) -> Float:
-        """det dPhi/dx (M,) at points (M, 3); <= 0 where the deformation folds."""
+        """Jacobian determinants (M,) at points (M, 3); <= 0 where the deformation folds."""
         x = (np.asarray(points, np.float64) - self.centre) / self.size
         return np.asarray(np.linalg.det(self._jacobian(x)))
 
     def worst_at_controls(self) -> Float:
-        """(N,) smallest det dPhi/dx over all directions of approach to each control point.
+        """Lower bound (N,) of the Jacobian determinant near each control point.
 
-        |x - p_i| has a cusp at p_i: next to it the Jacobian is J + w_i e^T with e any unit
-        vector, whose determinant is at least det(J) (1 - |J^-1 w_i|).
+        |x - p_i| is not differentiable at p_i: next to it the Jacobian is J + w_i e^T for a unit
+        vector e of any direction, and its determinant at least det(J) (1 - |J^-1 w_i|).
         """
         J = self._jacobian(self.controls)
         det = np.linalg.det(J)
@@ -72,7 +72,7 @@ class ThinPlate:
         return np.where(np.abs(det) > 1e-9, det * (1 - reach), 0.0)
 
     def _jacobian(self, x: Float) -> Float:
-        """(M, 3, 3) dPhi_a/dx_b at normalised points; a control's own cusp is left out."""
+        """Jacobians (M, 3, 3) at normalised points, without the term of a control at the point."""
         from scipy.spatial.distance import cdist
 
         J = np.broadcast_to(self.affine[:3].T, (len(x), 3, 3)).copy()
@@ -85,14 +85,14 @@ class ThinPlate:
 
 
 def fit(source: Float, target: Float, stiffness: float) -> ThinPlate:
-    """The thin plate taking source (N, 3) towards target (N, 3), same unit (paper VI-D, U(r) = r).
+    """Fit a thin-plate spline from source (N, 3) to target (N, 3), same unit (VI-D, U(r) = r).
 
-    Minimises sum |Phi(p_i) - q_i|^2 + stiffness * bending energy. Stiffness has no unit: points
-    are centred and divided by their RMS radius first, so a map in metres and one in spacings bend
-    alike; 0 interpolates. Fall-backs, decided on the extent of `source` alone: at least 4
-    points that span space give a thin plate, points that span a plane a rigid motion, points on a
-    line or at one place a translation, none the identity. Rows that are not finite are ignored.
-    Raises ValueError on unequal shapes or a negative stiffness.
+    Minimises sum |Phi(p_i) - q_i|^2 + stiffness * bending energy; 0 interpolates. Stiffness is
+    dimensionless, because points are first centred and divided by their RMS radius. The model
+    depends on the extent of `source`: thin plate (at least 4 points not in a plane), rigid motion
+    (plane), translation (line or point), identity (no points). Rows that are not finite are
+    ignored. Raises ValueError for different shapes or negative stiffness. Bookstein, "Principal
+    warps", 1989.
     """
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:
@@ -115,9 +115,9 @@ def fit(source: Float, target: Float, stiffness: float) -> ThinPlate:
 
 
 def fit_rigid(source: Float, target: Float) -> ThinPlate:
-    """Least-squares rigid motion of (N, 3) finite pairs, N >= 1, as a plate without controls.
+    """Least-squares rigid motion of finite pairs (N, 3), N >= 1, as ThinPlate without controls.
 
-    A translation when the points have no extent to turn about (a line or a single place).
+    Only a translation if the points are on a line or coincide.
     """
     centre, singular = _extent(source)
     shift = target.mean(0) - centre
@@ -141,15 +141,15 @@ def _extent(points: Float) -> tuple[Float, Float]:
 
 
 def _solve(x: Float, y: Float, stiffness: float) -> Float | None:
-    """(N + 4, 3) weights, A and t; None when the system is singular.
+    """Solve for weights, A and t (N + 4, 3); None if the system is singular.
 
-    -|x| is the conditionally positive kernel in space, so with U(r) = r the stiffness is
-    subtracted from the diagonal: added, it would pull towards a singular system.
+    In 3-D the conditionally positive definite kernel is -|x|, so with U(r) = +r the stiffness is
+    subtracted from the diagonal.
     """
     from scipy.spatial.distance import cdist
 
     n = len(x)
-    # conflicting targets at one place need some stiffness to have a solution at all
+    # a minimum, since coincident source points with different targets have no interpolation
     stiffness = max(stiffness, 1e-10)
     L = np.zeros((n + 4, n + 4))
     L[:n, :n] = cdist(x, x) - stiffness * np.eye(n)

@@ -17,7 +17,7 @@ def matches(seed=0, n=150, noise_px=0.0, outliers=0.0):
     return uv_a, uv_b, ~wrong
 
 
-def test_the_matrix_of_a_motion_meets_its_matches():
+def test_the_matrix_of_a_motion_satisfies_the_epipolar_constraint():
     uv_a, uv_b, _ = matches()
     F = epipolar.from_motion(K, K, T_B_A)
     assert np.linalg.norm(F) == pytest.approx(1)
@@ -25,13 +25,13 @@ def test_the_matrix_of_a_motion_meets_its_matches():
     assert np.abs(epipolar.sampson(F.T, uv_a, uv_b)).mean() > 0.3
 
 
-def test_sampson_distances_of_noise_are_the_noise():
+def test_sampson_distances_have_the_sigma_of_the_noise():
     uv_a, uv_b, _ = matches(n=4000, noise_px=0.4)
     F = epipolar.from_motion(K, K, T_B_A)
     assert epipolar.sampson(F, uv_a, uv_b).std() == pytest.approx(0.4, rel=0.05)
 
 
-def test_exact_matches_give_the_exact_matrix_of_rank_two():
+def test_exact_matches_give_the_exact_rank_two_matrix():
     uv_a, uv_b, _ = matches()
     fit = epipolar.fundamental(uv_a, uv_b)
     truth = epipolar.from_motion(K, K, T_B_A)
@@ -41,7 +41,7 @@ def test_exact_matches_give_the_exact_matrix_of_rank_two():
     assert singular[2] < 1e-12 * singular[0]
 
 
-def test_a_fifth_of_wrong_matches_is_left_out_and_the_noise_is_found():
+def test_twenty_percent_outliers_are_rejected_and_the_noise_estimated():
     uv_a, uv_b, right = matches(noise_px=0.3, outliers=0.2)
     fit = epipolar.fundamental(uv_a, uv_b)
     assert fit.inliers[right].mean() > 0.97
@@ -49,15 +49,15 @@ def test_a_fifth_of_wrong_matches_is_left_out_and_the_noise_is_found():
     assert fit.noise_px == pytest.approx(0.3, rel=0.25)
 
 
-def test_the_claimed_uncertainty_is_the_real_one():
-    """Deviations from the truth, counted in the steps of one sigma: squares of mean 1."""
+def test_the_estimated_uncertainty_is_correct():
+    """Errors in units of the one-sigma steps have squares of mean 1."""
     truth, squares = epipolar.from_motion(K, K, T_B_A), []
     to = np.array([[300, 0, 320], [0, 200, 200], [0, 0, 1.0]])
     for seed in range(40):
         uv_a, uv_b, _ = matches(seed, noise_px=0.3)
         fit = epipolar.refine(truth, uv_a, uv_b, threshold_px=2)
         away = truth * np.sign((fit.F * truth).sum()) - fit.F
-        # in pixels of unit size, and with the free scale of F as an eighth direction
+        # in normalised pixels, with the free scale of F as an eighth direction
         basis = (to.T @ np.concatenate([fit.steps, fit.F[None]]) @ to).reshape(8, 9)
         size = np.linalg.norm(basis, axis=1)
         found = np.linalg.lstsq((basis / size[:, None]).T, (to.T @ away @ to).ravel(), rcond=None)
@@ -77,7 +77,7 @@ def test_too_few_matches_give_nothing(n):
     assert epipolar.fundamental(uv_a[:n], uv_b[:n]) is None
 
 
-def test_matches_without_structure_give_nothing_or_say_so():
+def test_random_matches_give_none_or_large_noise():
     same = np.full((30, 2), 50.0)
     assert epipolar.fundamental(same, same) is None
     rng = np.random.default_rng(0)

@@ -20,13 +20,13 @@ def test_new_corners_keep_away_from_known_ones():
     assert len(corners(np.zeros((120, 200), np.uint8), 30)) == 0
 
 
-def test_a_mask_is_black_around_points_only():
+def test_the_mask_is_zero_around_points_only():
     mask = away_from((120, 200), np.array([[50.0, 60.0]], np.float32), 7)
     assert mask[60, 50] == mask[60, 56] == 0
     assert mask[60, 60] == 255 and mask.shape == (120, 200)
 
 
-def test_a_shift_is_followed_and_the_margin_is_not_believed():
+def test_a_shift_is_tracked_and_points_in_the_margin_are_invalid():
     source = blobs()
     target = cv2.warpAffine(source, np.array([[1, 0, 6.25], [0, 1, -2.5]]), (200, 120))
     uv = corners(source, 60)
@@ -38,7 +38,7 @@ def test_a_shift_is_followed_and_the_margin_is_not_believed():
     assert far_from_border.any() and not (far_from_border & ~inside).any()
 
 
-def test_the_guess_is_left_as_it_was_and_other_pictures_are_not_believed():
+def test_the_guess_is_not_modified_and_points_of_other_images_are_invalid():
     uv = corners(blobs(), 60)
     guess = uv.copy()
     follow(blobs(), blobs(), uv, guess)

@@ -12,7 +12,7 @@ vectors = st.lists(numbers, min_size=3, max_size=3).map(np.array)
 
 @st.composite
 def twists(draw: st.DrawFn, most: float = 3.0) -> np.ndarray:
-    """A twist whose rotation stays below `most` rad, down to exactly none."""
+    """Twists with a rotation below `most` rad, zero included."""
     axis = draw(vectors)
     angle = draw(st.floats(0, most) | st.sampled_from([0.0, 1e-9, 1e-6, 1e-4]))
     norm = np.linalg.norm(axis)
@@ -46,7 +46,7 @@ def test_so3_log_up_to_and_including_half_a_turn(axis, angle):
     axis = axis / norm if norm > 1e-3 else np.array([0.0, 1.0, 0.0])
     R = se3.so3_exp(axis * angle)
     w = se3.so3_log(R)
-    # at pi both signs of the axis are the same rotation
+    # at pi both signs of the axis give the same rotation
     np.testing.assert_allclose(se3.so3_exp(w), R, atol=1e-7)
     assert np.linalg.norm(w) == pytest.approx(angle, abs=1e-6)
 

@@ -11,7 +11,7 @@ SHIFT = np.array([7.0, 3.0])
 
 
 def blobs(seed=0, size=(320, 160), n=150):
-    """A grey picture of soft spots."""
+    """A grey image of blurred spots."""
     rng = np.random.default_rng(seed)
     picture = np.full(size[::-1], 120, np.float32)
     for _ in range(n):
@@ -20,7 +20,7 @@ def blobs(seed=0, size=(320, 160), n=150):
     return cv2.GaussianBlur(picture, (0, 0), 1.0).astype(np.uint8)
 
 
-def test_features_of_a_shifted_picture_are_found_where_it_was_shifted():
+def test_features_of_a_shifted_image_match_with_that_shift():
     big = blobs(size=(360, 200))
     a = sift.detect(big[10:170, 10:330], 300)
     b = sift.detect(big[13:173, 17:337], 300)
@@ -32,7 +32,7 @@ def test_features_of_a_shifted_picture_are_found_where_it_was_shifted():
 
 
 def test_positions_are_those_of_the_full_picture():
-    """A picture too wide is looked at smaller; its mirror image gives away any offset."""
+    """A wide image is reduced; features of its mirror image reveal an offset."""
     wide = cv2.resize(blobs(), (4 * 320, 4 * 160), interpolation=cv2.INTER_CUBIC)
     a = sift.detect(wide, 200).uv
     b = sift.detect(np.ascontiguousarray(wide[:, ::-1]), 200).uv
@@ -43,28 +43,28 @@ def test_positions_are_those_of_the_full_picture():
     assert a[:, 0].max() > 1000
 
 
-def test_descriptors_are_unit_and_no_point_comes_twice():
+def test_descriptors_have_unit_length_and_no_point_is_repeated():
     found = sift.detect(blobs(), 100)
     assert np.linalg.norm(found.vector, axis=1) == pytest.approx(np.ones(len(found.uv)), abs=1e-4)
     assert len(np.unique(found.uv, axis=0)) == len(found.uv) > 25
     assert found.uv.dtype == found.vector.dtype == np.float32
 
 
-def test_a_blank_picture_has_nothing_and_matches_nothing():
+def test_a_blank_image_has_no_features_and_no_matches():
     blank = sift.detect(np.full((60, 80), 90, np.uint8), 100)
     assert blank.uv.shape == (0, 2) and blank.vector.shape == (0, 128)
     assert sift.match(blank, sift.detect(blobs(), 100)).shape == (0, 2)
     assert sift.consistent(blank, blank, 1.0).shape == (0, 2)
 
 
-def test_a_match_as_good_elsewhere_is_no_match():
+def test_an_ambiguous_match_is_rejected():
     vector = np.eye(3, 128, dtype=np.float32)
     a = Features(np.zeros((3, 2), np.float32), vector)
     twice = Features(np.zeros((4, 2), np.float32), vector[[0, 0, 1, 2]])
     assert sift.match(a, twice).tolist() == [[1, 2], [2, 3]]
 
 
-def test_what_no_one_geometry_explains_is_left_out():
+def test_outliers_of_the_fundamental_matrix_are_removed():
     rng = np.random.default_rng(1)
     uv = rng.uniform(0, 300, (60, 2)).astype(np.float32)
     vector = np.eye(60, 128, dtype=np.float32)

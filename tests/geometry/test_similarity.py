@@ -1,4 +1,4 @@
-"""A similarity that was put there must be found, in whole and by weight."""
+"""Known similarities are estimated, with and without weights."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,9 @@ def cloud(n: int = 60, seed: int = 0) -> np.ndarray:
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.05, 20), THREE, THREE)
-def test_a_similarity_is_found_and_undone(scale: float, w: list[float], t: list[float]) -> None:
+def test_a_similarity_is_estimated_and_inverted(
+    scale: float, w: list[float], t: list[float]
+) -> None:
     true, p = similarity(scale, w, t), cloud()
     found = align(p, true.points(p), with_scale=True)
     assert found.scale == pytest.approx(scale, rel=1e-9)
@@ -32,7 +34,7 @@ def test_a_similarity_is_found_and_undone(scale: float, w: list[float], t: list[
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(0.05, 20), THREE, THREE)
-def test_its_matrix_is_the_same_map(scale: float, w: list[float], t: list[float]) -> None:
+def test_the_matrix_is_the_same_transform(scale: float, w: list[float], t: list[float]) -> None:
     true, p = similarity(scale, w, t), cloud(5)
     assert np.allclose(se3.transform(true.matrix(), p), true.points(p), atol=1e-9)
     back = Similarity.from_matrix(true.matrix())
@@ -46,7 +48,7 @@ def test_alignment_never_mirrors() -> None:
     assert np.linalg.det(found.R) == pytest.approx(1)
 
 
-def test_a_weight_counts_as_many_points_as_it_says() -> None:
+def test_a_weight_is_equivalent_to_repeated_points() -> None:
     p, rng = cloud(20), np.random.default_rng(3)
     q = p + rng.normal(size=p.shape)
     times = rng.integers(0, 4, len(p))

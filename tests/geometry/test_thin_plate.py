@@ -13,7 +13,7 @@ def cloud(seed: int, n: int = 25, size: float = 10.0) -> np.ndarray:
 
 
 def bent(p: np.ndarray) -> np.ndarray:
-    """A smooth non-linear warp of a 20-unit room."""
+    """A smooth non-linear deformation of a volume 20 units wide."""
     return p + np.stack(
         [np.sin(p[:, 1] / 8), 0.02 * p[:, 0] * p[:, 2], 0.5 * np.cos(p[:, 0] / 6)], -1
     )
@@ -40,7 +40,7 @@ def test_without_stiffness_it_interpolates(seed):
 
 @settings(max_examples=25, deadline=None)
 @given(seeds, st.floats(0.01, 100), st.floats(-3, 3))
-def test_it_does_not_depend_on_frame_or_unit(seed, unit, angle):
+def test_the_fit_does_not_depend_on_frame_or_unit(seed, unit, angle):
     source, points = cloud(seed), cloud(seed + 1)
     T = se3.exp(np.array([5.0, -3, 2, angle, 0.5 * angle, 0.1]))
     plate = thin_plate.fit(source, bent(source), 1e-2)
@@ -54,7 +54,7 @@ def test_it_does_not_depend_on_frame_or_unit(seed, unit, angle):
     )
 
 
-def test_a_smooth_warp_is_learnt_between_the_controls():
+def test_a_smooth_deformation_is_interpolated_between_the_controls():
     source, points = cloud(0, 150), cloud(1, 500, 8.0)
     before = np.linalg.norm(bent(points) - points, axis=1).mean()
     plate = thin_plate.fit(source, bent(source), 1e-4)
@@ -98,7 +98,7 @@ def test_the_solution_minimises_the_stated_energy():
         assert energy(plate.weights + dw, plate.affine + rng.normal(0, 0.01, (4, 3))) > best
 
 
-def test_tiles_do_not_show(monkeypatch):
+def test_the_result_does_not_depend_on_the_tile_size(monkeypatch):
     source, points = cloud(0, 40), cloud(1, 1000)
     plate = thin_plate.fit(source, bent(source), 1e-4)
     whole = plate.apply(points)
@@ -185,7 +185,7 @@ def test_rows_that_are_not_finite_are_ignored():
     np.testing.assert_array_equal(thin_plate.fit(source, target, 1e-4).apply(cloud(1)), expected)
 
 
-def test_wrong_arguments_are_refused():
+def test_wrong_arguments_are_errors():
     with pytest.raises(ValueError, match=r"expected two \(N, 3\)"):
         thin_plate.fit(np.zeros((3, 3)), np.zeros((4, 3)), 1e-4)
     with pytest.raises(ValueError, match="stiffness"):
