@@ -1,4 +1,4 @@
-"""The paper's baselines on the very sub-maps of a recording: what alignment alone makes of them."""
+"""The paper's chaining baselines on the sub-maps of a recording."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from device.frame import Eye
 
 
 def matched_submaps(updates: Sequence[LocalizerUpdate]) -> list[LocalizerUpdate]:
-    """The last update of every sub-map that came with matches or depth, by id.
+    """The last update of each sub-map that has matches or depth, by id.
 
-    A window that was solved again at the end is logged without them, so it is chained as it was
-    placed live: what a baseline makes of it has no hindsight of the kit.
+    Windows solved again at the end are logged without these, so the live solution is used: the
+    baselines get no later estimate of the kit.
     """
     last = {
         update.submap.id: update
@@ -32,17 +32,17 @@ def matched_submaps(updates: Sequence[LocalizerUpdate]) -> list[LocalizerUpdate]
 
 
 def overlaps(updates: Sequence[LocalizerUpdate], size: Int) -> Iterator[Correspondences]:
-    """Between each sub-map and the next, over the pictures both hold. size: (2,) px."""
+    """Correspondences of consecutive sub-maps in their common pictures. size: (2,) px."""
     for previous, new in pairwise(updates):
         views = common_views(previous.submap, new.submap)
         yield correspondences(previous.prediction, views[0], new.prediction, views[1], size)
 
 
 def chained(recording: Path, alignment: str) -> Estimate:
-    """A recording's sub-maps chained by `alignment` (a key of ALIGNMENTS), loops left out.
+    """Chain a recording's sub-maps by `alignment` (a key of ALIGNMENTS), without loops.
 
-    Its world unit is metres where the spacing was given, by the first sub-map alone. Raises
-    EvaluationError when the chain broke, RecordingError.
+    World unit: metres where the spacing is configured, from the first sub-map's scale. Raises
+    EvaluationError when the chain breaks, RecordingError.
     """
     source = Recording(recording)
     updates = matched_submaps(list(source.updates()))

@@ -1,4 +1,4 @@
-"""The drives that are measured: found, derived from one another, or rendered once."""
+"""Drives that the measurements run on: on disk, derived from one another, or rendered once."""
 
 from __future__ import annotations
 
@@ -9,33 +9,47 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+import numpy as np
+
+from bench.process import last_line
+from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.types import Bytes
+
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
 SIMULATOR = ROOT.parent / "shared" / "tools" / "drive_sim.py"
 SIMULATED = ROOT / "build" / "sim"
 
-# Given a folder to work in: the sequence folder, or why there is none.
+# Maps a work folder to the sequence folder, or to the reason why there is none.
 Prepare = Callable[[Path], Path | str]
 
 
 def there(folder: Path) -> Prepare:
-    """A folder as it lies on the disk."""
+    """A sequence folder on disk."""
     return lambda _out: folder if (folder / "cam1").is_dir() else f"{folder} is not here"
 
 
 def pictures(folder: Path, eye: int) -> list[Path]:
-    """One eye's pictures, in the order a sequence folder plays them."""
+    """Picture files of one eye, in the order a sequence folder plays them."""
     return sorted(
         p for p in (folder / f"cam{eye}").iterdir() if p.suffix.lower() in (".png", ".jpg", ".jpeg")
     )
 
 
-def shifted_by_one(source: Path, out: Path) -> Path:
-    """`out`/sequence: links to `source`, the assistant without its first frame, the primary
-    without its last.
+def read_picture(file: Path) -> Bytes:
+    """Read a picture (H, W, 3) BGR; raises EvaluationError."""
+    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    if image is None:
+        raise EvaluationError(f"{file}: not a readable image")
+    return np.asarray(image, np.uint8)
 
-    Frame k of cam1 is the source's k + 1, and so is its time: stamps stay true, and only who
-    pairs frames by counting them is wrong.
+
+def shifted_by_one(source: Path, out: Path) -> Path:
+    """`out`/sequence: links to `source` without the assistant's first and the primary's last frame.
+
+    Frame k of cam1 is frame k + 1 of the source, with its stamp: stamps stay true, and only
+    pairing frames by their index is wrong.
     """
     folder = out / "sequence"
     shutil.rmtree(folder, ignore_errors=True)
@@ -55,7 +69,7 @@ def shifted_by_one(source: Path, out: Path) -> Path:
 
 
 def late_assistant(source: Path) -> Prepare:
-    """`source` shifted by one frame."""
+    """`source` with the assistant one frame ahead, see `shifted_by_one`."""
 
     def prepare(out: Path) -> Path | str:
         if not (source / "cam1").is_dir():
@@ -66,7 +80,7 @@ def late_assistant(source: Path) -> Prepare:
 
 
 def simulated(name: str, *options: str) -> Prepare:
-    """A drive rendered once into build/sim/."""
+    """A drive rendered into build/sim/ by the simulator with these options, once."""
 
     def prepare(_out: Path) -> Path | str:
         folder = SIMULATED / name
@@ -74,13 +88,12 @@ def simulated(name: str, *options: str) -> Prepare:
             return folder
         if not SIMULATOR.is_file():
             return f"{SIMULATOR} is not here"
-        # a half-rendered drive must never be taken for a whole one
+        # an interrupted rendering must not pass for a whole drive
         part = SIMULATED / f"{name}.part"
         command = [sys.executable, str(SIMULATOR), "--out", str(part), *options]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode or not (part / "cloud.npy").is_file():
-            said = done.stderr.strip().splitlines() or ["it said nothing"]
-            return f"{SIMULATOR.name} failed: {said[-1]}"
+            return f"{SIMULATOR.name} failed: {last_line(done)}"
         shutil.rmtree(folder, ignore_errors=True)
         part.rename(folder)
         return folder
@@ -90,11 +103,10 @@ def simulated(name: str, *options: str) -> Prepare:
 
 @dataclass(frozen=True, slots=True)
 class Kilometre:
-    """A rendered drive of 1 km or more, twice: as a loose kit drives it, and in step.
+    """A rendered drive of 1 km or more, with and without timing faults.
 
-    spacing_m: metres between the cameras. scene: the simulator's options of the track and the
-    rig. timing: what is wrong with the clocks; the drive in step has none of it, for whoever
-    cannot do without.
+    spacing_m: distance between the cameras. scene, timing: simulator options for track and rig,
+    and for clock faults.
     """
 
     name: str
@@ -109,7 +121,7 @@ class Kilometre:
 
     @property
     def in_step(self) -> Prepare:
-        """Both cameras exposed at one instant, every frame on its tick."""
+        """Without them: both cameras exposed at the same instants, at an even rate."""
         if not self.timing:
             return self.loose
         return simulated(f"{self.name}_in_step", *self._rig)
@@ -123,7 +135,7 @@ def _kilometre(name: str, track: str, spacing_m: float, scene: str, timing: str 
     return Kilometre(name, spacing_m, ("--track", track, *scene.split()), tuple(timing.split()))
 
 
-# Every rig differs: fields of view, spacing, angle between the axes, clocks, exposure.
+# All rigs differ in fields of view, spacing, angle between the axes, clocks and exposure.
 DEVELOPMENT = (
     _kilometre(
         "km_aalborg",
@@ -161,7 +173,7 @@ DEVELOPMENT = (
         "--async 0.03",
     ),
 )
-# Tracks that nothing is tuned on: looked at once, at the end.
+# Tracks that nothing is tuned on; evaluated once, at the end.
 HELD_OUT = (
     _kilometre(
         "km_forza",

@@ -1,7 +1,7 @@
-"""Is one variant better than another on the same drives and seeds? A ratio and its interval.
+"""Paired comparison of two variants over drives and seeds: error ratio and its 95 % interval.
 
-Errors of different drives differ by orders, so ratios are averaged as logarithms; runs of one
-drive are alike, so the bootstrap draws whole drives and then seeds within each of them.
+Errors of different drives differ by orders of magnitude, so ratios are averaged as logarithms.
+Runs of one drive are correlated, so the cluster bootstrap draws drives, then seeds within each.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ Errors = Mapping[tuple[str, int], float | None]
 
 SAMPLES = 10_000
 SEED = 0
-# Fewer pairs than this are no ground for a verdict.
+# Minimum number of pairs for a verdict.
 MIN_PAIRS = 5
 COLUMNS = ("compared", "ratio", "95 % from", "to", "drives", "pairs", "failed", "verdict")
 
 
 @dataclass(frozen=True, slots=True)
 class PairedRatio:
-    """Geometric mean of error / reference error, every drive alike, and its 95 % interval.
+    """Geometric mean of error / reference error, equal weight per drive, and its 95 % interval.
 
     ratio, low, high: below 1 the variant is better; None without a pair of finished runs.
-    drives, pairs: that went in. failed: runs of the variant that failed where the reference did
-    not; reference_failed: the other way round.
+    drives, pairs: numbers used. failed: runs of the variant that failed where the reference did
+    not; reference_failed: the reverse.
     """
 
     ratio: float | None
@@ -45,7 +45,7 @@ class PairedRatio:
 
     @property
     def verdict(self) -> str:
-        """better, worse or tie as the interval leaves 1 out; `too few runs` below MIN_PAIRS."""
+        """better, worse, or tie if the interval includes 1; `too few runs` below MIN_PAIRS."""
         if self.pairs < MIN_PAIRS or self.low is None or self.high is None:
             return "too few runs"
         if self.high < 1:
@@ -53,7 +53,7 @@ class PairedRatio:
         return "worse" if self.low > 1 else "tie"
 
     def within(self, target: float) -> bool:
-        """Whether the ratio meets a target such as 1/4; its interval need not."""
+        """Whether the ratio, though not its whole interval, is at most `target`."""
         return self.ratio is not None and self.ratio <= target
 
     def row(self, name: str) -> list[Any]:
@@ -63,16 +63,16 @@ class PairedRatio:
         return [name, *figures, failed, self.verdict]
 
     def to_dict(self) -> dict[str, Any]:
-        """What goes into the JSON."""
+        """Fields and verdict for JSON."""
         return {name: getattr(self, name) for name in (*self.__slots__, "verdict")}
 
 
 def compare(errors: Errors, reference: Errors, samples: int = SAMPLES) -> PairedRatio:
-    """errors against reference over the (drive, seed) both ran; deterministic.
+    """Compare errors with the reference over their common (drive, seed); deterministic.
 
     Interval: percentiles 2.5 and 97.5 of the cluster bootstrap (drives, then seeds, both with
-    replacement); with six drives it held the truth in 88 % of 200 trials. Raises EvaluationError
-    where an error is not above zero, or nothing is paired.
+    replacement). With six drives it covered the true ratio in 88 % of 200 trials. Raises
+    EvaluationError for an error that is not positive, or without common runs.
     """
     keys = sorted(errors.keys() & reference.keys())
     if not keys:

@@ -1,7 +1,7 @@
-"""A sequence folder as a worse kit would have recorded it: late, jittering, drifting, cropped.
+"""Add recording faults to a sequence folder: latency, jitter, clock drift, drops, cropping.
 
-Only what a kit knows is made wrong. Truth stays true: a picture keeps the pose of the moment it
-was exposed, under the stamp it now bears; `calib.txt` follows a crop, for it is evaluation's.
+Only the recording is changed, not the ground truth: each picture keeps the pose of its exposure
+under its new stamp, and `calib.txt`, which only the evaluation reads, follows the crop.
 """
 
 from __future__ import annotations
@@ -15,23 +15,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.drives import pictures
-from calm_edge.evaluation.errors import EvaluationError
+from bench.drives import pictures, read_picture
 from calm_edge.recording.sequence_folder import ORIGIN_NS, SequenceFolder
 from calm_edge.types import Int
 from device.frame import Eye
 
-# Stamps of a stream never meet, however far jitter would carry them.
+# Minimum interval between stamps of a stream, whatever the jitter.
 LEAST_GAP_NS = 1_000_000
 QUALITY = 95
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """How the stamps lie, an eye where two are given.
+    """Stamp errors; pairs are one value per eye.
 
-    latency_ms: added to every stamp of an eye. jitter_ms: one sigma of Gaussian noise on each.
-    drift_ppm: how much faster an eye's clock runs.
+    latency_ms: added to all stamps. jitter_ms: sigma of Gaussian noise. drift_ppm: error of
+    the clock's rate.
     """
 
     latency_ms: tuple[float, float] = (0.0, 0.0)
@@ -41,12 +40,12 @@ class Clocks:
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:
-    """What is made worse. seed: of jitter and drops.
+    """Faults to add; pairs are one value per eye. seed: of jitter and drops.
 
     split: odd frames (1, 3 ...) to the primary, even ones to the assistant. drop: probability
-    that a frame is lost, an eye. crop: by which part of what remains of the width and the
-    height the principal point moves left and up (negative: right and down), an eye. blur_px:
-    sigma of a Gaussian. gain: an eye's brightness is multiplied by it.
+    that a frame is lost. crop: shift of the principal point to the left and up (negative: right
+    and down), as a share of the remaining width and height. blur_px: sigma of a Gaussian. gain:
+    factor on the brightness.
     """
 
     clocks: Clocks = Clocks()
@@ -59,21 +58,21 @@ class Perturbation:
 
 
 def stamped(t_ns: Int, clocks: Clocks, eye: int, rng: np.random.Generator) -> Int:
-    """What a kit with these clocks would write for exposures at t_ns (N,).
+    """Stamps (N,) that these clocks give exposures at t_ns (N,).
 
-    Drift counts from the first exposure. Where jitter would turn the order round, a stamp
-    follows its predecessor by LEAST_GAP_NS, as a driver that never lets time stand still.
+    Drift starts at the first exposure. Where jitter would reverse the order, a stamp follows its
+    predecessor by LEAST_GAP_NS.
     """
     elapsed = t_ns - t_ns[0]
-    lie = clocks.latency_ms[eye] * 1e6 + elapsed * (clocks.drift_ppm[eye] * 1e-6)
+    offset = clocks.latency_ms[eye] * 1e6 + elapsed * (clocks.drift_ppm[eye] * 1e-6)
     noise = rng.normal(0.0, clocks.jitter_ms * 1e6, len(t_ns))
-    out = t_ns + np.round(lie + noise).astype(np.int64)
+    out = t_ns + np.round(offset + noise).astype(np.int64)
     steps = np.arange(len(out)) * LEAST_GAP_NS
     return np.asarray(np.maximum.accumulate(out - steps) + steps)
 
 
 def survivors(n: int, eye: int, change: Perturbation, rng: np.random.Generator) -> Int:
-    """Indices of the frames of an eye that come through, of n; at least the first and the last."""
+    """Indices of the frames of an eye, of n, that are not dropped; the first and last never are."""
     start, step = (1 - eye, 2) if change.split else (0, 1)
     frames = np.arange(start, n, step)
     lost = rng.random(len(frames)) < change.drop[eye]
@@ -84,8 +83,8 @@ def survivors(n: int, eye: int, change: Perturbation, rng: np.random.Generator) 
 def crop_window(size: tuple[int, int], crop: tuple[float, float]) -> tuple[int, int, int, int]:
     """(left, top, right, bottom) px to cut so that the principal point moves by `crop` (x, y).
 
-    Cutting 2 d off one side moves the centre of what remains by d against the principal point,
-    and d is to be `crop` of the length less 2 d.
+    Cutting 2 d off one side moves the centre of the rest by d relative to the principal point;
+    d shall be `crop` times the remaining length.
     """
     cut = [
         round(2 * part * length / (1 + 2 * abs(part)))
@@ -115,28 +114,25 @@ def _picture_writer(
         return lambda source, target: target.symlink_to(source.resolve())
 
     def rewrite(source: Path, target: Path) -> None:
-        image = cv2.imread(str(source), cv2.IMREAD_COLOR)
-        if image is None:
-            raise EvaluationError(f"{source}: not a readable image")
-        out = _altered(np.asarray(image, np.uint8), window, change.blur_px, change.gain[eye])
+        out = _altered(read_picture(source), window, change.blur_px, change.gain[eye])
         cv2.imwrite(str(target), out, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
 
     return rewrite
 
 
 def perturbed(source: Path, out: Path, change: Perturbation) -> Path:
-    """`source`, a sequence folder, made worse in the folder `out`, which is replaced.
+    """Write the sequence folder `source` with faults to the folder `out`, which is replaced.
 
     Pictures are links unless they are cropped, blurred or brightened (then JPEG at QUALITY, or
-    PNG as they were). `poses*.txt` keep a row a picture, so each pose meets its picture's stamp.
-    Raises SequenceError, EvaluationError.
+    PNG as before). `poses*.txt` keep one row for each picture. Raises SequenceError,
+    EvaluationError.
     """
     sequence = SequenceFolder(source)
     shutil.rmtree(out, ignore_errors=True)
     calibration = []
     rows = _lines(source / "calib.txt")
     for eye in Eye:
-        # a stream of its own, so that one eye's faults do not reshuffle the other's
+        # one random stream per eye: faults of one do not change those of the other
         rng = np.random.default_rng((change.seed, int(eye)))
         kept = survivors(sequence.count(eye), int(eye), change, rng)
         t_ns = stamped(sequence.t_ns(eye), change.clocks, int(eye), rng)[kept] - ORIGIN_NS

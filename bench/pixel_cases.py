@@ -1,4 +1,4 @@
-"""The drives of the table on pictures: real, rendered, held out, and recorded by a worse kit."""
+"""Drives of the picture comparison: real, rendered, held out, and with recording faults."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from bench.perturb import Clocks, Perturbation, perturbed
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A drive. loose: as ours gets it. in_step: as ORB-SLAM3 gets it; the same where nothing
-    is wrong with the clocks. counts: in the targets on medians, for its truth is exact and its
-    faults are those every drive of them has."""
+    """A drive. loose: input of ours. in_step: synchronised input of ORB-SLAM3; equal to `loose`
+    without clock faults. counts: whether it enters the targets on medians; real drives (inexact
+    truth) and added faults do not."""
 
     name: str
     loose: Prepare
@@ -31,7 +31,7 @@ def _real(name: str, folder: str, spacing_m: float) -> Case:
 
 
 def made_worse(source: Prepare, change: Perturbation) -> Prepare:
-    """What `source` gives, perturbed in a folder of its own."""
+    """The drive of `source`, perturbed, in a separate folder."""
 
     def prepare(out: Path) -> Path | str:
         folder = source(out)
@@ -47,8 +47,7 @@ REAL = (
 CASES = (*REAL, *map(_rendered, DEVELOPMENT))
 UNSEEN = tuple(map(_rendered, HELD_OUT))
 
-# Host stamps lie and principal points are off: one drive whose clocks were right, a fault at a
-# time, then all of them.
+# Stamp errors and shifted principal points on one drive with true stamps: each alone, then all.
 _PLAIN = next(drive for drive in DEVELOPMENT if not drive.timing)
 _CROP = ((0.03, 0.03), (-0.03, 0.03))
 _FAULTS = {

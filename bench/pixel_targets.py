@@ -1,4 +1,4 @@
-"""What is asked of ours beside the rivals, and whether it holds."""
+"""Targets of the picture comparison and their verdicts."""
 
 from __future__ import annotations
 
@@ -9,38 +9,38 @@ from typing import Any
 
 from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
 
-# (what was measured, what was asked, the measure, whether it passes; None: not yet measured).
+# (quantity, target, measured value, whether it passes; None: not measured yet).
 Verdict = tuple[str, str, Any, bool | None]
 Results = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
-# With less of its frames placed, or of the path spanned, a method has lost the drive.
+# Below this share of frames with a pose, or of the path covered, the drive counts as lost.
 LOST_BELOW = 0.8
 KARLSRUHE_M = 1.07
 KITTI06_M = 0.2
 
-# Against which row of ORB-SLAM3, and how much of its error ours may have.
+# Row of ORB-SLAM3, its title, and the largest ratio of our error to its error.
 RATIOS = (
-    ("orbslam3", "ORB-SLAM3 with the truth", 1.3),
-    ("orbslam3_yaw", "ORB-SLAM3 half a degree wrong", 1 / 3),
-    ("orbslam3_frame", "ORB-SLAM3 one frame out of step", 1 / 3),
+    ("orbslam3", "ORB-SLAM3, true calibration", 1.3),
+    ("orbslam3_yaw", "ORB-SLAM3, yaw half a degree wrong", 1 / 3),
+    ("orbslam3_frame", "ORB-SLAM3, assistant one frame late", 1 / 3),
 )
 
 
 def error_m(figures: Mapping[str, Any], key: str = "ate_se3_m") -> float:
-    """The error, m; infinite when the drive was lost or the method failed."""
+    """The error [m]; infinite when the drive was lost or the method failed."""
     value, covered = figures.get(key), (figures.get("coverage_percent") or 0.0) / 100
     kept = min(covered, figures.get("placed", 1.0))
     return math.inf if value is None or kept < LOST_BELOW else float(value)
 
 
 def focal_observed(figures: Mapping[str, Any]) -> bool:
-    """Whether both eyes' focals are known to MAX_FOCAL_SIGMA_PERCENT."""
+    """Whether the focal sigma of both eyes is at most MAX_FOCAL_SIGMA_PERCENT."""
     sigma = figures.get("focal_sigma_percent") or (None, None)
     return all(s is not None and s <= MAX_FOCAL_SIGMA_PERCENT for s in sigma)
 
 
 def ratio(ours: Mapping[str, Any], rival: Mapping[str, Any]) -> float:
-    """Our SE(3) error over the rival's: 0 where it alone is lost, infinite where ours is."""
+    """Our SE(3) error over the rival's; 0 where only it lost the drive, infinite where ours did."""
     mine, theirs = error_m(ours), error_m(rival)
     if math.isinf(mine):
         return math.inf
@@ -48,17 +48,17 @@ def ratio(ours: Mapping[str, Any], rival: Mapping[str, Any]) -> float:
 
 
 def verdicts(results: Results, counted: Collection[str]) -> list[Verdict]:
-    """The targets over what was measured; counted: the names of the drives that count."""
+    """Verdicts on all targets. counted: names of the drives that enter the medians."""
     return [*_medians(results, counted), *_real(results), *_against_colmap(results)]
 
 
 def _measured(figures: Mapping[str, Any] | None) -> bool:
-    # a rival that crashed, perhaps by our handling, is no point for us
+    # a crash of a rival may be our handling of it: no win for us
     return figures is not None and not {"skipped", "failed"} & set(figures)
 
 
 def _counts(ours: Mapping[str, Any] | None) -> bool:
-    # a drive that broke ours is not excused by the focal it never got to
+    # a failed run of ours counts even though no focal was estimated
     return ours is not None and ("failed" in ours or (_measured(ours) and focal_observed(ours)))
 
 

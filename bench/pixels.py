@@ -46,7 +46,7 @@ _KEPT = (
 )
 
 
-# Given a drive and a folder to work in: the figures.
+# Maps a drive and a work folder to the figures.
 Method = Callable[[Case, Path], dict[str, Any]]
 
 
@@ -62,26 +62,26 @@ def ours(case: Case, out: Path) -> dict[str, Any]:
     sequence = _prepared(case.loose, out)
     recording = out / "recording"
     cost = steps.record(sequence, recording, ("--spacing-m", f"{case.spacing_m:g}"))
-    said = steps.figures(recording, sequence)
-    figures = {key: said[key] for key in _KEPT}
+    result = steps.figures(recording, sequence)
+    figures = {key: result[key] for key in _KEPT}
     return {**figures, "cpu_s": cost.cpu_s, "wall_s": cost.wall_s}
 
 
 def judged(run: RivalRun, folder: Path) -> dict[str, Any]:
-    """A rival's figures: errors of the positions it placed, and how many of its frames it did."""
+    """Figures of a rival's run: errors of its positions, and the share of frames with a pose."""
     truth = read_truth(folder)
     placed = len(run.t_ns) / max(run.frames, 1)
     figures: dict[str, Any] = {"placed": placed, "cpu_s": run.cpu_s, "wall_s": run.wall_s}
     if len(run.t_ns) >= 3:
-        said = compare(Estimate("rival", run.t_ns, run.T_w_c), truth)
-        figures |= {key: said[key] for key in _KEPT[:6]}
+        result = compare(Estimate("rival", run.t_ns, run.T_w_c), truth)
+        figures |= {key: result[key] for key in _KEPT[:6]}
     if run.focal_px:
         figures["focal_px"] = list(run.focal_px)
     return figures
 
 
 def _orbslam3(
-    told: Callable[[Calibration], Calibration] = lambda truth: truth,
+    altered: Callable[[Calibration], Calibration] = lambda truth: truth,
     shift: int = 0,
     loose: bool = False,
 ) -> Method:
@@ -89,10 +89,10 @@ def _orbslam3(
         in_step = _prepared(case.in_step, out)
         folder = _prepared(case.loose, out) if loose else in_step
         if loose and folder == in_step:
-            raise RivalMissing("nothing is wrong with the clocks of this drive")
-        # the rig is known exactly where both eyes have a pose of one instant
+            raise RivalMissing("this drive has no clock faults")
+        # exact where both eyes have poses at the same instants
         truth = true_calibration(in_step, case.spacing_m)
-        return judged(orbslam3.run(folder, told(truth), out, shift), folder)
+        return judged(orbslam3.run(folder, altered(truth), out, shift), folder)
 
     return method
 
@@ -106,9 +106,9 @@ def _chained(alignment: str) -> Method:
     def method(case: Case, out: Path) -> dict[str, Any]:
         sequence, recording = _prepared(case.loose, out), out.parent / "ours" / "recording"
         if not recording.is_dir():
-            raise RivalMissing("ours comes first: its sub-maps are the ones chained")
-        said = compare(chained(recording, alignment), read_truth(sequence), "se3")
-        return {key: said[key] for key in _KEPT[:6]}
+            raise RivalMissing("needs the sub-maps of ours; run --method ours first")
+        result = compare(chained(recording, alignment), read_truth(sequence), "se3")
+        return {key: result[key] for key in _KEPT[:6]}
 
     return method
 
@@ -124,12 +124,12 @@ METHODS: dict[str, Method] = {
     "orbslam3_loose": _orbslam3(loose=True),
     "colmap": _colmap,
 }
-# Minutes of CPU for a few dozen pairs: only when asked for by name.
+# Minutes of CPU for a few dozen pairs: only when named.
 EXPENSIVE = frozenset({"colmap"})
 
 
 def measure(case: Case, method: str, out: Path) -> dict[str, Any]:
-    """The figures of one method on one drive; `skipped` or `failed` says why there are none."""
+    """Figures of one method on one drive, or the reason under `skipped` or `failed`."""
     work = out / case.name / method
     work.mkdir(parents=True, exist_ok=True)
     try:
@@ -173,15 +173,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--method", action="append", choices=list(METHODS))
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--held-out", action="store_true", help="the tracks nothing is tuned on")
-    group.add_argument("--worse", action="store_true", help="stamps that lie, principal points off")
-    parser.add_argument("--show", action="store_true", help="measure nothing, show what is known")
+    group.add_argument(
+        "--worse", action="store_true", help="stamp errors, shifted principal points"
+    )
+    parser.add_argument("--show", action="store_true", help="show the kept results alone")
     parser.add_argument("--out", type=Path, default=OUT)
 
 
 def run(options: argparse.Namespace) -> int:
     """Measure, print the table and the verdicts, keep pixels.json; 1 when a target is missed."""
-    asked = UNSEEN if options.held_out else WORSE if options.worse else CASES
-    names = options.only or [case.name for case in asked]
+    cases = UNSEEN if options.held_out else WORSE if options.worse else CASES
+    names = options.only or [case.name for case in cases]
     methods = options.method or [m for m in METHODS if m not in EXPENSIVE]
     file = options.out / "pixels.json"
     options.out.mkdir(parents=True, exist_ok=True)
@@ -198,7 +200,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def as_table(results: Mapping[str, Mapping[str, Any]], checks: Sequence[Verdict]) -> Table:
-    """For the page: every figure known, and the targets that could be judged."""
+    """Table of all figures, with the targets that could be evaluated."""
     unjudged = "; ".join(what for what, _, _, passed in checks if passed is None)
     return Table(
         name="40_pixels",
@@ -216,12 +218,12 @@ def as_table(results: Mapping[str, Mapping[str, Any]], checks: Sequence[Verdict]
         ),
         rows=tuple(tuple(row) for row in table(results)),
         checks=tuple(Check(w, a, m, p) for w, a, m, p in checks if p is not None),
-        notes=(f"not yet judged: {unjudged}",) if unjudged else (),
+        notes=(f"not measured yet: {unjudged}",) if unjudged else (),
     )
 
 
 def keep(file: Path, results: Mapping[str, Mapping[str, Any]]) -> list[Verdict]:
-    """Write {drives, targets}; returns the verdicts."""
+    """Write {drives, targets} to `file` and return the verdicts."""
     checks = verdicts(results, {case.name for case in EVERY.values() if case.counts})
     keys = ("what", "asked", "measured", "passed")
     content = {"drives": results, "targets": [dict(zip(keys, c, strict=True)) for c in checks]}

@@ -1,4 +1,4 @@
-"""The steps of a measurement, each run the way a user would: a `calm-edge` process of its own."""
+"""Steps of a measurement, each a `calm-edge` process as a user would run it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from bench.drives import ROOT
+from bench.process import last_line
 from calm_edge.commands.exit_codes import LOSS, OK
 from calm_edge.evaluation.errors import EvaluationError
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Of one step. cpu_s: of its processes and theirs."""
+    """Time of one step. cpu_s: of its process and all children."""
 
     wall_s: float
     cpu_s: float
@@ -32,7 +33,10 @@ def _children_s() -> float:
 
 
 def calm_edge(*arguments: str, accept: Sequence[int] = (OK,)) -> tuple[str, Cost]:
-    """Its stdout and its cost; raises EvaluationError with its last line for another exit code."""
+    """Run a command and return its stdout and cost.
+
+    Raises EvaluationError with its last line of output for an exit code not in `accept`.
+    """
     start, before = time.monotonic(), _children_s()
     done = subprocess.run(
         [sys.executable, "-m", "calm_edge.cli", *arguments],
@@ -42,15 +46,16 @@ def calm_edge(*arguments: str, accept: Sequence[int] = (OK,)) -> tuple[str, Cost
         check=False,
     )
     if done.returncode not in accept:
-        said = (done.stderr or done.stdout).strip().splitlines() or ["it said nothing"]
-        raise EvaluationError(f"calm-edge {arguments[0]}: exit {done.returncode}: {said[-1]}")
+        raise EvaluationError(
+            f"calm-edge {arguments[0]}: exit {done.returncode}: {last_line(done)}"
+        )
     return done.stdout, Cost(time.monotonic() - start, _children_s() - before)
 
 
 def record(sequence: Path, out: Path, options: Sequence[str] = ()) -> Cost:
-    """A lockstep recording of a sequence folder in `out`, replacing what was there.
+    """Record a sequence folder in lockstep into `out`, which is replaced.
 
-    A recording that is complete but not wholly placed (exit code 3) is one.
+    Exit code 3 is accepted: the recording is complete, but some frames have no pose.
     """
     shutil.rmtree(out, ignore_errors=True)
     arguments = ("--sequence", str(sequence), "--out", str(out), "--pace", "lockstep", *options)
@@ -58,13 +63,13 @@ def record(sequence: Path, out: Path, options: Sequence[str] = ()) -> Cost:
 
 
 def dense_map(recording: Path, out: Path) -> Cost:
-    """Its dense map in `out`, replacing what was there."""
+    """Make the dense map of a recording in `out`, which is replaced."""
     shutil.rmtree(out, ignore_errors=True)
     return calm_edge("map", str(recording), "--out", str(out), accept=(OK, LOSS))[1]
 
 
 def figures(target: Path, truth: Path) -> dict[str, Any]:
-    """What `calm-edge eval --json` says of a recording or a map."""
-    said = json.loads(calm_edge("eval", str(target), "--truth", str(truth), "--json")[0])
-    assert isinstance(said, dict)
-    return said
+    """Return the result of `calm-edge eval --json` for a recording or a map."""
+    result = json.loads(calm_edge("eval", str(target), "--truth", str(truth), "--json")[0])
+    assert isinstance(result, dict)
+    return result

@@ -25,7 +25,7 @@ class TableError(CalmEdgeError):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One promise: what was asked, what was measured, and whether that keeps it."""
+    """One promise: the quantity, its target, the measured value, and whether that meets it."""
 
     what: str
     asked: str
@@ -35,10 +35,10 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """name: of its file; also its place on the page. command: what prints it again.
+    """A measured table. name: of its file, and sort key on the page. command: to make it again.
 
-    rows: values in column order, None where there is none. checks: the promises it bears on.
-    notes: what a reader has to know to believe it.
+    rows: values in column order, None where there is none. checks: promises on these values.
+    notes: conditions of the measurement.
     """
 
     name: str
@@ -71,7 +71,7 @@ def exit_code(tables: Iterable[Table]) -> int:
 
 
 def kept(out: Path = OUT) -> list[Table]:
-    """Every table kept so far, in order of their names; raises TableError."""
+    """All kept tables, by name; raises TableError."""
     found = []
     for file in sorted((out / FOLDER).glob("*.json")):
         try:
@@ -86,7 +86,7 @@ def kept(out: Path = OUT) -> list[Table]:
 
 
 def render(tables: Iterable[Table]) -> str:
-    """The page of all tables, promises first."""
+    """HTML page of all tables, promises first."""
     tables = list(tables)
     checks = [(table, check) for table in tables for check in table.checks]
     broken = sum(not check.passed for _, check in checks)
@@ -116,7 +116,7 @@ def _cell(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """JSON has no NaN and no infinity: what was not finite is absent."""
+    """Values for JSON: NaN and infinity, which it lacks, become null."""
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

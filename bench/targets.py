@@ -27,15 +27,15 @@ RESULTS = "targets.json"
 
 
 class TargetError(CalmEdgeError):
-    """A promise cannot be judged."""
+    """A promise cannot be evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One promise. key: of `eval --json`; a list is held to its worst entry by size.
+    """One promise. key: of `eval --json`; of a list, the entry largest in magnitude counts.
 
-    most: the largest that passes. least: what every entry must exceed, null counting as
-    endless (a sigma). may_be_null: null entries pass, as nothing was claimed.
+    most: largest value that passes. least: value that all entries must exceed, null being
+    infinite (a sigma). may_be_null: null entries pass, since nothing was claimed.
     """
 
     key: str
@@ -47,9 +47,9 @@ class Metric:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One drive. prepare: its sequence folder, or why there is none. options: of `record`.
+    """One drive. prepare: gives its sequence folder, or why there is none. options: of `record`.
 
-    twice: record it again and compare the trajectories' bytes.
+    twice: record it a second time and compare the bytes of the trajectories.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What came of a row. result: of `eval --json`. seconds: a step. note: why there is none."""
+    """Outcome of a row. result: of `eval --json`. seconds: by step. note: why there is none."""
 
     checks: tuple[Check, ...] = ()
     result: Mapping[str, Any] = field(default_factory=dict)
@@ -129,7 +129,7 @@ ROWS = (
 
 
 def judge(metric: Metric, result: Mapping[str, Any]) -> tuple[Any, bool]:
-    """(what was measured, whether it passes); raises TargetError when the key is missing."""
+    """(measured value, whether it passes); raises TargetError when the key is missing."""
     if metric.key not in result:
         raise TargetError(f"eval --json has no {metric.key}")
     value = result[metric.key]
@@ -142,7 +142,7 @@ def judge(metric: Metric, result: Mapping[str, Any]) -> tuple[Any, bool]:
 
 
 def with_honesty(result: dict[str, Any]) -> dict[str, Any]:
-    """The result and `focal_error_in_sigma`, an eye; None where the focal is unobserved."""
+    """The result with `focal_error_in_sigma` for each eye; None where the focal is unobserved."""
     errors, sigmas = result.get("focal_error_percent"), result.get("focal_sigma_percent")
     ratio = [
         abs(e) / s if e is not None and s else None
@@ -169,8 +169,8 @@ def run_row(row: Row, out: Path) -> Measured:
         seconds["record again"] = steps.record(sequence, again, row.options).wall_s
         first, second = _trajectory(recording), _trajectory(again)
         same = bool(first) and first == second
-        said = "identical" if same else "different"
-        return Measured((Check("trajectory bytes", "identical", said, same),), {}, seconds)
+        check = Check("trajectory bytes", "identical", "identical" if same else "different", same)
+        return Measured((check,), {}, seconds)
     seconds["map"] = steps.dense_map(recording, made).wall_s
     result = with_honesty(steps.figures(made, sequence))
     checks = tuple(Check(m.key, m.asked, *judge(m, result)) for m in row.metrics)
@@ -178,7 +178,7 @@ def run_row(row: Row, out: Path) -> Measured:
 
 
 def read_results(file: Path) -> dict[str, Measured]:
-    """What earlier runs left, by row; empty when there were none."""
+    """Results of earlier runs by row; empty when there are none."""
     if not file.is_file():
         return {}
     found = json.loads(file.read_text())
@@ -188,7 +188,7 @@ def read_results(file: Path) -> dict[str, Measured]:
     }
 
 
-# Header and key of `eval --json`.
+# Column title, and key of `eval --json`.
 FIGURES = (
     ("SE(3) m", "ate_se3_m"),
     ("Sim(3) m", "ate_sim3_m"),
@@ -200,7 +200,7 @@ FIGURES = (
 
 
 def table(results: Mapping[str, Measured]) -> Table:
-    """Every row measured so far, in the order of ROWS, with its promises."""
+    """All rows measured so far, in the order of ROWS, with their promises."""
     known = [(row.name, results[row.name]) for row in ROWS if row.name in results]
     return Table(
         "10_targets",
@@ -221,14 +221,14 @@ def table(results: Mapping[str, Measured]) -> Table:
             for check in measured.checks
         ),
         (
-            "recorded in lockstep; calibration and truth are seen by eval alone",
+            "recorded in lockstep; only eval reads calibration and truth",
             *(f"{name}: {measured.note}" for name, measured in known if measured.note),
         ),
     )
 
 
 def run_all(rows: Iterable[Row], out: Path) -> dict[str, Measured]:
-    """Runs rows, each kept as soon as it is known; a row that fails breaks its promise."""
+    """Run rows and keep each result at once; a failed row is a broken promise."""
     done: dict[str, Measured] = {}
     for row in rows:
         print(f"{row.name} ...", file=sys.stderr, flush=True)

@@ -2,7 +2,6 @@ import dataclasses
 
 import numpy as np
 
-from bench.nees import honest_band, pose_nees
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
 from calm_edge.posegraph.marginals import Marginals
@@ -10,6 +9,7 @@ from calm_edge.posegraph.noise import Noise
 from calm_edge.types import LoopClosure
 from tests.drives import T_P_A, curved
 from tests.posegraph.graphs import CONFIG, graph_of, optimised
+from tests.posegraph.nees import consistent_band, pose_nees
 
 N = 27
 
@@ -80,7 +80,7 @@ def test_normalised_errors_of_independent_drives_match_the_covariance():
         noise = Noise(0.02, 0.002, 0.0)
         covariance = Marginals(problem, graph.state(), noise).covariances(rows)
         values.append(pose_nees(X[rows], truth[rows], covariance) / 6)
-    low, high = honest_band(20, 6, confidence=0.99)
+    low, high = consistent_band(20, confidence=0.99)
     assert (np.mean(values, 0) > low).all()
     assert (np.mean(values, 0) < high).all()
 

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from bench.nees import honest_band, pose_nees, position_nees
 from calm_edge.geometry import se3
 from calm_edge.posegraph.marginals import Marginals
 from calm_edge.posegraph.noise import assumed_noise
 from tests.drives import circle, curved
 from tests.posegraph.graphs import graph_of, optimised
+from tests.posegraph.nees import consistent_band, pose_nees
 
 
 def test_errors_drawn_from_the_covariance_average_to_their_degrees_of_freedom():
@@ -15,17 +15,13 @@ def test_errors_drawn_from_the_covariance_average_to_their_degrees_of_freedom():
     covariance = np.tile(L @ L.T, (n, 1, 1))
     truth = se3.exp(rng.normal(size=(n, 6)))
     T = truth @ se3.exp(rng.normal(size=(n, 6)) @ L.T)
-    for values, dof in (
-        (pose_nees(T, truth, covariance), 6),
-        (position_nees(T, truth, covariance), 3),
-    ):
-        low, high = honest_band(n, dof, 0.999)
-        assert low < values.mean() / dof < high
-        assert pose_nees(T, truth, covariance / 4).mean() / 6 > 3.5
+    low, high = consistent_band(n, 0.999)
+    assert low < pose_nees(T, truth, covariance).mean() / 6 < high
+    assert pose_nees(T, truth, covariance / 4).mean() / 6 > 3.5
 
 
 def test_band_narrows_around_one_as_runs_add_up():
-    few, many = honest_band(20, 6), honest_band(2000, 6)
+    few, many = consistent_band(20), consistent_band(2000)
     assert few[0] < many[0] < 1.0 < many[1] < few[1]
     assert few == pytest.approx((0.763, 1.268), abs=1e-3)  # chi-square tables at 120
 
@@ -46,7 +42,7 @@ def test_a_drives_covariances_are_honest_over_twenty_draws(T, noise, turn):
         raw = Marginals(problem, graph.state(), assumed_noise(problem)).graph_covariances(rows)
         before.append(pose_nees(X, truth, raw) / 6)
     assert (np.mean(before, 0) < 0.1).all()
-    low, high = honest_band(20, 6)
+    low, high = consistent_band(20)
     # the noise itself is measured, on a few dozen pairs: half as wide a band again
     assert (np.mean(after, 0) > low / 1.5).all()
     assert (np.mean(after, 0) < high * 1.5).all()
