@@ -1,4 +1,4 @@
-"""A staged tree as a .deb: control files, checksums, modes, and the same bytes every time."""
+"""Pack a staged tree as a reproducible .deb, with control files, checksums and modes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ PLAIN = ("control", "conffiles", "md5sums")
 
 
 def control_folder(stage: Path) -> Path:
-    """Where the control files of a staged tree lie; made when it is not there."""
+    """Return the folder of control files in a staged tree, created if missing."""
     folder = stage / "DEBIAN"
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def write_control(stage: Path, fields: dict[str, str]) -> int:
-    """control, conffiles and md5sums; modes that no umask has a say in. Returns the size in KiB."""
+    """Write control, conffiles and md5sums and set all modes; return the installed size in KiB."""
     files = sorted(p for p in stage.rglob("*") if "DEBIAN" not in p.parts)
     kib = sum(p.lstat().st_size for p in files) // 1024
     lines = [f"{key}: {value}" for key, value in {**fields, "Installed-Size": str(kib)}.items()]
@@ -43,7 +43,7 @@ def write_control(stage: Path, fields: dict[str, str]) -> int:
 
 
 def pack(stage: Path, out: Path, fields: dict[str, str], epoch: str) -> tuple[Path, str]:
-    """The .deb of a staged tree, no time in it later than `epoch`; and a line on its size."""
+    """Build the .deb of a staged tree, with times no later than `epoch`; also a line on its size."""
     kib = write_control(stage, fields)
     deb = out / f"{fields['Package']}_{fields['Version']}_{fields['Architecture']}.deb"
     command = ["dpkg-deb", "--root-owner-group", "-Zzstd", "-z12", "--build", str(stage), str(deb)]

@@ -1,4 +1,4 @@
-"""Files that a power cut leaves either old or new, never half written."""
+"""Replace files atomically, so that a power cut leaves the old or the new content."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from stat import S_IMODE
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a file whole and on the disk, over an earlier one, keeping that one's mode.
+    """Write a file atomically and synced to disk; an earlier file keeps its mode.
 
-    Raises OSError; the earlier file then stays.
+    Raises OSError; the earlier file is then unchanged.
     """
     part = path.with_name(path.name + ".part")
     try:
@@ -30,7 +30,7 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a folder's entries to the disk: what was renamed, made or removed in it."""
+    """Sync a folder's entries (files created, renamed or removed in it) to disk; raises OSError."""
     fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(fd)
