@@ -43,7 +43,7 @@ def write_control(stage: Path, fields: dict[str, str]) -> int:
 
 
 def pack(stage: Path, out: Path, fields: dict[str, str], epoch: str) -> tuple[Path, str]:
-    """Build the .deb of a staged tree, with times no later than `epoch`; also a line on its size."""
+    """Build the .deb of a staged tree, with no time after `epoch`; also a line on its size."""
     kib = write_control(stage, fields)
     deb = out / f"{fields['Package']}_{fields['Version']}_{fields['Architecture']}.deb"
     command = ["dpkg-deb", "--root-owner-group", "-Zzstd", "-z12", "--build", str(stage), str(deb)]
