@@ -30,7 +30,7 @@ class Row:
 
 def sequences(recording: Recording, eye: Eye) -> list[int]:
     """The sequence numbers of an eye's frames in the order written."""
-    return [place.sequence for place in recording._places(schema.IMAGE_TOPICS[eye])]
+    return [place.sequence for place in recording._locations(schema.IMAGE_TOPICS[eye])]
 
 
 def all_frames(folder: Path, n: int) -> bool:
