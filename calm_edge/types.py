@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from device.frame import Eye, Frame
+from device.frame import Frame
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -185,31 +185,16 @@ class LoopClosure:
 
 
 @dataclass(frozen=True, slots=True)
-class TestGroup:
-    """Fundamental matrices of one eye for the test bank (V-A). F: (P, 3, 3), x_b^T F x_a = 0.
-
-    pairs: (P, 2) keyframe ids (a, b). information: (P,) about log focal.
-    """
-
-    eye: Eye
-    F: Float
-    pairs: Int
-    information: Float
-
-
-@dataclass(frozen=True, slots=True)
 class GlobalIntrinsics:
     """What the online search holds true of each eye (V-A): K_global and how far to trust it.
 
     K: (2, 3, 3) px. damping: (2,) multiples of 0.1 in [0, 1] (V-C). focal_log_sigma: (2,) one
-    sigma of log focal, inf where no matrix could tell. n_effective: (2,) matrices in the bank,
-    each counted by what it can tell.
+    sigma of log focal, inf where no matrix could tell.
     """
 
     K: Float
     damping: Float
     focal_log_sigma: Float
-    n_effective: Float
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from bench.tables import Check, Table
 from calm_edge.config import Config, CorrectionConfig
 from calm_edge.correction.eye_search import EyeSearch
 from calm_edge.correction.intrinsic_search import views_of
-from calm_edge.correction.matches import PairMatches, SiftMatcher, from_landmarks
+from calm_edge.correction.matches import PairMatches, from_landmarks, from_sift
 from calm_edge.correction.rectify import rectified
 from calm_edge.correction.test_bank import BankGroup, GroupBuilder
 from calm_edge.estimator import scale
@@ -71,7 +71,6 @@ def banks(
 ) -> tuple[list[Measured], dict[Eye, list[BankGroup]]]:
     """A group of each eye and sub-map, made in the shares in which the live path makes it."""
     whole, share = Clock(), Clock()
-    sift = SiftMatcher(config.max_features)
     made: dict[Eye, list[BankGroup]] = {eye: [] for eye in Eye}
     for piece in pieces:
         images = piece.images()
@@ -80,10 +79,12 @@ def banks(
             wall, cpu = time.perf_counter(), time.process_time()
             if by_sift:
                 pictures = [images[view] for view in views]
-                matches: PairMatches = share.run(partial(sift.describe, pictures, views))
+                matches: PairMatches = share.run(
+                    partial(from_sift, pictures, views, config.max_features)
+                )
             else:
                 matches = share.run(partial(from_landmarks, piece.landmarks, views))
-            builder = GroupBuilder(eye, matches, views, ids, config)
+            builder = GroupBuilder(matches, views, ids, config)
             while not builder.done:
                 share.run(builder.advance)
             group = builder.finish(piece.submap.K_raw[views[0]])
@@ -133,7 +134,7 @@ def rectification(pieces: Sequence[Piece], config: Config) -> Measured:
         submap = pieces[k % len(pieces)].submap
         raw = replace(submap, T_s_c=submap.T_s_c_raw, K=submap.K_raw, scale=1.0)
         K = raw.K[[0, raw.n_primary]] * np.array([_OFF, _OFF, 1.0])[:, None]
-        held = GlobalIntrinsics(K, np.ones(2), np.full(2, 0.01), np.full(2, 100.0))
+        held = GlobalIntrinsics(K, np.ones(2), np.full(2, 0.01))
 
         def work(raw: Submap = raw, held: GlobalIntrinsics = held) -> Submap:
             return scale.rectify(rectified(raw, held, config.correction), config.scale.spacing)

@@ -11,7 +11,6 @@ from calm_edge.correction.matches import from_landmarks
 from calm_edge.correction.test_bank import BankGroup, GroupBuilder
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import Float, Landmarks
-from device.frame import Eye
 
 SIZE = (1226, 370)
 K = pinhole.matrix(700, 700, 612.5, 184.5)
@@ -99,7 +98,7 @@ def group(
     camera = pinhole.matrix(focal, focal, K[0, 2] + off_px[0], K[1, 2] + off_px[1])
     landmarks = seen(motion(kind), seed, camera=camera, noise_px=noise_px, outliers=outliers)
     views, shape = range(N_VIEWS), pinhole.matrix(guess, guess, K[0, 2], K[1, 2])
-    builder = GroupBuilder(Eye.PRIMARY, from_landmarks(landmarks), views, views, CorrectionConfig())
+    builder = GroupBuilder(from_landmarks(landmarks), views, views, CorrectionConfig())
     built = builder.finish(shape)
     assert built is not None
     return built

@@ -39,12 +39,6 @@ class BankFocal:
     model_noise: float
 
 
-def effective_count(weights: Float) -> float:
-    """(sum w)^2 / sum w^2: how many matrices of equal weight would average as well (Kish)."""
-    squares = float((weights**2).sum())
-    return float(weights.sum()) ** 2 / squares if squares > 0 else 0.0
-
-
 def minimise(bank: TestBank, shape: Float, start: float, *, weighted: bool) -> BankFocal:
     """The focal of least score. shape: (3, 3) px; start: the best candidate's focal [px].
 

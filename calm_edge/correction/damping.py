@@ -1,4 +1,4 @@
-"""How far a sub-map is drawn to the global intrinsics: the paper's damping (V-C), in tenths."""
+"""How far a sub-map is drawn to the global intrinsics: the damping of V-C, in tenths."""
 
 from __future__ import annotations
 
@@ -10,9 +10,15 @@ STEP = 0.1
 
 
 def from_density(n_matrices: float, config: CorrectionConfig) -> float:
-    """The paper's: n_matrices / n_group over n_pair * n_feature, floored to tenths, in [0, 1]."""
+    """The paper's: n_matrices / n_group over n_pair * n_feature."""
     density = n_matrices / config.n_group
     return _floored(density / (config.n_pair * config.n_feature))
+
+
+def from_guesses(n: int) -> float:
+    """1 - 1/n: with n guesses the common focal itself holds 1/n of each one's error."""
+    wanted = 1 - 1 / max(n, 1)
+    return 1.0 if wanted > 0.95 else _floored(wanted)
 
 
 def _floored(value: float) -> float:

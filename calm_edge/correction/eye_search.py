@@ -56,11 +56,6 @@ class EyeSearch:
             return 1.0
         return damping.from_density(len(self.bank.F), self._config)
 
-    @property
-    def n_effective(self) -> float:
-        """Matrices in the bank, counted by what they tell where the search is weighted."""
-        return bank_focal.effective_count(self.asked.weights)
-
     def shape(self) -> Float:
         """(3, 3) px, the median guess: focal, aspect and principal point."""
         K = np.stack(self._candidates)

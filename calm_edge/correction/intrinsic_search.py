@@ -9,7 +9,7 @@ import numpy as np
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import spectral
 from calm_edge.correction.eye_search import EyeSearch
-from calm_edge.correction.matches import PairMatches, SiftMatcher, from_landmarks
+from calm_edge.correction.matches import PairMatches, from_landmarks, from_sift
 from calm_edge.correction.pool import pooled
 from calm_edge.correction.test_bank import GroupBuilder
 from calm_edge.types import Bytes, GlobalIntrinsics, Landmarks, Submap
@@ -33,7 +33,6 @@ class IntrinsicSearch:
         self._config = config
         self._eyes = {eye: EyeSearch(config) for eye in Eye}
         self._builders: dict[Eye, GroupBuilder] = {}
-        self._sift = SiftMatcher(config.max_features)
         self._count = 0
         self._held: GlobalIntrinsics | None = None
         self._applied: GlobalIntrinsics | None = None
@@ -60,7 +59,7 @@ class IntrinsicSearch:
             K = np.stack([spectral.at_focal(eye.shape(), focal) for eye, focal in shapes])
             damping = np.full(2, pool.damping if self._config.adaptive_damping else 1.0)
             sigma = pool.log_sigma
-        return GlobalIntrinsics(K, damping, sigma, np.array([eye.n_effective for eye in eyes]))
+        return GlobalIntrinsics(K, damping, sigma)
 
     def add(
         self, submap: Submap, landmarks: Landmarks | None, images: Sequence[Bytes] | None
@@ -79,7 +78,7 @@ class IntrinsicSearch:
             if self._is_due(eye):
                 matches = self._matches(views, landmarks, images)
                 if matches is not None:
-                    self._builders[eye] = GroupBuilder(eye, matches, views, ids, self._config)
+                    self._builders[eye] = GroupBuilder(matches, views, ids, self._config)
         self._count += 1
         return self._has_changed()
 
@@ -106,7 +105,7 @@ class IntrinsicSearch:
             return from_landmarks(landmarks, views)
         if images is None:
             return None
-        return self._sift.describe([images[view] for view in views], views)
+        return from_sift([images[view] for view in views], views, self._config.max_features)
 
     def _build(self, eye: Eye) -> None:
         builder = self._builders.get(eye)

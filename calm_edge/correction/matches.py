@@ -61,16 +61,10 @@ class SiftMatches:
         return a.uv[in_a].astype(np.float64), b.uv[in_b].astype(np.float64)
 
 
-class SiftMatcher:
-    """Describes images by at most max_features SIFT features each."""
-
-    def __init__(self, max_features: int) -> None:
-        self._max_features = max_features
-
-    def describe(self, images: Sequence[Bytes], views: Sequence[int]) -> SiftMatches:
-        """Features of images (H, W, 3) BGR or (H, W) gray, each known by its view."""
-        features = {}
-        for image, view in zip(images, views, strict=True):
-            gray = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
-            features[view] = sift.detect(np.asarray(gray, np.uint8), self._max_features)
-        return SiftMatches(features)
+def from_sift(images: Sequence[Bytes], views: Sequence[int], max_features: int) -> SiftMatches:
+    """The matches of images (H, W, 3) BGR by at most max_features each; views: their indices."""
+    features = {}
+    for image, view in zip(images, views, strict=True):
+        gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        features[view] = sift.detect(gray, max_features)
+    return SiftMatches(features)

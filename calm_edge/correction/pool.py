@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calm_edge.correction import damping
 from calm_edge.types import Float
 
 # One sigma of log focal that all guesses of a drive have in common: published models err by 3 to
@@ -50,13 +51,7 @@ def pooled(guesses: Float, bank_log_focal: Float, bank_log_sigma: Float) -> Pool
     told = np.where(np.isfinite(bank_log_sigma), bank_log_sigma, np.inf) ** -2.0
     covariance = np.linalg.inv(np.linalg.inv(prior) + np.diag(told))
     step = covariance @ (told * np.where(told > 0, bank_log_focal - middle, 0.0))
-    return Pooled(middle + step, np.sqrt(np.diag(covariance)), damping(n))
-
-
-def damping(n_guesses: int) -> float:
-    """1 - 1/n in tenths: with n guesses the common focal itself holds 1/n of each one's error."""
-    wanted = 1 - 1 / max(n_guesses, 1)
-    return 1.0 if wanted > 0.95 else round(np.floor(wanted * 10 + 1e-9) / 10, 1)
+    return Pooled(middle + step, np.sqrt(np.diag(covariance)), damping.from_guesses(n))
 
 
 def _alikeness(off: Float) -> float:

@@ -24,21 +24,14 @@ from device.frame import Eye
 _LEAST_FOR_TREND = 5
 
 
-def rectified(
-    submap: Submap,
-    intrinsics: GlobalIntrinsics,
-    config: CorrectionConfig,
-    *,
-    rig_by_travel: bool = True,
-) -> Submap:
+def rectified(submap: Submap, intrinsics: GlobalIntrinsics, config: CorrectionConfig) -> Submap:
     """The raw sub-map with T_s_c and K as the search's intrinsics have them (V-C).
 
     submap: as the backbone gave it: scale 1, T_s_c and K its raw ones; it needs a primary view.
     T_s_c (N, 4, 4) stays in the raw unit and starts where it did; K (N, 3, 3) becomes
     f_est / (1 + damping (s - 1)) an axis, so depth is to be back-projected with it. With zero
     damping all of it comes back as it was. `config` may switch off either half of the poses'
-    correction; K is corrected all the same. rig_by_travel: off, the rotation between the eyes is
-    corrected along their baseline, right where a backbone looks at pairs of views alone.
+    correction; K is corrected all the same.
     """
     if not np.any(intrinsics.damping):
         return submap
@@ -52,7 +45,7 @@ def rectified(
     exposed = submap.exposed_ns
     between = _bracketed(exposed[:n], exposed[n : n + m])
     joint = (S_p + S[n : n + m]) / 2
-    assistant = _assistant(T[:n], primary, T[n : n + m], between, joint, config, rig_by_travel)
+    assistant = _assistant(T[:n], primary, T[n : n + m], between, joint, config)
     loop = _loop(T[:n], primary, T[n + m :], S_p, config)
     return replace(submap, T_s_c=np.concatenate([primary, assistant, loop]), K=K)
 
@@ -114,7 +107,7 @@ def _bracketed(t_p_ns: Int, t_a_ns: Int) -> _Between:
 
 def _assistant(
     T_s_p: Float, T_s_p_new: Float, T_s_a: Float, between: _Between, S_joint: Float,
-    config: CorrectionConfig, rig_by_travel: bool,
+    config: CorrectionConfig,
 ) -> Float:  # fmt: skip
     """Each view (M, 4, 4) relative to the primary at its stamp: raw there, rectified back."""
     before, after, share = between
@@ -122,7 +115,7 @@ def _assistant(
     T_s_ref, T_s_ref_new = se3.interpolate(both[:, before], both[:, after], share)
     T_ref_s = se3.inverse(T_s_ref)
     travel = T_s_p[after, :3, 3] - T_s_p[before, :3, 3]
-    along = (T_ref_s[:, :3, :3] @ travel[..., None])[..., 0] if rig_by_travel else None
+    along = (T_ref_s[:, :3, :3] @ travel[..., None])[..., 0]
     T_p_a = _corrected(T_ref_s @ T_s_a, S_joint, config, along)
     if config.rigid_rig:
         T_p_a = without_trend(T_p_a, (before + share)[:, None])

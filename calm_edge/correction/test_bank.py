@@ -14,8 +14,7 @@ from calm_edge.correction.matches import PairMatches
 from calm_edge.correction.spectral import Telling
 from calm_edge.geometry import epipolar
 from calm_edge.geometry.epipolar import Fundamental
-from calm_edge.types import Float, Int, TestGroup
-from device.frame import Eye
+from calm_edge.types import Float, Int
 
 # image widths: from the widest pinhole lens to a long telephoto
 FOCAL_RANGE = (0.3, 3.0)
@@ -24,9 +23,9 @@ _FOCALS = 12
 
 @dataclass(frozen=True, slots=True)
 class BankGroup:
-    """A test group, and what its matrices can tell at any focal."""
+    """F (P, 3, 3) px of one eye, x_b^T F x_a = 0, and what each can tell at any focal."""
 
-    test: TestGroup
+    F: Float
     told: Telling
 
 
@@ -48,17 +47,16 @@ class GroupBuilder:
 
     def __init__(
         self,
-        eye: Eye,
         matches: PairMatches,
         views: Sequence[int],
         keyframe_ids: Sequence[int],
         config: CorrectionConfig,
     ) -> None:
-        self._eye, self._matches, self._config = eye, matches, config
+        self._matches, self._config = matches, config
         self._ids = dict(zip(views, keyframe_ids, strict=True))
         self._todo = list(combinations(views, 2))
         self._share = -(-len(self._todo) // max(config.group_every, 1))
-        self._found: list[tuple[tuple[int, int], Fundamental]] = []
+        self._found: list[Fundamental] = []
 
     @property
     def done(self) -> bool:
@@ -73,7 +71,7 @@ class GroupBuilder:
                 *self._matches.pair(view_a, view_b), seed=(ids[0] * 8191 + ids[1]) % (1 << 31)
             )
             if fit is not None and fit.inliers.sum() >= self._config.n_feature:
-                self._found.append((ids, fit))
+                self._found.append(fit)
 
     def finish(self, shape: Float) -> BankGroup | None:
         """The group, whatever pairs were still to do; None with fewer than n_pair pairs.
@@ -84,12 +82,10 @@ class GroupBuilder:
             self.advance()
         if len(self._found) < self._config.n_pair:
             return None
-        F = np.stack([fit.F for _, fit in self._found])
-        steps = np.stack([fit.steps for _, fit in self._found])
+        F = np.stack([fit.F for fit in self._found])
+        steps = np.stack([fit.steps for fit in self._found])
         told = spectral.telling(shape, F, steps, np.geomspace(*focal_range(shape), _FOCALS))
-        pairs = np.array([ids for ids, _ in self._found], np.int64)
-        information = spectral.information(told, float(np.log(shape[0, 0])))
-        return BankGroup(TestGroup(self._eye, F, pairs, information), told)
+        return BankGroup(F, told)
 
 
 class TestBank:
@@ -113,7 +109,7 @@ class TestBank:
     @property
     def F(self) -> Float:
         """(P, 3, 3) of all groups, in their order."""
-        return np.concatenate([np.zeros((0, 3, 3)), *(group.test.F for group in self.groups)])
+        return np.concatenate([np.zeros((0, 3, 3)), *(group.F for group in self.groups)])
 
     def add(self, group: BankGroup, log_focal: float, model_noise: float = 0.0) -> bool:
         """Whether the group got in; what groups tell is compared at the focal [log px]."""
@@ -146,4 +142,4 @@ class TestBank:
 
     def group_of(self) -> Int:
         """(P,) which group each matrix belongs to."""
-        return np.repeat(np.arange(len(self.groups)), [len(g.test.F) for g in self.groups])
+        return np.repeat(np.arange(len(self.groups)), [len(g.F) for g in self.groups])

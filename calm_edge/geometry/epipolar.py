@@ -32,13 +32,12 @@ class Fundamental:
     """A fundamental matrix F (3, 3) of rank 2 and its uncertainty.
 
     steps: (7, 3, 3) one-sigma changes of F along independent directions. inliers: (M,) mask of
-    the matches used. noise_px: sigma of a match per image axis.
+    the matches used.
     """
 
     F: Float
     steps: Float
     inliers: Bool
-    noise_px: float
 
 
 def homogeneous(uv: Float) -> Float:
@@ -128,7 +127,7 @@ def refine(F: Float, uv_a: Float, uv_b: Float, threshold_px: float = 1.0) -> Fun
     F = to_b.T @ normal @ to_a
     steps = to_b.T @ np.einsum("kj,kab->jab", one_sigma, tangent) @ to_a
     size = np.linalg.norm(F)
-    return Fundamental(F / size, steps / size, inliers, noise_px)
+    return Fundamental(F / size, steps / size, inliers)
 
 
 def _normalised(uv: Float, unit_px: float) -> tuple[Float, Float]:

@@ -18,3 +18,8 @@ def test_full_damping_takes_five_hundred_matrices(n_matrices, expected):
 def test_a_bank_of_all_pairs_is_full_and_never_more():
     assert damping.from_density(525, CONFIG) == damping.from_density(9999, CONFIG) == 1
     assert damping.from_density(525, replace(CONFIG, n_feature=20)) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("n", "expected"), [(1, 0), (2, 0.5), (5, 0.8), (19, 0.9), (21, 1.0)])
+def test_damping_grows_with_the_guesses(n, expected):
+    assert damping.from_guesses(n) == expected

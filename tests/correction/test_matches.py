@@ -1,7 +1,7 @@
 import cv2
 import numpy as np
 
-from calm_edge.correction.matches import SiftMatcher, from_landmarks
+from calm_edge.correction.matches import from_landmarks, from_sift
 from calm_edge.types import Landmarks
 
 
@@ -17,7 +17,8 @@ def landmarks():
 def picture(seed=0, size=(200, 320)):
     noise = np.random.default_rng(seed).normal(size=size).astype(np.float32)
     smooth = cv2.GaussianBlur(noise, (0, 0), 3)
-    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    gray = cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    return cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)
 
 
 def test_landmarks_match_where_both_views_saw_them():
@@ -38,7 +39,7 @@ def test_sift_follows_a_shift_to_a_tenth_of_a_pixel():
     moved = cv2.warpAffine(
         image, np.array([[1, 0, 6.25], [0, 1, -3.5]]), (320, 200), flags=cv2.INTER_CUBIC
     )
-    matches = SiftMatcher(300).describe([image, cv2.cvtColor(moved, cv2.COLOR_GRAY2BGR)], [4, 9])
+    matches = from_sift([image, moved], [4, 9], 300)
     uv_a, uv_b = matches.pair(4, 9)
     assert len(uv_a) > 60
     error = np.linalg.norm(uv_b - uv_a - [6.25, -3.5], axis=1)
@@ -49,24 +50,25 @@ def test_sift_features_lie_where_the_picture_has_them():
     """Without the precise upscaling they would lie a quarter of a pixel aside."""
     y, x = np.mgrid[:120, :160]
     blob = np.exp(-((x - 70.3) ** 2 + (y - 51.8) ** 2) / (2 * 5.0**2))
-    uv = SiftMatcher(20).describe([(255 * blob).astype(np.uint8)], [0]).features[0].uv
+    image = cv2.cvtColor((255 * blob).astype(np.uint8), cv2.COLOR_GRAY2BGR)
+    uv = from_sift([image], [0], 20).features[0].uv
     assert np.linalg.norm(uv - [70.3, 51.8], axis=1).min() < 0.1
 
 
 def test_at_most_the_asked_features_are_kept_and_a_blank_has_none():
-    blank = np.zeros((100, 100), np.uint8)
-    matches = SiftMatcher(25).describe([picture(), blank], [0, 1])
+    blank = np.zeros((100, 100, 3), np.uint8)
+    matches = from_sift([picture(), blank], [0, 1], 25)
     assert 10 < len(matches.features[0].uv) <= 25 and len(matches.features[1].uv) == 0
     assert matches.pair(0, 1)[0].shape == (0, 2)
 
 
 def test_different_pictures_hardly_match():
-    matches = SiftMatcher(300).describe([picture(1), picture(2)], [0, 1])
+    matches = from_sift([picture(1), picture(2)], [0, 1], 300)
     assert len(matches.pair(0, 1)[0]) < 10
 
 
 def test_no_feature_is_matched_twice():
-    matches = SiftMatcher(200).describe([picture(), np.roll(picture(), 4, 1)], [0, 1])
+    matches = from_sift([picture(), np.roll(picture(), 4, 1)], [0, 1], 200)
     uv_a, uv_b = matches.pair(0, 1)
     assert len(uv_a) > 50
     assert len(np.unique(uv_a, axis=0)) == len(np.unique(uv_b, axis=0)) == len(uv_a)

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from calm_edge.correction import pool
 from calm_edge.correction.pool import BIAS_LOG_SIGMA, pooled
 
 UNTOLD = np.full(2, np.inf)
@@ -49,11 +48,6 @@ def test_the_sigma_is_honest():
         found = pooled(guesses(rng, 30, bias=bias), bank, sigma)
         ratio.append(found.log_focal / found.log_sigma)
     assert 0.8 < np.sqrt(np.mean(np.square(ratio))) < 1.2
-
-
-@pytest.mark.parametrize(("n", "expected"), [(1, 0), (2, 0.5), (5, 0.8), (19, 0.9), (21, 1.0)])
-def test_damping_grows_with_the_guesses(n, expected):
-    assert pool.damping(n) == expected
 
 
 def test_guesses_all_equal_are_no_division_by_zero():

@@ -167,7 +167,7 @@ def test_banks_and_search_on_landmarks(pieces):
     config = replace(Config().correction, n_group=2)
     rows, groups = stages.banks(pieces[:3], config, by_sift=False)
     assert rows[0].n == 6 and rows[1].n == 6 * (1 + config.group_every)
-    assert all(len(of_eye) == 3 and len(of_eye[0].test.F) == 105 for of_eye in groups.values())
+    assert all(len(of_eye) == 3 and len(of_eye[0].F) == 105 for of_eye in groups.values())
     guess, group = stages.search(pieces, groups, config)
     assert guess.n == 2 * stages.REPEATS and group.n == 4
 
