@@ -1,4 +1,4 @@
-"""Hours of simulated time: memory stays, nothing vanishes without a count, old drives make room."""
+"""Hours of simulated time: constant memory, every lost frame counted, old drives removed."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 from tests.faults.row import Row
 
 PROJECT = Path(__file__).parents[2]
-# of capture and tracker; the estimator keeps every sub-map's poses, and that is told apart
+# of capture and tracker; the estimator keeps the poses of all sub-maps and is reported only
 MOST_GROWN_MIB = 16.0
-# in minutes, the libraries and the first windows are most of what grows
+# within minutes, most growth is due to libraries and the first windows
 MOST_GROWN_AT_FIRST_MIB = 64.0
 WARM_HOURS = 1.0
 
 
 def endurance(hours: float, speed: float, folder: Path) -> Row:
-    """In a process of its own, for its memory is what is measured."""
+    """Run `endurance_child` in a process of its own, as memory is measured."""
     command = [sys.executable, "-m", "tests.faults.endurance_child"]
     command += [str(hours), str(speed), str(folder)]
     run = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)

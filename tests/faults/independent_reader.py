@@ -1,4 +1,4 @@
-"""Message counts by a reader that shares no code with ours."""
+"""Message counts by an MCAP reader that shares no code with calm-edge."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ CRATE = Path(__file__).parents[1] / "interop" / "mcap_count"
 
 
 def independent_counts(folders: list[Path], build: Path) -> tuple[str, Counter[str]]:
-    """(which reader, topic -> messages) over the segments of recording folders.
+    """Return (name of the reader, topic -> number of messages) over the segments of folders.
 
-    The Rust crate where it was built (`make faults` does, where there is cargo), else mcap's own
-    Python stream reader.
+    Uses the Rust crate if it is built (by `make faults`, if cargo is installed), else the Python
+    stream reader of mcap.
     """
     files = sorted(p for folder in folders for p in folder.glob("*.mcap*"))
     program = build / "mcap_count" / "release" / "mcap_count"
@@ -34,7 +34,7 @@ def independent_counts(folders: list[Path], build: Path) -> tuple[str, Counter[s
 
 
 def build_rust(build: Path) -> bool:
-    """Compiles the Rust reader; False where there is no cargo or it cannot be built."""
+    """Compile the Rust reader; False without cargo or if the build fails."""
     cargo = shutil.which("cargo")
     if cargo is None:
         return False

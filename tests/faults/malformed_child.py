@@ -1,7 +1,7 @@
-"""Feeds damaged input to one reader of ours in a process with a memory limit; prints figures.
+"""Feed damaged inputs to one reader of calm-edge under a memory limit; print the results.
 
-`python -m tests.faults.malformed_child KIND COUNT SEED`. An error that is not ours to be said in
-one line ends it with a traceback; so does an input that takes longer than LIMIT_S.
+`python -m tests.faults.malformed_child KIND COUNT SEED`. Ends with a traceback on any error other
+than a one-line CalmEdgeError, and on an input that takes longer than LIMIT_S.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Feed = Callable[[random.Random], bool]
 
 
 def recordings(work: Path) -> Feed:
-    """validate, read every noun, and sometimes recover; True where the damage was told."""
+    """Validate, read and sometimes recover a recording; feeds return True if damage is reported."""
     whole = samples.small_recording(work / "whole") / "0000.mcap"
     bases = [whole.read_bytes()]
     bases += [
@@ -55,22 +55,22 @@ def recordings(work: Path) -> Feed:
         nonlocal fed
         fed += 1
         path.write_bytes(mutated(rng.choice(bases), rng, bases))
-        told = bool(validate(path).losses)
+        reported = bool(validate(path).losses)
         try:
             _read_all(Recording(path))
         except CalmEdgeError as error:
             assert "\n" not in str(error)
-            told = True
+            reported = True
         if fed % RECOVER_EVERY == 0:
             recover(path, copy)
             copy.unlink(missing_ok=True)
-        return told
+        return reported
 
     return feed
 
 
 def _recompressed(source: Path, work: Path, kind: CompressionType) -> bytes:
-    """The same messages in compressed chunks, as other writers make them."""
+    """Rewrite the messages in compressed chunks, as other writers do."""
     path = work / f"{kind.name}.mcap"
     with path.open("wb") as out, source.open("rb") as file:
         writer = Writer(out, chunk_size=8192, compression=kind)
@@ -97,7 +97,7 @@ def _recompressed(source: Path, work: Path, kind: CompressionType) -> bytes:
 
 
 def _read_all(recording: Recording) -> None:
-    """Each noun until its first refusal, which must not keep the others from being read."""
+    """Read all types of data, each until its first error; raise the last error at the end."""
     readers: list[Callable[[], Iterator[object]]] = [
         recording.frames,
         recording.poses,
@@ -119,7 +119,7 @@ def _read_all(recording: Recording) -> None:
 
 
 def configs(work: Path) -> Feed:
-    """A configuration file; True where it was refused."""
+    """Load a configuration file; feeds return True if it raises."""
     text = (Path(__file__).parents[2] / "deploy" / "calm-edge.toml").read_text()
     text = (
         text.replace("#rate_hz", "rate_hz")
@@ -139,7 +139,7 @@ def configs(work: Path) -> Feed:
 
 
 def models(work: Path) -> Feed:
-    """The manifest of a model folder; True where it was refused."""
+    """Read the manifest of a model folder; feeds return True if it raises."""
     folder = folder_of(work, FEEDFORWARD)
     text = (folder / "manifest.toml").read_text()
     words = ["-1", "nan", "[]", "{}", '"../../etc/passwd"', "true", "9" * 400, '["a"]', "1e400"]
@@ -155,18 +155,18 @@ def _refused(attempt: Callable[[], object]) -> bool:
     try:
         attempt()
     except CalmEdgeError as error:
-        # a quoted value may hold what it likes, but the message is one line
+        # quoted values may hold anything, but the message must be one line
         assert "\n" not in str(error), repr(str(error))
         return True
     return False
 
 
 def serial(work: Path) -> Feed:
-    """Bytes on the line; True where not every message came through."""
+    """Parse bytes of a serial line; feeds return True if a message is missing."""
     encoder = Encoder()
     kinds = (Heartbeat, StatusText, Odometry)
-    sound = [encoder.encode(Heartbeat(SystemState.ACTIVE)) for _ in range(40)]
-    stream = b"".join(sound)
+    valid = [encoder.encode(Heartbeat(SystemState.ACTIVE)) for _ in range(40)]
+    stream = b"".join(valid)
 
     def feed(rng: random.Random) -> bool:
         parser = MavlinkParser(kinds)
@@ -176,8 +176,8 @@ def serial(work: Path) -> Feed:
             size = rng.randrange(1, 200)
             found += len(parser.feed(data[at : at + size]))
             at += size
-        assert found <= 2 * len(sound) + len(data) // 21
-        return found < len(sound)
+        assert found <= 2 * len(valid) + len(data) // 21
+        return found < len(valid)
 
     return feed
 
@@ -191,18 +191,18 @@ KINDS: dict[str, Callable[[Path], Feed]] = {
 
 
 def main(kind: str, count: int, seed: int) -> None:
-    """Prints as JSON how many were told, the slowest [ms of processor time], the memory grown."""
+    """Print as JSON the number reported, the slowest [ms of CPU time] and the memory growth."""
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     with tempfile.TemporaryDirectory() as work:
         feed = KINDS[kind](Path(work))
         before_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        told, slowest_s = 0, 0.0
+        reported, slowest_s = 0, 0.0
         for k in range(count):
             rng = random.Random(f"{seed}:{k}")
             started = time.process_time()
             signal.alarm(LIMIT_S)
             try:
-                told += feed(rng)
+                reported += feed(rng)
             except BaseException:
                 print(f"{kind}: input {seed}:{k}", file=sys.stderr)
                 with suppress(OSError):
@@ -216,7 +216,7 @@ def main(kind: str, count: int, seed: int) -> None:
     print(
         json.dumps(
             {
-                "told": told,
+                "reported": reported,
                 "slowest_ms": 1e3 * slowest_s,
                 "grown_mib": (peak_kib - before_kib) / 1024,
             }

@@ -1,4 +1,4 @@
-"""Damaged input: no traceback, no hang, no more memory than the input is worth."""
+"""Damaged input gives error lines: no traceback, no hang, bounded memory."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 from tests.faults.row import Row
 
 PROJECT = Path(__file__).parents[2]
-# a chunk may be 256 MiB plain; what is read of a small file has to stay far below
+# a chunk may decompress to 256 MiB; reading small files must stay well below
 MOST_GROWN_MIB = 400.0
 
 
 def malformed(kind: str, count: int, seed: int = 1) -> Row:
-    """`count` damaged inputs of a kind of `malformed_child`."""
+    """Feed `count` damaged inputs of a kind of `malformed_child`."""
     command = [sys.executable, "-m", "tests.faults.malformed_child", kind, str(count), str(seed)]
     run = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
     fault = f"malformed {kind}, {count:,}"
@@ -25,8 +25,8 @@ def malformed(kind: str, count: int, seed: int = 1) -> Row:
     found = json.loads(run.stdout)
     return Row(
         fault,
-        f"{found['told']:,} told, slowest {found['slowest_ms']:.0f} ms of processor time, memory "
+        f"{found['reported']:,} reported, slowest {found['slowest_ms']:.0f} ms of CPU time, memory "
         f"+{found['grown_mib']:.0f} MiB",
         promise,
-        found["told"] > 0 and found["grown_mib"] < MOST_GROWN_MIB,
+        found["reported"] > 0 and found["grown_mib"] < MOST_GROWN_MIB,
     )

@@ -1,16 +1,16 @@
-"""Damage done to bytes, as disks, cables and hands do it; seeded."""
+"""Seeded random damage to bytes and texts."""
 
 from __future__ import annotations
 
 import random
 import struct
 
-# what a length, a size or a count looks like when it lies
-_LIES = (0, 1, 0x7F, 0xFF, 0x7FFF_FFFF, 0xFFFF_FFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
+# extreme values for lengths, sizes and counts
+_EXTREMES = (0, 1, 0x7F, 0xFF, 0x7FFF_FFFF, 0xFFFF_FFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
 
 
 def mutated(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
-    """`data` with one to eight damages; others: whose pieces may get into it."""
+    """Return `data` with one to eight damages; pieces of `others` may be inserted."""
     out = bytearray(data)
     for _ in range(rng.choice((1, 1, 1, 2, 3, 8))):
         at = rng.randrange(len(out) + 1) if out else 0
@@ -27,8 +27,8 @@ def mutated(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
                 out[at:at] = rng.randbytes(rng.randrange(1, 512))
             case 5:
                 width, kind = rng.choice(((4, "<I"), (8, "<Q"), (1, "<B"), (2, "<H")))
-                lie = rng.choice(_LIES) & ((1 << 8 * width) - 1)
-                out[at : at + width] = struct.pack(kind, lie)
+                extreme = rng.choice(_EXTREMES) & ((1 << 8 * width) - 1)
+                out[at : at + width] = struct.pack(kind, extreme)
             case 6:
                 other = rng.choice(others)
                 start = rng.randrange(len(other))
@@ -40,7 +40,7 @@ def mutated(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
 
 
 def mutated_text(text: str, rng: random.Random, words: list[str]) -> bytes:
-    """A text with lines and words moved, doubled, cut or replaced, then sometimes damaged."""
+    """Return a text with lines moved, repeated, cut or replaced, and sometimes bytes damaged."""
     lines = text.splitlines(keepends=True)
     for _ in range(rng.randrange(1, 6)):
         at = rng.randrange(len(lines)) if lines else 0

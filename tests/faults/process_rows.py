@@ -1,4 +1,4 @@
-"""The real command is killed, stopped and hung from outside, as a car does it."""
+"""Fault rows in which the real command is killed, stopped or hung."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PROJECT = Path(__file__).parents[2]
 
 
 def unit_seconds(key: str) -> float:
-    """A time of the unit."""
+    """Read a time of the service unit."""
     unit = (PROJECT / "deploy" / "calm-edge.service").read_text(encoding="utf-8")
     (value,) = re.findall(rf"^{key}=([\d.]+)$", unit, re.MULTILINE)
     return float(value)
@@ -42,7 +42,7 @@ FIRST_STAMP_NS = 10**9
 
 
 def command(drive: Path, *target: str) -> list[str]:
-    """`calm-edge record` of a drive in real time."""
+    """Command line of `calm-edge record` that replays a drive in real time."""
     arguments = ["record", "--sequence", str(drive), "--pace", "realtime", "--spacing-m", "0.5"]
     arguments += ["--set", f"backbone.name=scripted:{drive}", "--set", "frontend.n_max=6"]
     arguments += ["--set", "frontend.n_overlap=2", *target]
@@ -51,7 +51,7 @@ def command(drive: Path, *target: str) -> list[str]:
 
 @contextmanager
 def running(drive: Path, *target: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
-    """The command, ended whatever happens."""
+    """Context with the running command, which is killed at the end."""
     process = subprocess.Popen(
         command(drive, *target),
         cwd=PROJECT,
@@ -70,7 +70,7 @@ def running(drive: Path, *target: str, **environment: str) -> Iterator[subproces
 
 
 def wait_for_frames(rec: Path, limit_s: float = 60.0) -> None:
-    """Returns once a first frame is in the file; raises TimeoutError."""
+    """Wait until a first frame is in the file; raises TimeoutError."""
     end = time.monotonic() + limit_s
     while time.monotonic() < end:
         if any(rec.glob("*.mcap.part")) and Recording(rec).count("/primary/image"):
@@ -80,12 +80,12 @@ def wait_for_frames(rec: Path, limit_s: float = 60.0) -> None:
 
 
 def lost_s(recording: Recording, killed_ns: int) -> dict[str, float]:
-    """Topic -> seconds of it that are missing before the kill, on the machine's clock.
+    """Seconds of each periodic topic that are missing before the kill, by the host clock.
 
-    Of what comes at a steady pace: a message every period was due, so what is missing begins a
-    period after the newest one. Poses and sub-maps come when they are ready: see `forgotten`.
+    The loss begins one period after the newest message. Poses and sub-maps are not periodic: see
+    `missing_results`.
     """
-    # the replay's clock runs beside the machine's, from the first frame on
+    # the replay's clock runs at the rate of the host's, from the first frame on
     *_, pair = recording.json_messages(schema.CLOCK)
     logged = [p.log_time for p in recording._locations(schema.CLOCK)]
     killed_stamp_ns = killed_ns - pair["monotonic_ns"] + logged[-1]
@@ -98,21 +98,21 @@ def lost_s(recording: Recording, killed_ns: int) -> dict[str, float]:
     return lost
 
 
-def forgotten(recording: Recording) -> int:
-    """Poses and sub-maps that the newest /health counts as handed over and that are missing.
+def missing_results(recording: Recording) -> int:
+    """Number of poses and sub-maps counted by the newest /health message but not recorded.
 
-    All channels go through one queue in order, so what came before an image is lost only with it.
+    All topics pass one queue in order, so a message before an image is lost only together with it.
     """
-    told = [m["counts"] for m in recording.json_messages(schema.HEALTH)]
-    if not told:
+    counts = [m["counts"] for m in recording.json_messages(schema.HEALTH)]
+    if not counts:
         return 0
-    poses = told[-1]["poses"] + told[-1]["lost_poses"] - recording.count(schema.POSE_SAMPLE)
-    submaps = told[-1]["submaps"] - recording.count(schema.SUBMAP)
+    poses = counts[-1]["poses"] + counts[-1]["lost_poses"] - recording.count(schema.POSE_SAMPLE)
+    submaps = counts[-1]["submaps"] - recording.count(schema.SUBMAP)
     return max(0, poses) + max(0, submaps)
 
 
 def kill_9(drive: Path, folder: Path, times: int, longest_s: float, seed: int = 5) -> Row:
-    """Killed at random moments after the first frame; recovered, and counted by a stranger."""
+    """Kill at random moments after the first frame, recover, count by an independent reader."""
     moment = random.Random(seed)
     worst: dict[str, float] = {}
     agreed = recovered = missing = 0
@@ -127,15 +127,15 @@ def kill_9(drive: Path, folder: Path, times: int, longest_s: float, seed: int = 
             process.wait()
         for topic, seconds in lost_s(Recording(rec), killed_ns).items():
             worst[topic] = max(worst.get(topic, 0.0), seconds)
-        missing += forgotten(Recording(rec))
-        report = recover(rec, folder / f"mended{k}")
+        missing += missing_results(Recording(rec))
+        report = recover(rec, folder / f"recovered{k}")
         ours = Counter(report.messages)
         reader, theirs = independent_counts([rec], PROJECT / "build" / "interop")
-        _, again = independent_counts([folder / f"mended{k}"], PROJECT / "build" / "interop")
+        _, again = independent_counts([folder / f"recovered{k}"], PROJECT / "build" / "interop")
         agreed += ours == theirs == again
         recovered += (
             report.outcome is Outcome.WITH_LOSS
-            and validate(folder / f"mended{k}").outcome is Outcome.ALL
+            and validate(folder / f"recovered{k}").outcome is Outcome.ALL
         )
     longest = max(worst, key=lambda topic: worst[topic])
     return Row(
@@ -143,13 +143,13 @@ def kill_9(drive: Path, folder: Path, times: int, longest_s: float, seed: int = 
         f"at most {worst[longest]:.2f} s lost ({longest}), {missing} poses and sub-maps before "
         f"that missing; counts equal in {agreed} of {times} "
         f"({reader})",
-        "<= 1.5 s lost of every channel; counts as an independent reader's",
+        "<= 1.5 s lost of every topic; counts equal those of an independent reader",
         worst[longest] <= 1.5 and not missing and agreed == recovered == times,
     )
 
 
 def terminated(drive: Path, folder: Path, after_s: float = 2.0) -> Row:
-    """SIGTERM in the middle of a drive."""
+    """Send SIGTERM in the middle of a drive."""
     rec = folder / "rec"
     with running(drive, "--out", str(rec)) as process:
         wait_for_frames(rec)
@@ -159,19 +159,19 @@ def terminated(drive: Path, folder: Path, after_s: float = 2.0) -> Row:
         code = process.wait(2 * STOP_S)
         took_s = time.monotonic() - started
     recording = Recording(rec)
-    same = all(_untouched(recording, drive, eye) for eye in Eye)
+    same = all(_unchanged(recording, drive, eye) for eye in Eye)
     outcome = validate(rec).outcome
     return Row(
         "SIGTERM",
         f"exit {code} after {took_s:.1f} s, validate {int(outcome)}, JPEG bytes "
         f"{'identical' if same else 'changed'}",
-        f"exit 0 or 3 within TimeoutStopSec ({STOP_S:g} s), the recording whole, bytes identical",
+        f"exit 0 or 3 within TimeoutStopSec ({STOP_S:g} s), recording complete, bytes identical",
         code in (0, 3) and took_s < STOP_S and outcome is Outcome.ALL and same,
     )
 
 
-def _untouched(recording: Recording, drive: Path, eye: Eye) -> bool:
-    """The frames are the drive's files from the first on, byte by byte."""
+def _unchanged(recording: Recording, drive: Path, eye: Eye) -> bool:
+    """Whether the frames equal the drive's files from the first on, byte by byte."""
     files = sorted((drive / f"cam{int(eye)}").iterdir())
     frames = list(recording.frames(eye))
     in_order = sequences(recording, eye) == list(range(len(frames)))
@@ -180,7 +180,7 @@ def _untouched(recording: Recording, drive: Path, eye: Eye) -> bool:
 
 
 class ServiceManager:
-    """Hears what the daemon tells systemd."""
+    """Socket that receives the daemon's messages to systemd."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -188,7 +188,7 @@ class ServiceManager:
         self._socket.bind(str(path))
 
     def wait(self, word: str, limit_s: float) -> bool:
-        """Whether `word` came within the time."""
+        """Wait for a message that begins with `word`; False after the time limit."""
         end = time.monotonic() + limit_s
         while (left_s := end - time.monotonic()) > 0:
             self._socket.settimeout(left_s)
@@ -205,8 +205,8 @@ class ServiceManager:
 
 
 def hung(drive: Path, folder: Path) -> Row:
-    """The capture process hangs; a service manager with the unit's times kills and restarts it."""
-    # a socket's name is short
+    """Stop the capture process; kill and restart it as systemd would with the unit's times."""
+    # the path of a socket has a length limit
     place = Path(f"/tmp/calm-edge-notify-{os.getpid()}")
     manager = ServiceManager(place)
     environment = {"NOTIFY_SOCKET": str(place), "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
@@ -218,7 +218,7 @@ def hung(drive: Path, folder: Path) -> Row:
             process.send_signal(signal.SIGSTOP)
             hung_s = time.monotonic()
             while manager.wait("WATCHDOG=1", WATCHDOG_S):
-                # one sent before the hang
+                # sent before the hang
                 continue
             process.kill()
         time.sleep(RESTART_S)
@@ -229,8 +229,8 @@ def hung(drive: Path, folder: Path) -> Row:
         manager.close()
         place.unlink()
     first, second = sorted((folder / "root").iterdir())
-    whole = recover(first, folder / "mended").outcome is not Outcome.FAILED
-    shutil.rmtree(folder / "mended", ignore_errors=True)
+    whole = recover(first, folder / "recovered").outcome is not Outcome.FAILED
+    shutil.rmtree(folder / "recovered", ignore_errors=True)
     return Row(
         "capture hangs",
         f"next frame {back_s:.1f} s after the hang (watchdog {WATCHDOG_S:g} s, restart "

@@ -1,4 +1,4 @@
-"""From the driver's buffer to the file: the camera's own bytes, and every loss accounted for."""
+"""From the driver's buffer to the file: unchanged JPEG bytes, and every loss counted."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from tests.recording import samples
 S, MS = 1_000_000_000, 1_000_000
 
 
-def test_mjpeg_bytes_are_recorded_as_the_cameras_sent_them_over_an_unplug(tmp_path: Path) -> None:
+def test_mjpeg_bytes_are_recorded_unchanged_across_a_reconnect(tmp_path: Path) -> None:
     random = np.random.default_rng(7)
     clock = ManualClock(10 * S)
-    # odd lengths, and a tail behind the picture, as cameras pad their buffers
+    # odd lengths, and bytes after the image, as cameras pad their buffers
     sent = [b"\xff\xd8" + random.bytes(int(n)) for n in random.integers(100, 9000, 40)]
     fakes = FakeCamera("usb-1"), FakeCamera("usb-2")
     io = FakeVideoIO(clock, {"/dev/video0": fakes[0], "/dev/video2": fakes[1]})
@@ -40,12 +40,12 @@ def test_mjpeg_bytes_are_recorded_as_the_cameras_sent_them_over_an_unplug(tmp_pa
             if k == 20:
                 fakes[0].gone = True
                 assert cameras[0].read(0.1) is None
-                # both change places: the numbers lie, the ports do not
+                # both node numbers are exchanged; the ports are the same
                 fakes = FakeCamera("usb-1"), fakes[1]
                 io.cameras = {"/dev/video2": fakes[0], "/dev/video0": fakes[1]}
                 assert cameras[0].read(2.0) is None and cameras[0].connected
             for eye in Eye:
-                # the third picture of each eye never arrives
+                # the third image of each eye is dropped
                 if k == 4:
                     continue
                 shoot(fakes[eye], k + eye, (k - 20 if k >= 20 and eye is Eye.PRIMARY else k) // 2)

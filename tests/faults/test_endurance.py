@@ -1,4 +1,4 @@
-"""Two minutes of simulated time; the fault table does four hours."""
+"""Two minutes of simulated time; the fault table runs four hours."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from tests.faults.endurance_rows import endurance
 from tests.faults.table import table
 
 
-def test_memory_stays_and_nothing_vanishes(tmp_path: Path) -> None:
+def test_memory_is_bounded_and_every_loss_is_counted(tmp_path: Path) -> None:
     row = endurance(0.04, 20.0, tmp_path)
     assert row.kept, row
 
 
-def test_the_table_names_each_fault_once(tmp_path: Path) -> None:
+def test_the_table_has_all_faults(tmp_path: Path) -> None:
     assert len(table(tmp_path, tmp_path)) == 22

@@ -1,4 +1,4 @@
-"""Kill, full disk, failing disk: what the recording costs then."""
+"""Losses of the recording on kill, full disk and failing disk."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from calm_edge.recording.writer import RecordingWriter
 from device.frame import Eye
 from tests.recording import samples
 
-# the floors of the configuration are more than the whole small disk
+# the default floors are larger than the small disk
 NO_FLOOR = {"keep_free_gib": 0.0, "keep_free_percent": 0.0}
 
 CHILD = """
@@ -79,12 +79,12 @@ def test_kill_9_loses_at_most_a_second_and_a_half(tmp_path: Path, alive_s: float
         assert [f.sequence for f in frames] == list(range(len(frames)))
         assert all(f.image == jpegs[f.sequence % 4] for f in frames)
     assert killed_ns - list(recording.poses())[-1].t_ns < 1.5e9
-    assert recover(folder, tmp_path / "mended").outcome == Outcome.WITH_LOSS
-    assert Recording(tmp_path / "mended").losses == []
+    assert recover(folder, tmp_path / "recovered").outcome == Outcome.WITH_LOSS
+    assert Recording(tmp_path / "recovered").losses == []
 
 
 class Disk:
-    """A disk with `room` bytes left."""
+    """A write() that fails once `room` bytes are written."""
 
     def __init__(self, room: int) -> None:
         self.room = room
@@ -107,7 +107,7 @@ def quick_retry(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("room", [60_000, 100_001, 133_333])
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
-def test_a_full_or_failing_disk_is_told_outlived_and_costs_nothing_that_fits_the_queue(
+def test_a_full_or_failing_disk_is_reported_and_nothing_is_lost_within_the_queue(
     tmp_path: Path, room: int, code: int
 ) -> None:
     disk = Disk(room)
@@ -136,7 +136,7 @@ def test_a_full_or_failing_disk_is_told_outlived_and_costs_nothing_that_fits_the
     assert sum(p.suffix == ".part" for p in tmp_path.iterdir()) == 1
 
 
-def test_a_disk_that_lets_nothing_be_removed_is_told_by_its_own_fault(
+def test_the_first_error_is_reported_if_files_cannot_be_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = Disk(10**9)
@@ -173,13 +173,13 @@ def test_closing_on_a_full_disk_returns_and_counts_the_loss(tmp_path: Path) -> N
     until(lambda: not writer.health.ok)
     health = writer.close()
     kept = len(list(Recording(tmp_path).frames(Eye.PRIMARY)))
-    # the clock pair may be among what was carried
+    # a clock message may be among the unwritten
     lost = health.dropped_images + health.unwritable
     assert 0 <= kept + lost - 40 <= 1
     assert 0 < kept < 40
 
 
-def test_lossless_raises_one_line_instead_of_waiting_for_ever(tmp_path: Path) -> None:
+def test_lossless_mode_raises_one_line_on_a_full_disk(tmp_path: Path) -> None:
     disk = Disk(60_000)
     settings = samples.config(chunk_bytes=8192)
     writer = RecordingWriter(tmp_path, settings, lossless=True, queue_bytes=20_000, write=disk)
@@ -189,7 +189,7 @@ def test_lossless_raises_one_line_instead_of_waiting_for_ever(tmp_path: Path) ->
     writer.close()
 
 
-def test_a_disk_that_takes_its_time_holds_up_no_flush(
+def test_a_slow_sync_does_not_delay_writing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go, real = threading.Event(), os.fdatasync
@@ -202,14 +202,14 @@ def test_a_disk_that_takes_its_time_holds_up_no_flush(
     monkeypatch.setattr(os, "fdatasync", slow)
     for k in range(5):
         writer.write_frame(samples.frame(Eye.PRIMARY, k))
-        # what a kill would now leave
+        # what would be left after a kill
         until(lambda k=k: Recording(tmp_path).count("/primary/image") == k + 1)
     go.set()
     assert writer.close().ok
     assert Recording(tmp_path).losses == []
 
 
-def test_a_flush_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sync_that_fails_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writer = RecordingWriter(tmp_path, samples.config(flush_s=0.05))
     writer.write_frame(samples.frame(Eye.PRIMARY, 0))
     until(lambda: Recording(tmp_path).count("/primary/image") == 1)
@@ -226,7 +226,7 @@ def test_a_flush_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert [f.sequence for f in Recording(tmp_path).frames(Eye.PRIMARY)] == [0, 1]
 
 
-def test_a_writer_thread_that_stumbles_is_told_and_goes_on(
+def test_an_error_in_the_writer_thread_is_reported_and_recording_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> schema.LogMessage:
@@ -258,7 +258,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-def test_a_really_full_disk_closes_the_segment_whole(small_disk: Path) -> None:
+def test_a_full_file_system_closes_the_segment_complete(small_disk: Path) -> None:
     writer = RecordingWriter(small_disk / "rec", samples.config(flush_s=0.02, **NO_FLOOR))
     image = samples.jpeg(0, 320)
     stop = threading.Event()

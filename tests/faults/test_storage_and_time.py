@@ -1,4 +1,4 @@
-"""Disks, clocks and heat, on a short drive."""
+"""Faults of disks and clocks, and overheating, on a short drive."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         time_rows.throttling,
     ],
 )
-def test_the_promise_is_kept(
+def test_the_fault_row_passes(
     drive: Path, tmp_path: Path, fault: Callable[[Path, int, Path], Row]
 ) -> None:
     row = fault(drive, N, tmp_path)
@@ -37,6 +37,6 @@ def test_the_promise_is_kept(
     assert row.kept, row
 
 
-def test_stamps_that_lie(drive: Path, tmp_path: Path) -> None:
+def test_stamps_that_go_backwards(drive: Path, tmp_path: Path) -> None:
     row = time_rows.lying_stamps(drive, N, tmp_path, "backwards")
     assert row.kept, row
