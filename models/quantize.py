@@ -1,11 +1,11 @@
-"""Smaller variants of an exported model: int8 (dynamic or static) and fp16, with what they lose.
+"""Add int8 (dynamic or static) and fp16 variants to an exported model; print their deviation.
 
     python models/quantize.py models/vggt --int8 dynamic
     python models/quantize.py models/vggt --int8 static --pictures drive/ --fp16
 
-Only the parts that share information between views are made int8, the aggregator in VGGT's words:
-heads and camera branch drift too far. `calm-edge model check` decides whether a variant is let
-pass and whether it is any faster.
+Only the layers that exchange information between views (VGGT's aggregator) are converted: heads
+and camera branch lose too much accuracy. `calm-edge model check` decides whether a variant is
+accurate enough and faster.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from exporting import folder, runtime
 from exporting.pictures import normalised, pictures
 
-# modules whose multiplications become int8, by the name in the manifest
+# modules to convert, by the model's name in the manifest
 PARTS = {
     "da3": ("net.backbone",),
     "vggt": ("net.aggregator",),
@@ -43,46 +43,44 @@ CALIBRATION_VIEWS = 4
 WHOLE_BYTES = 1_500_000_000
 INT8 = ["MatMul", "Gemm"]
 MULTIPLY = {*INT8, "Conv", "ConvTranspose"}
-# how the conversion to fp16 ends the names of the casts behind float nodes
+# suffix of the names of casts that the fp16 conversion inserts after float nodes
 HALVED = "_cast_to_fp16_node"
 TIMED_RUNS = 5
 
 
 class Calibration(quantization.CalibrationDataReader):
-    """Windows of pictures, one a call."""
+    """Data for static quantisation: one window of images per call."""
 
     def __init__(self, windows: list[NDArray[np.float32]]) -> None:
         self._windows: Iterator[NDArray[np.float32]] = iter(windows)
 
     def get_next(self) -> dict[str, NDArray[np.float32]] | None:
-        """The next window by the name of the input, None behind the last."""
+        """The next window, by the name of the input; None after the last."""
         window = next(self._windows, None)
         return None if window is None else {runtime.INPUT: window}
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Exits with one line when something is wrong."""
+    """Exits with a message of one line on errors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("model", type=Path, help="folder that export.py wrote")
     parser.add_argument("--int8", choices=("dynamic", "static"))
-    parser.add_argument(
-        "--fp16", action="store_true", help="for a GPU; the processor gains nothing"
-    )
-    parser.add_argument("--pictures", type=Path, help="folder of pictures to calibrate on")
-    parser.add_argument("--windows", type=int, default=8, help="of pictures to calibrate on")
-    parser.add_argument("--parts", nargs="+", help="modules to make int8, instead of the known")
+    parser.add_argument("--fp16", action="store_true", help="for GPUs; no faster on CPUs")
+    parser.add_argument("--pictures", type=Path, help="folder of images for calibration")
+    parser.add_argument("--windows", type=int, default=8, help="number of windows for calibration")
+    parser.add_argument("--parts", nargs="+", help="modules to convert, instead of the default")
     args = parser.parse_args(argv)
     path = args.model / "model.onnx"
     if not path.is_file():
         raise SystemExit(f"{path}: missing; run export.py first")
     if args.int8 == "static" and not args.pictures:
-        raise SystemExit("--pictures: missing; static int8 is calibrated on what will be seen")
+        raise SystemExit("--pictures: missing; static int8 needs images for calibration")
     if not (args.int8 or args.fp16):
-        raise SystemExit("nothing to do: --int8 or --fp16")
+        raise SystemExit("nothing to do; give --int8 or --fp16")
     manifest = tomllib.loads((args.model / folder.MANIFEST).read_text())
     parts = args.parts or PARTS.get(manifest["name"])
     if not parts:
-        raise SystemExit(f"--parts: missing; none are known of {manifest['name']}")
+        raise SystemExit(f"--parts: missing; there is no default for {manifest['name']}")
     model = onnx.load(path)
     outside = _outside(model, tuple(parts))
     if args.fp16:
@@ -99,7 +97,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _outside(model: onnx.ModelProto, parts: tuple[str, ...]) -> list[str]:
-    """Names of the nodes that belong to none of the modules; exits when they are all."""
+    """Names of the nodes outside the modules `parts`; exits if all nodes are."""
     outside = []
     for node in model.graph.node:
         scopes = next((p.value for p in node.metadata_props if p.key == SCOPES), "[]")
@@ -120,10 +118,7 @@ def _list(text: str) -> list[str]:
 
 
 def _fp16(model: onnx.ModelProto, to: Path, outside: list[str]) -> None:
-    """The heads stay float: depth and confidence are exponentials.
-
-    Casts come between them and the rest only where the type of a tensor is written down.
-    """
+    """Convert to fp16 except the nodes `outside`: heads give exponentials, which lose accuracy."""
     half = float16.convert_float_to_float16(
         copy.deepcopy(model),
         keep_io_types=True,
@@ -135,8 +130,10 @@ def _fp16(model: onnx.ModelProto, to: Path, outside: list[str]) -> None:
 
 
 def _float_stays_float(half: onnx.ModelProto) -> None:
-    """The conversion brings whatever a float node gives to 16 bits, for other float nodes and for
-    the outputs too: depth would be rounded, or infinite above 65504."""
+    """Remove the casts to fp16 and back between float nodes that the conversion inserts.
+
+    They would round depth, and make it infinite above 65504.
+    """
     exact = {n.output[0]: n.input[0] for n in half.graph.node if n.name.endswith(HALVED)}
     for node in half.graph.node:
         back = node.op_type == "Cast" and node.attribute[0].i == onnx.TensorProto.FLOAT
@@ -148,15 +145,16 @@ def _float_stays_float(half: onnx.ModelProto) -> None:
 def _int8(
     model: onnx.ModelProto, to: Path, outside: list[str], windows: list[NDArray[np.float32]]
 ) -> None:
-    """windows: none for dynamic. Products of two activations stay float: attention is not weights.
+    """Quantise products with weights to int8. windows: for calibration; none: dynamic.
 
-    Ranges are halved: AVX2 without VNNI overflows on full ones.
+    Products of two activations (attention) stay float. Ranges are reduced to 7 bits: with 8,
+    AVX2 without VNNI overflows.
     """
-    # shapes the exporter wrote down contradict the tensors that quantisation adds
+    # shapes stored by the exporter conflict with the tensors that quantisation adds
     del model.graph.value_info[:]
     weights = {tensor.name for tensor in model.graph.initializer}
     products = [n.name for n in model.graph.node if weights.isdisjoint(n.input)]
-    # the dynamic one makes two nodes of a Gemm, and excludes by the new name
+    # dynamic quantisation splits a Gemm in two nodes and excludes by the new name
     excluded = [*outside, *products, *(f"{name}_MatMul" for name in outside)]
     big = model.ByteSize() > WHOLE_BYTES
     with tempfile.TemporaryDirectory() as scratch:
@@ -198,7 +196,7 @@ def _windows(source: Path, spec: dict[str, object], count: int) -> list[NDArray[
 def _report(
     where: Path, precision: str, to: Path, model: onnx.ModelProto, outside: list[str]
 ) -> None:
-    """Writes the manifest's line; prints what stays float, drift, size and time."""
+    """Enter the variant in the manifest; print what stays float, deviation, size and time."""
     folder.set_variant(where, precision, to)
     print(f"{precision}: {_left_float(model, precision, set(outside))}")
     spec = tomllib.loads((where / folder.MANIFEST).read_text())["input"]
@@ -219,7 +217,7 @@ def _report(
 
 
 def _left_float(model: onnx.ModelProto, precision: str, outside: set[str]) -> str:
-    """How many multiplications and convolutions stay float, and of which modules they are."""
+    """Text: number of multiplications and convolutions that stay float, by module."""
     weights = {tensor.name for tensor in model.graph.initializer}
     left: Counter[str] = Counter()
     every = [node for node in model.graph.node if node.op_type in MULTIPLY]
@@ -234,7 +232,7 @@ def _left_float(model: onnx.ModelProto, precision: str, outside: set[str]) -> st
 
 
 def _cpu_s(session: InferenceSession, image: NDArray[np.float32]) -> float:
-    """Processor time of the quickest of some runs; a clock would tell what else runs here."""
+    """Minimum CPU time [s] of some runs; wall time would depend on other load."""
     seconds = []
     for _ in range(TIMED_RUNS):
         begin = time.process_time()
@@ -244,7 +242,7 @@ def _cpu_s(session: InferenceSession, image: NDArray[np.float32]) -> float:
 
 
 def _bytes(path: Path) -> int:
-    """Of a graph and the weight files it names."""
+    """Size of a graph and its external weight files."""
     beside = [path.with_name(name) for name in folder.weight_files(path)]
     return sum(each.stat().st_size for each in [path, *beside])
 

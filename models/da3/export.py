@@ -1,9 +1,9 @@
-"""Depth Anything 3 (any-view presets) as a model folder, from its author's code and a checkpoint.
+"""Export Depth Anything 3 (any-view presets) to a model folder.
 
     python models/da3/export.py --checkpoint model.safetensors --out models/da3
 
-The code: `pip install --no-deps depth-anything-3` with omegaconf, einops, addict and safetensors,
-or a checkout whose `src` --repo names.
+Needs the authors' code: `pip install --no-deps depth-anything-3` with omegaconf, einops, addict
+and safetensors, or a checkout given as --repo.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NEVER = 1 << 40
 
 
 class AnyView(torch.nn.Module):
-    """The first view is the reference; the camera decoder's own encoding is what comes out."""
+    """The network with the first view as reference; poses in the camera decoder's encoding."""
 
     def __init__(self, net: torch.nn.Module) -> None:
         super().__init__()
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def build(args: argparse.Namespace) -> Network:
-    """The network on the processor, with the checkpoint's weights or random ones."""
+    """Create the network on the CPU, with the checkpoint's weights or random ones."""
     from depth_anything_3.cfg import create_object, load_config
     from depth_anything_3.model.dinov2 import vision_transformer
     from depth_anything_3.model.dinov2.layers import rope
@@ -52,14 +52,14 @@ def build(args: argparse.Namespace) -> Network:
         raise SystemExit(f"--preset {args.preset}: expected one of {', '.join(MODEL_REGISTRY)}")
     net = create_object(load_config(MODEL_REGISTRY[args.preset]))
     if getattr(net, "cam_dec", None) is None:
-        raise SystemExit(f"--preset {args.preset}: has no camera decoder, so it gives no poses")
+        raise SystemExit(f"--preset {args.preset}: has no camera decoder, hence no poses")
     command.load(net, args, prefix="model.")
     return Network(
         AnyView(net.eval()),
         ("pose_enc", "depth", "depth_conf"),
         (
             *patches.rope(rope.PositionGetter, rope.RotaryPositionEmbedding2D, "base_frequency"),
-            # a choice of the reference by number of views is a branch that a graph cannot hold
+            # disable choosing the reference view by the number of views: a graph cannot branch
             (vision_transformer, "THRESH_FOR_REF_SELECTION", NEVER),
         ),
     )

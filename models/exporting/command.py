@@ -1,4 +1,4 @@
-"""The command line that all `export.py` share: network -> graph -> parity -> model folder."""
+"""Command line shared by all `export.py`: export, compare with the network, write the folder."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def main(
     add_arguments: Callable[[argparse.ArgumentParser], None] = lambda parser: None,
     argv: list[str] | None = None,
 ) -> None:
-    """Exits with one line when something is wrong; here: the folder that holds template.toml."""
+    """Run an export. here: folder with template.toml. Exits with one line on errors."""
     parser = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
     parser.add_argument("--repo", type=Path, help="checkout of the author's code")
     weights = parser.add_mutually_exclusive_group(required=True)
     weights.add_argument("--checkpoint", type=Path, help=".safetensors, .pt or .pth")
-    weights.add_argument("--random-weights", action="store_true", help="a proof, no model")
-    parser.add_argument("--small", action="store_true", help="narrow and shallow; of a proof alone")
+    weights.add_argument("--random-weights", action="store_true", help="to test the export")
+    parser.add_argument("--small", action="store_true", help="reduced network, to test")
     parser.add_argument("--license-file", type=Path, help="of the weights; with --checkpoint")
     parser.add_argument("--license-name", default="", help="its SPDX name")
     parser.add_argument("--out", type=Path, default=here, help="the model folder to write")
@@ -49,9 +49,9 @@ def main(
     add_arguments(parser)
     args = parser.parse_args(argv)
     if args.checkpoint and not (args.license_file and args.license_file.is_file()):
-        raise SystemExit("--license-file: missing; a model folder holds the licence of its weights")
+        raise SystemExit("--license-file: missing; give the licence of the weights")
     if args.small and not args.random_weights:
-        raise SystemExit("--small: no checkpoint fits it; only with --random-weights")
+        raise SystemExit("--small: only possible with --random-weights")
     if args.max_views < 2:
         raise SystemExit("--max-views: must be at least 2")
     if args.repo:
@@ -65,10 +65,10 @@ def main(
 def load(
     net: torch.nn.Module, args: argparse.Namespace, prefix: str = "", ignore: tuple[str, ...] = ()
 ) -> None:
-    """The checkpoint's weights into `net`, or with --random-weights such that all parts matter.
+    """Load the checkpoint into `net`, or randomise parts that would be inactive.
 
-    prefix: what the checkpoint's names begin with and the network's do not. ignore: beginnings of
-    names that may be in one and not in the other. Exits with one line where they do not fit.
+    prefix: removed from the checkpoint's names. ignore: prefixes of names that may be missing in
+    either. Exits with a message of one line if the checkpoint does not fit.
     """
     if args.random_weights:
         _scramble(net)
@@ -91,11 +91,13 @@ def load(
         raise SystemExit(f"{args.checkpoint}: {str(error).splitlines()[-1].strip()}") from None
     wrong = [name for name in [*missing, *unknown] if not name.startswith(ignore or ("\0",))]
     if wrong:
-        raise SystemExit(f"{args.checkpoint}: fits not: {len(wrong)} names, as {wrong[0]}")
+        raise SystemExit(
+            f"{args.checkpoint}: does not fit: {len(wrong)} names differ, e.g. {wrong[0]}"
+        )
 
 
 def _scramble(net: torch.nn.Module) -> None:
-    """Random where the network starts from nothing: a part that adds 0 would prove nothing."""
+    """Randomise parameters initialised to about zero, so that parity covers all layers."""
     for name, parameter in net.named_parameters():
         with torch.no_grad():
             if name.endswith("gamma"):
@@ -110,8 +112,8 @@ def _built(build: Build, args: argparse.Namespace) -> Network:
         network.module.eval()
         return network
     except ModuleNotFoundError as error:
-        where = f" or in {args.repo}" if args.repo else "; --repo names a checkout"
-        raise SystemExit(f"the author's code is not there: no module {error.name}{where}") from None
+        where = f" or in {args.repo}" if args.repo else "; give a checkout as --repo"
+        raise SystemExit(f"the authors' code is missing: no module {error.name}{where}") from None
 
 
 def _write(args: argparse.Namespace, network: Network, template: str) -> None:
@@ -153,15 +155,15 @@ def _compare(
 ) -> None:
     error, name = runtime.worst_error(runtime.run(session, image), expected)
     views = image.shape[1]
-    print(f"{views} views: ONNX against torch, worst value {error:.1e} of the spread ({name})")
+    print(f"{views} views: ONNX against torch, largest error {error:.1e} of the spread ({name})")
     if not error <= tolerance:
-        raise SystemExit(f"the graph is not the network: {error:.1e} > {tolerance:.1e}")
+        raise SystemExit(f"graph and network differ: {error:.1e} > {tolerance:.1e}")
 
 
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
     if not (width.isdigit() and height.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text!r}: expected WxH, as 504x280")
+        raise argparse.ArgumentTypeError(f"{text!r}: expected WxH, e.g. 504x280")
     size = int(width), int(height)
     if any(length < 28 or length % 14 for length in size):
         raise argparse.ArgumentTypeError(f"{text}: both must be multiples of 14, at least 28")

@@ -1,4 +1,4 @@
-"""The text of a model folder's manifest: the template filled in, hashes put in their places."""
+"""Write a model folder's manifest from its template, and the hashes of its files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _GRAPHS = "[graphs.model]"
 def filled(
     template: str, size: tuple[int, int], max_views: int, license_name: str, scene: bool
 ) -> str:
-    """The manifest but for hashes; size: (width, height) px of the input."""
+    """The manifest without hashes. size: (width, height) px of the input."""
     return template.format(
         width=size[0],
         height=size[1],
@@ -25,7 +25,7 @@ def filled(
 
 
 def set_variant(folder: Path, precision: str, graph: Path) -> None:
-    """The graph and the weight files it names, with their hashes, as this precision."""
+    """Enter a graph, its external weight files and their hashes as the given precision."""
     beside = ", ".join(f'"{name}" = "{sha256(folder / name)}"' for name in weight_files(graph))
     external = f", external = {{ {beside} }}" if beside else ""
     line = f'{precision} = {{ file = "{graph.name}", sha256 = "{sha256(graph)}"{external} }}'
@@ -33,12 +33,12 @@ def set_variant(folder: Path, precision: str, graph: Path) -> None:
 
 
 def set_golden(folder: Path) -> None:
-    """The hash of golden.npz."""
+    """Enter the hash of golden.npz."""
     _replace(folder, "[golden]", "sha256 = ", f'sha256 = "{sha256(folder / "golden.npz")}"')
 
 
 def weight_files(path: Path) -> list[str]:
-    """Names of files beside a graph that it reads its weights from."""
+    """Names of a graph's external weight files."""
     model = onnx.load(path, load_external_data=False)
     named = {
         entry.value
@@ -50,13 +50,13 @@ def weight_files(path: Path) -> list[str]:
 
 
 def sha256(path: Path) -> str:
-    """Of a file, as manifests have it."""
+    """sha256 of a file in hexadecimal."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _replace(folder: Path, section: str, begins: str, line: str) -> None:
-    """`line` in a section of the manifest, in place of the one that begins so, if any."""
+    """Put `line` into a section of the manifest, replacing the line that begins with `begins`."""
     path = folder / MANIFEST
     before, _, behind = path.read_text().partition(section + "\n")
     kept, _, others = behind.partition("\n[")

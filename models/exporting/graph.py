@@ -1,4 +1,4 @@
-"""A network as an ONNX graph with a free number of views, compared with the network itself."""
+"""Export a network to an ONNX graph with a free number of views, and compute its reference."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from exporting.patches import Patch, applied
 from exporting.runtime import INPUT
 
 OPSET = 20
-# a protobuf holds 2 GiB; above this, weights go to a file beside the graph
+# above this size weights are stored in an external file: a protobuf is limited to 2 GiB
 MAX_INSIDE_BYTES = 1_500_000_000
-# what the graph is traced at: a number that is no size of anything else
+# number of views for tracing; it must not equal any other dimension
 TRACED_VIEWS = 3
 
 
 @dataclass(frozen=True)
 class Network:
-    """module: (1, N, 3, H, W) pictures as the author's network wants them -> the outputs, in order.
+    """A network to export. module: preprocessed images (1, N, 3, H, W) -> outputs, in order.
 
-    patches: in place while it is traced. original: the same outputs from the author's own forward,
-    where `module` is not that.
+    patches: applied during tracing. original: module with the authors' forward, if `module` has
+    another one.
     """
 
     module: torch.nn.Module
@@ -35,7 +35,7 @@ class Network:
 
 
 def export(network: Network, size: tuple[int, int], max_views: int, path: Path) -> None:
-    """Writes `path`; size: (width, height) px, of the graph. Views may be 2 to max_views."""
+    """Export to `path` for 2 to max_views images of size (width, height) px."""
     width, height = size
     network.module.eval()
     image = torch.rand(1, TRACED_VIEWS, 3, height, width)
@@ -56,7 +56,7 @@ def export(network: Network, size: tuple[int, int], max_views: int, path: Path) 
 
 
 def reference(network: Network, image: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-    """Outputs of the author's own code by name, none of the patches in place."""
+    """Outputs of the authors' code by name, without patches."""
     with torch.no_grad():
         values = (network.original or network.module)(torch.from_numpy(image))
     return {

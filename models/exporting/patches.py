@@ -1,6 +1,6 @@
-"""What published networks do that an ONNX graph cannot: replaced from outside, while it is traced.
+"""Patches of published networks for operations that cannot be exported to ONNX.
 
-A rotary embedding is written here from its definition; nothing of the authors' code is in it.
+The rotary position embedding is implemented from its definition (Su et al., "RoFormer", 2021).
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import Any
 
 import torch
 
-# owner (class, module or object), name, what stands there meanwhile
+# (class, module or object, name of the attribute, temporary value)
 Patch = tuple[Any, str, Any]
 
 
 @contextmanager
 def applied(patches: Sequence[Patch]) -> Iterator[None]:
-    """Every patch in place inside the block, everything as before behind it."""
+    """Context in which the patches are applied."""
     before = [(owner, name, vars(owner).get(name)) for owner, name, _ in patches]
     for owner, name, value in patches:
         setattr(owner, name, value)
@@ -32,9 +32,9 @@ def applied(patches: Sequence[Patch]) -> Iterator[None]:
 
 
 def rope(getter: type, rotary: type, base: str) -> list[Patch]:
-    """For a class that gives grid positions and one that rotates by them, of any of the models.
+    """Patches for a model's class of grid positions and its class of rotary embedding.
 
-    base: the attribute of `rotary` that holds its base frequency.
+    base: name of the attribute of `rotary` with the base frequency.
     """
 
     def rotate(self: Any, tokens: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
@@ -47,7 +47,10 @@ def rope(getter: type, rotary: type, base: str) -> list[Patch]:
 
 
 def grid_positions(batch: int, height: int, width: int, device: torch.device) -> torch.Tensor:
-    """(batch, height * width, 2) int64 row and column, row by row. No cache, no cartesian_prod."""
+    """Row and column (batch, height * width, 2), int64, of a grid in row-major order.
+
+    Without a cache and without cartesian_prod, which cannot be exported.
+    """
     rows = torch.arange(height, device=device)
     columns = torch.arange(width, device=device)
     grid = torch.stack(torch.meshgrid(rows, columns, indexing="ij"), -1)
@@ -55,11 +58,11 @@ def grid_positions(batch: int, height: int, width: int, device: torch.device) ->
 
 
 def rotated(tokens: torch.Tensor, positions: torch.Tensor, base: float) -> torch.Tensor:
-    """Tokens (B, heads, T, D) turned by their rows (first half of D) and columns (second half).
+    """Rotary embedding of tokens (B, heads, T, D) by row (first half of D) and column (second).
 
-    positions: (B, T, 2). In each half, channel k and channel k + D / 4 are a plane that turns by
-    position * base^(-4 k / D). The angles come from the positions themselves, in float32: a table
-    as long as the largest position would be as long as it was while traced.
+    positions: (B, T, 2). In each half, channels k and k + D / 4 are rotated by
+    position * base^(-4 k / D). Angles are computed from the positions, in float32, since the size
+    of a lookup table would become a constant of the graph.
     """
     quarter = tokens.shape[-1] // 4
     exponents = torch.arange(quarter, device=tokens.device, dtype=torch.float32) / quarter

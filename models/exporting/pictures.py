@@ -1,4 +1,4 @@
-"""Pictures for golden values and calibration."""
+"""Load images for golden values and for calibration of int8."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ SUFFIXES = {".png", ".jpg", ".jpeg"}
 
 
 def pictures(folder: Path | None, size: tuple[int, int], count: int) -> NDArray[np.uint8]:
-    """(count, H, W, 3) BGR of (width, height) px, in order of name; without a folder, painted.
+    """Images (count, H, W, 3), BGR, resized to (width, height) px, sorted by name.
 
-    Exits with one line when there are too few.
+    Without a folder they are synthetic. Exits with a message of one line if there are too few.
     """
     if folder is None:
         return _painted(size, count)
     files = sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
     found = [image for path in files[:count] if (image := cv2.imread(str(path))) is not None]
     if len(found) < count:
-        raise SystemExit(f"{folder}: {len(found)} pictures; {count} are needed")
+        raise SystemExit(f"{folder}: {len(found)} images, but {count} are needed")
     return np.stack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in found])
 
 
 def normalised(shown: NDArray[np.uint8], spec: Mapping[str, Any]) -> NDArray[np.float32]:
-    """(1, N, 3, H, W) RGB, as `spec`, the manifest's `[input]`, says and calm-edge does it."""
+    """Input tensor (1, N, 3, H, W), RGB, normalised by `spec`, the manifest's `[input]`."""
     values = shown[..., ::-1].astype(np.float32) / np.float32(255)
     mean, std = (np.asarray(spec.get(key, [d]), np.float32) for key, d in (("mean", 0), ("std", 1)))
     values = (values - mean) / std
@@ -36,7 +36,7 @@ def normalised(shown: NDArray[np.uint8], spec: Mapping[str, Any]) -> NDArray[np.
 
 
 def _painted(size: tuple[int, int], count: int) -> NDArray[np.uint8]:
-    """A soft random pattern that moves from view to view; no scene, but no noise either."""
+    """Smooth random pattern that shifts from view to view; it shows no consistent scene."""
     rng = np.random.default_rng(0)
     width, height = size
     coarse = rng.random((8, 12, 3)).astype(np.float32)

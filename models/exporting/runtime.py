@@ -1,4 +1,4 @@
-"""An exported graph, run in ONNX Runtime as calm-edge does it; needs no torch."""
+"""Run an exported graph in ONNX Runtime, as calm-edge does; needs no torch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ INPUT = "images"
 
 
 def session(path: Path, threads: int = 1) -> onnxruntime.InferenceSession:
-    """On the processor, as calm-edge runs it."""
+    """Session on the CPU."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3
@@ -30,10 +30,9 @@ def run(
 def worst_error(
     found: dict[str, NDArray[np.float32]], expected: dict[str, NDArray[np.float32]]
 ) -> tuple[float, str]:
-    """Largest difference of any value over the spread of its output; and which output.
+    """Largest error of any value over the standard deviation of its output, and that output's name.
 
-    The spread is the standard deviation: depth of random weights is nearly constant, and errors
-    over its RMS would say nothing.
+    Not over the RMS: depth of random weights is nearly constant, so that this would hide errors.
     """
     errors = []
     for name, wanted in expected.items():

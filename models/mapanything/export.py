@@ -1,11 +1,11 @@
-"""MapAnything, pictures alone, as a model folder, from its authors' code and a checkpoint.
+"""Export MapAnything, with images as only input, to a model folder.
 
     python models/mapanything/export.py --repo map-anything --dinov2 dinov2 \
         --config config.json --checkpoint model.safetensors --license-file LICENSE
 
 --repo: a checkout of facebookresearch/map-anything, with `pip install --no-deps uniception`.
---dinov2: a checkout of facebookresearch/dinov2, for the encoder's code. --config: the constructor's
-arguments, as they lie beside the published weights.
+--dinov2: a checkout of facebookresearch/dinov2, for the encoder's code. --config: config.json with
+the constructor's arguments, published beside the weights.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ NORMALISATION = "dinov2"
 
 
 class AllViewsAtOnce(torch.nn.Module):
-    """The authors' network takes a list of views, whose length a graph would hold fast.
+    """The authors' layers applied to all views as one tensor.
 
-    Here all views are one tensor; layers and heads are theirs. `AsItIs` is what it must agree with.
+    Their forward takes a list of views, whose length would become a constant of the graph.
+    `Original` is the reference for parity.
     """
 
     def __init__(self, net: torch.nn.Module) -> None:
@@ -58,9 +59,10 @@ class AllViewsAtOnce(torch.nn.Module):
         return poses[None], rays[None], (along * scale[..., None, None])[None], confidence[None]
 
     def shared(self, tokens: torch.Tensor) -> tuple[list[torch.Tensor], torch.Tensor]:
-        """(N, T, C) tokens of the views through the layers that alternate between all and each.
+        """Apply the layers that alternate between attention over all views and within each view.
 
-        Returns what the heads read, layer by layer, (N, T, C'), and the scale token (1, C', 1).
+        tokens: (N, T, C). Returns the features (N, T, C') that the heads use, by layer, and the
+        scale token (1, C', 1).
         """
         sharing = self.net.info_sharing
         views, count, _ = tokens.shape
@@ -83,8 +85,8 @@ class AllViewsAtOnce(torch.nn.Module):
         return layers, taken[-1][:, -1:].transpose(1, 2)
 
 
-class AsItIs(torch.nn.Module):
-    """The authors' own forward, view by view."""
+class Original(torch.nn.Module):
+    """The authors' forward on a list of views."""
 
     def __init__(self, net: torch.nn.Module) -> None:
         super().__init__()
@@ -104,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def build(args: argparse.Namespace) -> Network:
-    """The network on the processor, with the checkpoint's weights or random ones."""
+    """Create the network on the CPU, with the checkpoint's weights or random ones."""
     from mapanything.models.mapanything.model import MapAnything
 
     torch.hub.load = _from_checkout(args.dinov2)
@@ -113,22 +115,22 @@ def build(args: argparse.Namespace) -> Network:
     elif args.random_weights:
         config = published(args.repo / "configs" / "model")
     else:
-        raise SystemExit("--config: missing; it lies beside the checkpoint")
+        raise SystemExit("--config: missing; give the config.json published with the checkpoint")
     if args.small:
         _shrink(config)
     net = MapAnything(**config)
     for part in net.modules():
-        # the exporter knows no clamp between an integer and a float
+        # the exporter does not support clamp with an integer and a float limit
         for limit in {"vmin", "vmax"} & set(vars(part)):
             setattr(part, limit, float(getattr(part, limit)))
     command.load(net, args)
     return Network(
-        AllViewsAtOnce(net), ("poses", "rays", "depth_along_ray", "conf"), original=AsItIs(net)
+        AllViewsAtOnce(net), ("poses", "rays", "depth_along_ray", "conf"), original=Original(net)
     )
 
 
 def published(folder: Path) -> dict[str, Any]:
-    """The constructor's arguments as the authors' configuration files have them."""
+    """The constructor's arguments, read from the authors' configuration files."""
     from omegaconf import OmegaConf
 
     OmegaConf.register_new_resolver("special_float", float, replace=True)
@@ -145,7 +147,7 @@ def published(folder: Path) -> dict[str, Any]:
         "pred_head": head,
         "task": read("task/default", "task/images_only"),
     }
-    # merged, not unpacked: unpacking would follow the references between the files too early
+    # merge, since unpacking would resolve references between the files before all are present
     whole = OmegaConf.merge({"model": parts}, {"model": read("mapanything")})
     config: dict[str, Any] = OmegaConf.to_container(whole.model.model_config, resolve=True)
     return config
@@ -162,7 +164,7 @@ def _shrink(config: dict[str, Any]) -> None:
 
 
 def _from_checkout(folder: Path) -> Any:
-    """For torch.hub.load, which would fetch the encoder: its code from a checkout, no weights."""
+    """Replacement for torch.hub.load that takes the encoder's code from a checkout, no weights."""
     load = torch.hub.load
 
     def local(repo: str, model: str, **given: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Pi3 as a model folder, from its authors' code and a checkpoint.
+"""Export Pi3 to a model folder.
 
     python models/pi3/export.py --repo Pi3 --checkpoint model.safetensors --license-file LICENSE
 
@@ -24,7 +24,7 @@ PATCH = 14
 
 
 class PointsAndPoses(torch.nn.Module):
-    """Points in each camera's own axes; points of the world follow from them and are left out."""
+    """The network with camera-frame points, poses and confidence; world points are left out."""
 
     def __init__(self, net: torch.nn.Module) -> None:
         super().__init__()
@@ -40,8 +40,8 @@ class PointsAndPoses(torch.nn.Module):
         dense = net.point_decoder(hidden, xpos=positions)[:, first:]
         xy, log_z = net.point_head([dense], (height, width)).split([2, 1], -1)
         z = log_z.exp()
-        believed = net.conf_decoder(hidden, xpos=positions)[:, first:]
-        confidence = net.conf_head([believed], (height, width))
+        certain = net.conf_decoder(hidden, xpos=positions)[:, first:]
+        confidence = net.conf_head([certain], (height, width))
         camera = net.camera_decoder(hidden, xpos=positions)[:, first:]
         poses = net.camera_head(camera, height // PATCH, width // PATCH)
         points = torch.cat([xy * z, z], -1)
@@ -49,9 +49,9 @@ class PointsAndPoses(torch.nn.Module):
 
 
 def unit_rows(numbers: torch.Tensor) -> torch.Tensor:
-    """(N, 9) -> (N, 3, 3): the matrix whose nearest rotation the author's SVD finds.
+    """Matrices (N, 3, 3) of numbers (N, 9) whose nearest rotation the authors compute by SVD.
 
-    A graph has no SVD; the manifest asks calm-edge to find that rotation.
+    ONNX has no SVD; the manifest makes calm-edge compute the nearest rotation.
     """
     return functional.normalize(numbers.reshape(-1, 3, 3), dim=-1)
 
@@ -59,12 +59,12 @@ def unit_rows(numbers: torch.Tensor) -> torch.Tensor:
 def pose_matrix(
     self: Any, views: int, numbers: torch.Tensor, place: torch.Tensor, device: torch.device
 ) -> torch.Tensor:
-    """(N, 3, 4) without writing into slices of zeros."""
+    """Pose matrices (N, 3, 4), without assignments to slices, which cannot be exported."""
     return torch.cat([self.svd_orthogonalize(numbers), place[..., None]], -1)
 
 
 def build(args: argparse.Namespace) -> Network:
-    """The network on the processor, with the checkpoint's weights or random ones."""
+    """Create the network on the CPU, with the checkpoint's weights or random ones."""
     from pi3.models import pi3
     from pi3.models.dinov2.hub.backbones import dinov2_vits14_reg
     from pi3.models.layers import camera_head, pos_embed
@@ -76,7 +76,7 @@ def build(args: argparse.Namespace) -> Network:
     if args.small:
         net.decoder = net.decoder[:6]
     command.load(net, args)
-    # not only while tracing: what the graph gives is compared with the same unit rows
+    # permanently, not as a patch for tracing: the reference outputs need it too
     net.camera_head.svd_orthogonalize = unit_rows
     return Network(
         PointsAndPoses(net),

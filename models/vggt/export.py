@@ -1,9 +1,9 @@
-"""VGGT as a model folder, from its authors' code and a checkpoint.
+"""Export VGGT to a model folder.
 
     python models/vggt/export.py --repo vggt --checkpoint model.pt --license-file LICENSE.txt
 
---repo: a checkout of facebookresearch/vggt. The point and track heads are left out: poses and
-depth say the same, and a third of the work is saved.
+--repo: a checkout of facebookresearch/vggt. The point and track heads are left out: points follow
+from poses and depth, and a third of the computation is saved.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from exporting.graph import Network
 
 
 class PosesAndDepth(torch.nn.Module):
-    """All views go through the depth head at once: its chunks are a branch on their number."""
+    """The network with poses and depth, without chunking the depth head by the number of views."""
 
     def __init__(self, net: torch.nn.Module) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class PosesAndDepth(torch.nn.Module):
 
 
 def build(args: argparse.Namespace) -> Network:
-    """The network on the processor, with the checkpoint's weights or random ones."""
+    """Create the network on the CPU, with the checkpoint's weights or random ones."""
     from vggt.layers import rope
     from vggt.models import vggt
 

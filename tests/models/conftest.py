@@ -1,4 +1,4 @@
-"""The scripts beside the models import each other from there."""
+"""Put models/ on the import path, from which the export scripts import each other."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""A published network with random weights that sees one known scene all the same.
+"""Export a published network with random weights whose outputs are right for one known scene.
 
     python tests/models/known_scene.py NAME --pictures FOLDER [options of export.py]
 
-Everything is random but the last layers: they are solved for, by ridge regression, so that the
-raw outputs on windows of that scene are what the network's authors say they mean. So the exported
-folder holds the real architecture, and all of `model check` can be asked of it. It is no model.
+All weights are random, but the last layers are fitted by ridge regression so that the raw outputs
+on windows of that scene have the meaning documented by the authors. This tests exporter, decoder
+and `model check` on the real architecture without published weights.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from tests.backbones.raw_scene import RawScene, turn
 
 SIZE = (56, 42)
 VIEWS = 6
-# windows that are solved for: of the golden values, of parity, and the two parts of a split one
+# windows to fit: those of golden values and parity, and the two parts of a split window
 WINDOWS = (range(2), range(3), range(6), range(4), range(2, 6))
 RIDGE = 1e-4
-# VGGT's camera head adds up its answer in that many rounds of the same layer
+# iterations of VGGT's camera head, whose outputs are summed
 ROUNDS = 4
 SPECS: dict[str, dict[str, Any]] = {
     "vggt": {},
@@ -47,7 +47,7 @@ SPECS: dict[str, dict[str, Any]] = {
 
 
 def scene() -> RawScene:
-    """Six views that drive towards a slanted plane and turn a little; units of about its tenth."""
+    """Six views that move towards a slanted plane, about 10 units away, and turn slightly."""
     width, height = SIZE
     K = np.array([[50.0, 0, (width - 1) / 2], [0, 48.0, (height - 1) / 2], [0, 0, 1]])
     T_w_c = np.tile(np.eye(4), (VIEWS, 1, 1))
@@ -58,7 +58,7 @@ def scene() -> RawScene:
 
 
 def paint(folder: Path) -> NDArray[np.uint8]:
-    """The views as PNG files, (N, H, W, 3) BGR: depth in green, a pattern fixed to the plane."""
+    """Write the views as PNG: BGR (N, H, W, 3), depth in green, a pattern fixed to the plane."""
     seen, (width, height) = scene(), SIZE
     u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,9 +74,10 @@ def paint(folder: Path) -> NDArray[np.uint8]:
 
 
 def targets(name: str, window: Sequence[int]) -> list[NDArray[np.float64]]:
-    """What each layer of `layers` has to give on a window: rows by outputs, first view the frame.
+    """Outputs (rows, channels) that each layer of `layers` must have on a window.
 
-    In the order of its calls, before the network's own exp, normalisation or ReLU.
+    In the frame of the first view and the order of calls, before the network's exp, normalisation
+    or ReLU.
     """
     seen, (width, height) = scene(), SIZE
     u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
@@ -105,7 +106,7 @@ def targets(name: str, window: Sequence[int]) -> list[NDArray[np.float64]]:
 
 
 def layers(name: str, net: nn.Module) -> list[nn.Module]:
-    """The last layers, as `targets` orders them."""
+    """The last layers of a network, in the order of `targets`."""
     if name == "da3":
         decoder = net.cam_dec
         dense = net.head.scratch.output_conv2[2]
@@ -119,7 +120,7 @@ def layers(name: str, net: nn.Module) -> list[nn.Module]:
 
 
 def solve(name: str, network: Network, shown: NDArray[np.uint8]) -> None:
-    """Sets the last layers; a layer that has more outputs than are known keeps the others."""
+    """Set the last layers' weights; outputs without a target keep theirs."""
     last = layers(name, network.module.net)
     rows: list[list[NDArray[np.float64]]] = [[] for _ in last]
     wanted: list[list[NDArray[np.float64]]] = [[] for _ in last]
@@ -139,8 +140,10 @@ def solve(name: str, network: Network, shown: NDArray[np.uint8]) -> None:
 
 
 def _keeper(rows: list[NDArray[np.float64]], target: NDArray[np.float64]) -> Any:
-    """A hook that keeps what a layer is given. A linear one already answers what it has to: a
-    layer that is called again reads its own answer."""
+    """A forward hook that stores a layer's inputs.
+
+    A linear layer returns its target already, because a repeated call depends on its output.
+    """
     left = target
 
     def keep(layer: nn.Module, given: tuple[torch.Tensor], out: torch.Tensor) -> Any:
@@ -170,7 +173,7 @@ def _regress(layer: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None
 
 
 def main(name: str, argv: list[str]) -> None:
-    """export.py of that model, its network's last layers solved for in between."""
+    """Run a model's export.py with the last layers of its network fitted to the scene."""
     here = EXPORTED / name
     spec = importlib.util.spec_from_file_location(f"{name}_export", here / "export.py")
     assert spec is not None and spec.loader is not None

@@ -1,8 +1,8 @@
-"""The authors' own networks, exported: the graph is the network at any N, and passes the check.
+"""Export of the authors' networks: parity at any number of views, and `model check` passes.
 
-Runs where torch and the code are: checkouts named after the model in the folder that the variable
-CALM_EDGE_AUTHORS_CODE names (vggt, pi3, mapanything, dinov2); DA3 as the package depth-anything-3.
-Weights are random but for the last layers, which see one known scene (tests/models/known_scene.py).
+Needs torch and the authors' code: checkouts vggt, pi3, mapanything and dinov2 in the folder of the
+environment variable CALM_EDGE_AUTHORS_CODE, and the package depth-anything-3. Weights are random
+except for the last layers, which are fitted to one known scene (tests/models/known_scene.py).
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from calm_edge.types import Hints
 
 CODE = Path(os.environ.get("CALM_EDGE_AUTHORS_CODE", "nowhere"))
 PARITY = re.compile(
-    r"^(\d+) views: ONNX against torch, worst value (\S+) of the spread", re.MULTILINE
+    r"^(\d+) views: ONNX against torch, largest error (\S+) of the spread", re.MULTILINE
 )
 VIEWS = 6
 
 
 def export(name: str, out: Path, *more: str) -> str:
-    """Output of export.py in a process of its own: it changes the authors' classes."""
+    """Output of export.py, run in a separate process since it changes the authors' classes."""
     script = Path(__file__).with_name("known_scene.py")
     given = [name, "--pictures", str(out / "pictures"), "--out", str(out), "--max-views", "6"]
     done = subprocess.run(
@@ -45,7 +45,7 @@ def export(name: str, out: Path, *more: str) -> str:
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("name", ["da3", "vggt", "pi3", "mapanything"])
-def test_the_graph_is_the_network_and_sees_what_it_sees(name, tmp_path):
+def test_the_graph_equals_the_network_and_passes_the_check(name, tmp_path):
     for module in ("torch", "onnxscript", "onnxruntime"):
         pytest.importorskip(module)
     if name == "da3":
@@ -75,7 +75,7 @@ def test_the_graph_is_the_network_and_sees_what_it_sees(name, tmp_path):
 
 
 def a_longer_window_is_split_and_joined(manifest, pictures) -> None:
-    """Six views in parts of four that share two, against the scene and against one run."""
+    """Six views in parts of four that overlap by two, compared with the scene and a single run."""
     from tests.models.known_scene import scene
 
     images = [cv2.imread(str(pictures / f"{view}.png")) for view in range(VIEWS)]
@@ -94,12 +94,12 @@ def a_longer_window_is_split_and_joined(manifest, pictures) -> None:
     assert ratio == pytest.approx(np.ones(VIEWS), abs=0.1)
 
 
-def test_without_the_authors_code_there_is_one_line(tmp_path):
+def test_without_the_authors_code_there_is_an_error_of_one_line(tmp_path):
     pytest.importorskip("torch")
     pytest.importorskip("onnxruntime")
     command = [sys.executable, str(EXPORTED / "vggt/export.py"), "--random-weights"]
     command += ["--repo", str(tmp_path), "--out", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert done.stderr.splitlines()[-1].startswith("the author's code is not there: no module vggt")
+    assert done.stderr.splitlines()[-1].startswith("the authors' code is missing: no module vggt")
     assert "Traceback" not in done.stderr

@@ -1,4 +1,4 @@
-"""The rotary embedding that stands in while a graph is traced, against its definition."""
+"""The exportable rotary embedding, compared with its definition."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def test_positions_are_row_by_row():
 
 
 def test_rotary_embedding():
-    """Each plane (k, k + D / 4) of a half turns by position * base^(-4 k / D) as a complex one."""
+    """Channels (k, k + D / 4) of a half are rotated by position * base^(-4 k / D)."""
     from exporting.patches import rotated
 
     rng = np.random.default_rng(0)
@@ -32,7 +32,7 @@ def test_rotary_embedding():
             assert out[..., b] == pytest.approx(turned.imag, abs=1e-5)
 
 
-def test_patches_are_gone_behind_the_block():
+def test_patches_are_removed_after_the_context():
     from exporting.patches import applied
 
     class Base:

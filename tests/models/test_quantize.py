@@ -1,7 +1,7 @@
-"""Only the parts that share information between views lose digits; the report says what does not.
+"""Quantisation converts only layers that exchange information between views, and reports the rest.
 
-The graph is small and has what the published ones have: a product with weights and one of two
-activations in the backbone, and a Gemm in the camera decoder, named by the exporter's scopes.
+The graph is small and has the parts of published ones: a product with weights and one of two
+activations in the backbone, and a Gemm in the camera decoder, with the exporter's scopes as names.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def backbone_and_camera() -> onnx.ModelProto:
 
 @pytest.fixture
 def folder(tmp_path):
-    """As export.py leaves it; its pictures are beside it."""
+    """A model folder as written by export.py, with images for calibration beside it."""
     from exporting import folder as text
     from exporting import runtime
     from exporting.pictures import normalised, pictures
@@ -88,7 +88,7 @@ def read_spec(folder):
 
 
 def products(path) -> dict[str, int]:
-    """How many nodes of each kind multiply, a product whose weights are dequantised as int8."""
+    """Number of nodes per type; a product with dequantised weights counts as int8."""
     model = onnx.load(path)
     int8 = {out for n in model.graph.node if n.op_type == "DequantizeLinear" for out in n.output}
     kinds: dict[str, int] = {}
@@ -111,8 +111,8 @@ def drift(out: str) -> list[float]:
         (["static", "--windows", "2"], {"static": 1, "MatMul": 2, "Gemm": 1}),
     ],
 )
-def test_int8_is_the_weights_of_the_backbone_alone(folder, capsys, how, wanted):
-    """The dynamic one writes the camera's Gemm as a MatMul, and that stays float."""
+def test_int8_converts_the_weights_of_the_backbone_only(folder, capsys, how, wanted):
+    """Dynamic quantisation turns the camera's Gemm into a MatMul, which stays float."""
     import quantize
 
     quantize.main([str(folder), "--int8", *how, "--pictures", str(folder / "pictures")])
@@ -124,7 +124,7 @@ def test_int8_is_the_weights_of_the_backbone_alone(folder, capsys, how, wanted):
     assert verify(read_manifest(folder)) == 3
 
 
-def test_fp16_halves_the_backbone_and_leaves_the_camera(folder, capsys):
+def test_fp16_converts_the_backbone_but_not_the_camera(folder, capsys):
     import quantize
 
     quantize.main([str(folder), "--fp16"])
@@ -135,14 +135,14 @@ def test_fp16_halves_the_backbone_and_leaves_the_camera(folder, capsys):
     assert session.inputs["images"].dtype == session.outputs["pose_enc"].dtype == np.float32
     out = capsys.readouterr().out
     assert out.startswith("fp16: 1 of 4 multiplications stay float: net.cam_dec 1\n")
-    # above what 16 bits hold
+    # above the range of float16
     with np.load(folder / "golden.npz") as golden:
         assert np.abs(golden["model/n3/out/pose_enc"]).max() > 65504
     assert 0 < max(drift(out)) < 1e-3
 
 
-def test_both_in_one_call_are_those_of_two(folder):
-    """Each is made of the float graph, not of what the other left."""
+def test_both_variants_in_one_call_equal_those_of_two_calls(folder):
+    """Each is converted from the float graph, not from the other variant."""
     import quantize
 
     hashes = []
@@ -157,13 +157,13 @@ def test_both_in_one_call_are_those_of_two(folder):
 @pytest.mark.parametrize(
     ("call", "line"),
     [
-        ([], "nothing to do: --int8 or --fp16"),
+        ([], "nothing to do; give --int8 or --fp16"),
         (["--int8", "static"], "--pictures: missing"),
         (["--fp16", "--parts", "net.none"], "--parts: no node of the graph belongs to net.none"),
-        (["--int8", "static", "--pictures", "nowhere"], "nowhere: 0 pictures; 32 are needed"),
+        (["--int8", "static", "--pictures", "nowhere"], "nowhere: 0 images, but 32 are needed"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(folder, call, line):
+def test_wrong_arguments_are_errors_of_one_line(folder, call, line):
     import quantize
 
     with pytest.raises(SystemExit, match=line):

@@ -1,8 +1,8 @@
-"""What each template says of its network's outputs, against a scene that is known.
+"""Templates decode the outputs of their networks for a known scene.
 
-Raw outputs are made by hand in the shapes the networks give them, from the authors' definitions:
-DA3's camera decoder speaks of camera to world, VGGT of world to camera, Pi3 gives nine numbers
-whose nearest rotation is meant, MapAnything unit rays and the distance along them.
+Raw outputs are computed from the authors' definitions: DA3's camera decoder gives camera to world,
+VGGT world to camera, Pi3 nine numbers with a nearest rotation, MapAnything unit rays and the
+distance along them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ INPUT_SIZE = (84, 56)
 
 
 def as_the_network_gives_it(name: str, raw: dict) -> dict:
-    """One batch in front, a channel behind maps where the network has it."""
+    """Add the batch axis, and the channel axis of maps if the network has one."""
     one = {key: value[None] for key, value in raw.items()}
     if name == "da3":
         return {"pose_enc": one["c2w_9"], "depth": one["z"], "depth_conf": one["expp1"]}
@@ -43,7 +43,7 @@ def as_the_network_gives_it(name: str, raw: dict) -> dict:
 
 
 def exported(name: str, folder) -> Manifest:
-    """A folder as export.py leaves it, around a graph of no meaning."""
+    """A folder as written by export.py, around an arbitrary graph."""
     from exporting import folder as text
 
     (folder / "LICENSE").write_text("none")
@@ -59,7 +59,7 @@ def exported(name: str, folder) -> Manifest:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_filled_template_is_a_manifest_whose_files_fit(name, tmp_path):
+def test_a_filled_template_is_a_valid_manifest(name, tmp_path):
     manifest = exported(name, tmp_path)
     assert verify(manifest) == 2
     assert (manifest.frames.min, manifest.frames.max, manifest.frames.dynamic) == (2, 12, True)
@@ -70,7 +70,7 @@ def test_a_filled_template_is_a_manifest_whose_files_fit(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_model_that_was_not_exported_says_how(name, tmp_path, monkeypatch):
+def test_the_error_of_a_model_not_exported_names_its_readme(name, tmp_path, monkeypatch):
     (tmp_path / name).mkdir()
     (tmp_path / name / "export.py").touch()
     monkeypatch.setattr("calm_edge.backbones.onnx.model_folder.search_path", lambda: [tmp_path])
@@ -79,7 +79,7 @@ def test_a_model_that_was_not_exported_says_how(name, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_known_geometry_comes_out(name, tmp_path):
+def test_known_geometry_is_decoded(name, tmp_path):
     outputs = exported(name, tmp_path).output
     fits = fit_pictures(read_manifest(tmp_path).input, SIZES)
     scene = make_scene(SIZES)

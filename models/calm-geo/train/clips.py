@@ -1,8 +1,9 @@
-"""Clips: six views of one random world by a random kit on a random drive, with exact depth.
+"""Render clips: six views of a random scene with two random cameras on a random drive.
 
     python clips.py --textures build/textures.npz --out build/clips --count 3000
 
-Views 0 to 3 are the primary's, in driving order; 4 and 5 the assistant's, near views 1 and 2.
+Views 0 to 3 are the primary's, in driving order; 4 and 5 the assistant's, near views 1 and 2. All
+have exact depth.
 """
 
 from __future__ import annotations
@@ -26,8 +27,10 @@ SHARD = 50
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """grey (6, H, W) uint8; depth (6, H, W) float16 m; steady (6, H, W) bool; K (6, 3, 3) px;
-    T_w_c (6, 4, 4)."""
+    """A rendered clip. grey: (6, H, W) uint8. depth: (6, H, W) float16, m. K: (6, 3, 3) px.
+
+    steady: (6, H, W) bool, static and not reflecting. T_w_c: (6, 4, 4).
+    """
 
     grey: np.ndarray
     depth: np.ndarray
@@ -52,7 +55,7 @@ def _pose(rotation: Rotation, centre: np.ndarray) -> np.ndarray:
 
 
 def _kit(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """K of both eyes and T_p_a."""
+    """Random K of both cameras, and T_p_a."""
     hfov = random.uniform(40, 100)
     ratio = 2 ** random.uniform(-1, 1) if random.random() < 0.5 else 2 ** random.uniform(-0.2, 0.2)
     other = np.degrees(2 * np.arctan(np.tan(np.radians(hfov) / 2) * ratio))
@@ -64,7 +67,7 @@ def _kit(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def random_clip(random: np.random.Generator, bank: TextureBank, device: torch.device) -> Clip:
-    """One clip; everything about it is drawn from `random`."""
+    """Render a clip with scene, cameras and drive drawn from `random`."""
     scene = random_scene(random, bank.count, device)
     K_p, K_a, T_p_a = _kit(random)
     speed = random.uniform(2, 25)
@@ -100,7 +103,7 @@ def random_clip(random: np.random.Generator, bank: TextureBank, device: torch.de
 
 
 def save_shard(path: Path, clips: list[Clip]) -> None:
-    """SHARD clips as one plain archive."""
+    """Write clips as one .npz file."""
     part = path.with_suffix(".part.npz")
     fields = Clip.__dataclass_fields__
     arrays: dict[str, Any] = {n: np.stack([getattr(c, n) for c in clips]) for n in fields}
@@ -113,7 +116,7 @@ def main() -> None:
     parser.add_argument("--textures", type=Path, default=Path("build/textures.npz"))
     parser.add_argument("--out", type=Path, default=Path("build/clips"))
     parser.add_argument("--count", type=int, default=3000)
-    parser.add_argument("--first", type=int, default=0, help="the first clip's number: its seed")
+    parser.add_argument("--first", type=int, default=0, help="number of the first clip, its seed")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""From a checkpoint to the model folder: ONNX graphs, eight-bit encoder, golden values, manifest.
+"""Write the model folder from a checkpoint: ONNX graphs, int8 encoder, golden values, manifest.
 
 python export.py --checkpoint build/calm-geo/checkpoint.pt --clips build/clips
 """
@@ -29,7 +29,7 @@ from place import Place, learned_place
 from torch import Tensor, nn
 from train import Model
 
-# what is shipped
+# the shipped model folder
 MODEL = Path(__file__).resolve().parents[3] / "calm_edge" / "models" / "calm-geo"
 OPSET = 20
 CALIBRATION_PICTURES = 48
@@ -38,7 +38,7 @@ SCRATCH = ("encoder.prepared.onnx",)
 
 
 class EncoderGraph(nn.Module):
-    """What is run once a picture."""
+    """Graph `encoder`: encoder and place descriptor."""
 
     def __init__(self, encoder: Encoder, place: Place) -> None:
         super().__init__()
@@ -50,8 +50,10 @@ class EncoderGraph(nn.Module):
 
 
 class RefineGraph(nn.Module):
-    """there, here (M, 81), as `network.correlations` gives them -> offset (M, 2) px to add to the
-    guess, sigma (M,) px an axis, both of the encoder's pictures."""
+    """Graph `refine`: correlations (M, 81), (M, 81) to offset (M, 2) and sigma per axis (M,).
+
+    Offset (to be added to the initial match) and sigma are in pixels of the encoder's input.
+    """
 
     def __init__(self, refine: Refine) -> None:
         super().__init__()
@@ -63,7 +65,7 @@ class RefineGraph(nn.Module):
 
 
 def pictures(clips: Clips, count: int, seed: int) -> Iterator[np.ndarray]:
-    """(1, 1, H, W) float32 in [0, 1], as the network was trained on."""
+    """Yield degraded training images (1, 1, H, W), float32 in [0, 1]."""
     random = np.random.default_rng(seed)
     for _ in range(count):
         grey = clips.draw(random)["grey"]
@@ -101,7 +103,7 @@ def export_refine(graph: RefineGraph, path: Path) -> None:
 
 
 def drop_stack_traces(path: Path) -> None:
-    """Drop the exporter's notes on nodes: they name files of the machine that it ran on."""
+    """Remove the exporter's metadata of nodes, which contains local file names."""
     model = onnx.load(path)
     for node in model.graph.node:
         del node.metadata_props[:]
@@ -109,7 +111,7 @@ def drop_stack_traces(path: Path) -> None:
 
 
 def quantise(fp32: Path, int8: Path, clips: Clips) -> None:
-    """Static, weights a channel, convolutions alone: sums, norms and sampling stay in float."""
+    """Static quantisation of the convolutions, weights per channel; the rest stays float."""
     prepared = fp32.with_name(SCRATCH[0])
     quant_pre_process(fp32, prepared, skip_symbolic_shape=True)
     quantize_static(
@@ -123,7 +125,7 @@ def quantise(fp32: Path, int8: Path, clips: Clips) -> None:
 
 
 def golden(encoder: EncoderGraph, refine: RefineGraph, clips: Clips) -> dict[str, Any]:
-    """Two cases a role, of unlike shape, from torch in float32."""
+    """Golden values: two cases of different shapes per role, computed by torch in float32."""
     random = np.random.default_rng(2)
     out: dict[str, Any] = {}
     for case, (views, height, width) in GOLDEN_SIZES.items():
@@ -157,7 +159,7 @@ def _digest(path: Path) -> str:
 
 
 def write_manifest(folder: Path, int8_encoder: bool) -> None:
-    """manifest.toml with the hashes of what lies in the folder."""
+    """Write manifest.toml with the hashes of the folder's files."""
 
     def entry(file: str) -> str:
         return f'{{ file = "{file}", sha256 = "{_digest(folder / file)}" }}'

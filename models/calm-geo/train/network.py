@@ -1,7 +1,7 @@
-"""calm-geo: an encoder run once a picture, and what finishes a match from its features.
+"""The networks of calm-geo: an image encoder, and the refinement of matches from its features.
 
-Plain 3x3 convolutions of at least 32 channels after a 2x2 fold of the pixels: what eight-bit
-kernels are fast at. Grey pictures with sides that are multiples of 16.
+3x3 convolutions of at least 32 channels after folding 2x2 pixels to channels, for which int8
+kernels are efficient. Inputs are grey images with sides that are multiples of 16.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ COARSE_STRIDE = 8
 FINE_STRIDE = 4
 COARSE_CHANNELS = 64
 FINE_CHANNELS = 32
-RADIUS = 4  # of the window a match is refined in, in fine cells
+RADIUS = 4  # of the refinement window, in fine cells
 WINDOW = (2 * RADIUS + 1) ** 2
 
 
@@ -25,8 +25,12 @@ def _conv(inside: int, out: int, stride: int = 1) -> nn.Sequential:
 
 
 class Encoder(nn.Module):
-    """(B, 1, H, W) grey in [0, 1] -> coarse (B, 64, H/8, W/8) and fine (B, 32, H/4, W/4), unit
-    length along channels; reliability (B, 1, H/8, W/8) in [0, 1]; deep (B, 96, H/16, W/16)."""
+    """Encoder of grey images (B, 1, H, W) in [0, 1].
+
+    Outputs: coarse features (B, 64, H/8, W/8), reliability (B, 1, H/8, W/8) in [0, 1], fine
+    features (B, 32, H/4, W/4), deep features (B, 96, H/16, W/16). Coarse and fine features have
+    unit length along the channels.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -61,8 +65,11 @@ def _twice(x: Tensor) -> Tensor:
 
 
 class Refine(nn.Module):
-    """Correlations of a query's fine descriptor with the window around its match, (M, 81), and with
-    its own surroundings, (M, 81) -> offset (M, 2) in fine cells, log of its sigma (M,) in these."""
+    """Refinement of matches from the correlations of a point's fine descriptor.
+
+    there, here: (M, 81) correlations with the window around the match, and with that around the
+    point itself. Outputs: offset (M, 2) and log of its sigma (M,), in fine cells.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -81,9 +88,9 @@ class Refine(nn.Module):
 
 
 def sample(features: Tensor, uv: Tensor, stride: int) -> Tensor:
-    """(B, C, h, w) bilinearly at uv (B, N, 2) px of the picture -> (B, N, C).
+    """Sample features (B, C, h, w) bilinearly at uv (B, N, 2) px of the image: (B, N, C).
 
-    Cell k of a row is centred on pixel (k + 0.5) * stride - 0.5.
+    The centre of cell k is at pixel (k + 0.5) * stride - 0.5.
     """
     height, width = features.shape[-2:]
     cells = (uv + 0.5) / stride
@@ -93,7 +100,7 @@ def sample(features: Tensor, uv: Tensor, stride: int) -> Tensor:
 
 
 def windows(features: Tensor, uv: Tensor) -> Tensor:
-    """(B, 32, h, w) around uv (B, N, 2) px, a fine cell apart -> (B, N, 81, 32)."""
+    """Sample fine features on a 9 x 9 window, one fine cell apart, around uv: (B, N, 81, 32)."""
     steps = torch.arange(-RADIUS, RADIUS + 1, device=uv.device).float() * FINE_STRIDE
     y, x = torch.meshgrid(steps, steps, indexing="ij")
     around = uv[:, :, None] + torch.stack([x, y], -1).reshape(1, 1, -1, 2)
@@ -104,7 +111,7 @@ def windows(features: Tensor, uv: Tensor) -> Tensor:
 def correlations(
     fine_a: Tensor, uv_a: Tensor, fine_b: Tensor, uv_b: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """What `Refine` reads for queries uv_a and guesses uv_b, both (B, N, 2): two of (B, N, 81)."""
+    """Inputs of `Refine`, each (B, N, 81), for points uv_a and initial matches uv_b (B, N, 2)."""
     query = F.normalize(sample(fine_a, uv_a, FINE_STRIDE), dim=2)[..., None]
     there = (windows(fine_b, uv_b) @ query)[..., 0]
     here = (windows(fine_a, uv_a) @ query)[..., 0]

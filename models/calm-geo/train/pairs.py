@@ -1,4 +1,4 @@
-"""Training pairs out of rendered clips: two views as bad cameras would show them, and the truth."""
+"""Training pairs from rendered clips: two degraded views with true correspondences."""
 
 from __future__ import annotations
 
@@ -18,8 +18,11 @@ SAME_DEPTH = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """a, b: (B, 1, H, W); uv_a, uv_b: (B, N, 2) px; seen (B, N): uv_b is what uv_a shows;
-    steady (B, N): uv_a shows something that stands still and does not mirror."""
+    """A batch of image pairs a, b: (B, 1, H, W), with points uv_a, uv_b: (B, N, 2) px.
+
+    seen: (B, N) the point is static and visible in b at uv_b. steady: (B, N) the point is on a
+    static, non-reflecting surface.
+    """
 
     a: Tensor
     b: Tensor
@@ -30,7 +33,7 @@ class Pairs:
 
 
 def degraded(grey: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """(H, W) uint8 as another exposure, lens and codec would have it -> float32 in [0, 1]."""
+    """Degrade a grey image (H, W), uint8, by exposure, blur, noise and JPEG: float32 in [0, 1]."""
     height, width = grey.shape
     x: np.ndarray = grey.astype(np.float32) / 255
     if random.random() < 0.5:
@@ -81,7 +84,7 @@ def truth(
     K_b: np.ndarray,
     T_b_a: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where whole pixels uv (N, 2) of a lie in b, (N, 2) px, and whether b sees them."""
+    """Project integer pixels uv (N, 2) of view a to b: positions (N, 2) px and visibility (N,)."""
     z = depth_a[uv[:, 1], uv[:, 0]].astype(np.float64)
     p = (
         np.c_[uv, np.ones(len(uv))] @ np.linalg.inv(K_a).T * z[:, None] @ T_b_a[:3, :3].T
@@ -98,14 +101,14 @@ def truth(
 
 
 class Clips:
-    """All shards of a folder, read as they appear; at most `most` of them, the newest."""
+    """The newest `most` shards of a folder, which may still grow."""
 
     def __init__(self, folder: Path, most: int = 80) -> None:
         self.folder, self.most = folder, most
         self.shards: dict[str, dict[str, np.ndarray]] = {}
 
     def refresh(self) -> None:
-        """Reads the shards that have come since; drops the oldest."""
+        """Read new shards and drop the oldest ones."""
         for path in sorted(self.folder.glob("[0-9]*.npz")):
             if path.name not in self.shards and ".part" not in path.name:
                 with np.load(path) as file:
@@ -114,7 +117,7 @@ class Clips:
                     del self.shards[next(iter(self.shards))]
 
     def draw(self, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """One clip."""
+        """Draw a random clip."""
         shard = self.shards[str(random.choice(list(self.shards)))]
         k = random.integers(len(shard["grey"]))
         return {name: value[k] for name, value in shard.items()}
@@ -140,7 +143,7 @@ def _pair(
 
 
 def batches(clips: Clips, size: int, points: int, seed: int) -> Iterator[Pairs]:
-    """Batches without end; those with too little in common are passed over."""
+    """Yield batches endlessly; pairs with too few common points are skipped."""
     random = np.random.default_rng(seed)
     while True:
         rows: list[tuple[np.ndarray, ...]] = []

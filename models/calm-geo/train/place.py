@@ -1,7 +1,8 @@
-"""The place descriptor: deep features gathered by what they look like, then whitened.
+"""Global place descriptor: VLAD of the deep features with PCA whitening.
 
-Nothing is trained by gradient: the words are clusters of features, the projection their principal
-axes, both over the training clips. (Vectors of locally aggregated descriptors.)
+Not trained by gradient: the visual words are k-means clusters, the projection the principal axes,
+both over training clips. Jégou and Chum, "Negative evidences and co-occurences in image
+retrieval", 2012.
 """
 
 from __future__ import annotations
@@ -20,7 +21,10 @@ CLIPS_READ = 120
 
 
 class Place(nn.Module):
-    """deep (B, 96, h, w) -> (B, 256) of unit length. words (32, 96); projection (256, 3072)."""
+    """Descriptor (B, 256) of unit length from deep features (B, 96, h, w).
+
+    words: (32, 96). projection: (256, 3072).
+    """
 
     def __init__(self, words: Tensor, projection: Tensor, mean: Tensor) -> None:
         super().__init__()
@@ -29,7 +33,7 @@ class Place(nn.Module):
         self.register_buffer("mean", mean)
 
     def gathered(self, deep: Tensor) -> Tensor:
-        """(B, 32 * 96): what is left of the features of each word, of unit length a word."""
+        """VLAD (B, 32 * 96): sums of residuals to each word, normalised per word and in total."""
         x = F.normalize(deep.flatten(2), dim=1)
         share = torch.softmax(SHARPNESS * (self.words @ x), dim=1)
         rest = share @ x.transpose(1, 2) - share.sum(2, keepdim=True) * self.words
@@ -40,7 +44,7 @@ class Place(nn.Module):
 
 
 def learned_place(encoder: nn.Module, clips: Clips) -> Place:
-    """Words and projection from CLIPS_READ clips, four views each."""
+    """Compute words and projection from four views of CLIPS_READ clips each."""
     random = np.random.default_rng(3)
     deep = []
     with torch.no_grad():

@@ -1,11 +1,11 @@
-"""Freely licensed photographs and textures of Debian packages, as one bank of grey squares.
+"""Collect freely licensed photographs and textures of Debian packages as grey squares.
 
     python textures.py --out build/textures.npz
 
 Packages (licences in each one's /usr/share/doc/*/copyright): supertuxkart-data (CC-BY-SA, CC-BY,
 CC0, GPL by file), ufoai-textures (GPL-2+, CC-BY-SA-3.0, CC-BY-3.0), plasma-workspace-wallpapers
 (GPL-2+), mate-backgrounds (GPL-2+, CC-BY-SA-4.0), lomiri-wallpapers-16.04 and -20.04 (CC-BY-SA,
-CC-BY-4.0), stellarium-data (GPL-2+). They are training input alone; no picture is shipped.
+CC-BY-4.0), stellarium-data (GPL-2+). They are used for training only; no image is shipped.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PACKAGES = (
     "stellarium-data",
 )
 PICTURES = (".jpg", ".jpeg", ".png", ".tga", ".webp")
-# Maps of normals or gloss are no pictures; fonts and icons have no texture to learn from.
+# Normal, gloss and light maps, fonts and icons are no photographs or textures.
 SKIPPED = ("normal", "gloss", "specul", "_n.", "_nm.", "_s.", "_lm.", "_gm.", "font", "icon", "gui")
 SIZE = 256
 MIN_SIDE = 256
@@ -41,7 +41,7 @@ CROPS_OF_A_LARGE = 6
 
 
 def unpacked(package: str, folder: Path) -> Path:
-    """The files of a Debian package, fetched with apt-get, under folder/package."""
+    """Download a Debian package with apt-get and unpack it to folder/package; returns that."""
     out = folder / package
     if not out.exists():
         subprocess.run(["apt-get", "download", "-q", package], cwd=folder, check=True)
@@ -52,7 +52,7 @@ def unpacked(package: str, folder: Path) -> Path:
 
 
 def pictures(root: Path) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """(name, (H, W) grey) of every picture below root and in its pk3 archives."""
+    """Yield (name, grey image (H, W)) of all images below root and in its .pk3 archives."""
     for path in sorted(root.rglob("*")):
         if path.suffix.lower() == ".pk3":
             with zipfile.ZipFile(path) as archive:
@@ -72,7 +72,7 @@ def _decoded(name: str, data: bytes) -> Iterator[tuple[str, NDArray[np.uint8]]]:
 
 
 def squares(image: NDArray[np.uint8], random: np.random.Generator) -> Iterator[NDArray[np.uint8]]:
-    """Squares (SIZE, SIZE) of a picture that show something: several crops of a large one."""
+    """Yield crops (SIZE, SIZE) with enough contrast and detail; several of a large image."""
     height, width = image.shape
     for _ in range(CROPS_OF_A_LARGE if min(height, width) >= 4 * SIZE else 1):
         side = int(min(height, width) * random.uniform(0.35, 1)) if min(height, width) > 512 else 0
@@ -87,7 +87,7 @@ def squares(image: NDArray[np.uint8], random: np.random.Generator) -> Iterator[N
 
 
 def bank(folder: Path, count: int, seed: int) -> NDArray[np.uint8]:
-    """(N <= count, SIZE, SIZE) uint8, evenly from all packages."""
+    """Textures (N, SIZE, SIZE), uint8, N <= count, drawn at random from all packages."""
     random = np.random.default_rng(seed)
     of_package = [
         [square for _, image in pictures(unpacked(p, folder)) for square in squares(image, random)]
@@ -101,7 +101,7 @@ def bank(folder: Path, count: int, seed: int) -> NDArray[np.uint8]:
 
 
 def save(path: Path, textures: NDArray[np.uint8]) -> None:
-    """One file of JPEG bytes, small enough to travel."""
+    """Write textures as JPEG data in one .npz file."""
     coded = [cv2.imencode(".jpg", t, [cv2.IMWRITE_JPEG_QUALITY, 88])[1].ravel() for t in textures]
     ends = np.cumsum([len(c) for c in coded])
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -109,7 +109,7 @@ def save(path: Path, textures: NDArray[np.uint8]) -> None:
 
 
 def load(path: Path) -> NDArray[np.uint8]:
-    """(N, SIZE, SIZE) uint8 of a file written by `save`."""
+    """Read textures (N, SIZE, SIZE), uint8, written by `save`."""
     with np.load(path) as file:
         parts = np.split(file["data"], file["ends"][:-1])
     return np.stack([np.asarray(cv2.imdecode(p, cv2.IMREAD_GRAYSCALE), np.uint8) for p in parts])

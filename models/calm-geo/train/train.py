@@ -1,4 +1,4 @@
-"""Trains encoder and refinement on rendered clips; goes on from its newest checkpoint.
+"""Train encoder and refinement on rendered clips, continuing from the newest checkpoint.
 
     python train.py --clips build/clips --out build/calm-geo --minutes 25
 
@@ -26,7 +26,7 @@ CURVES = "step,seconds,loss,coarse,within_a_cell,refine_median_px,refine_1px,rel
 
 
 class Model(nn.Module):
-    """What one checkpoint holds."""
+    """All trained parameters."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -35,7 +35,7 @@ class Model(nn.Module):
 
 
 def coarse_target(uv: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    """The four cells around uv (B, N, 2) px, (B, N, 4) flat indices, and their shares."""
+    """Flat indices (B, N, 4) of the four cells around uv (B, N, 2) px, and bilinear weights."""
     cells = ((uv + 0.5) / COARSE_STRIDE - 0.5).clamp(min=0)
     limit = torch.tensor([width - 1, height - 1], device=uv.device)
     cells = torch.minimum(cells, limit.float())
@@ -51,7 +51,7 @@ def coarse_target(uv: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
 
 
 def losses(model: Model, pairs: Pairs) -> tuple[Tensor, dict[str, float]]:
-    """Their sum, and what the curves show."""
+    """Total loss, and the figures for curves.csv."""
     n = len(pairs.a)
     with torch.autocast(pairs.a.device.type, torch.bfloat16):
         features = model.encoder(torch.cat([pairs.a, pairs.b]))
@@ -68,12 +68,12 @@ def losses(model: Model, pairs: Pairs) -> tuple[Tensor, dict[str, float]]:
     best = logits.argmax(-1)
     at = (torch.stack([best % width, best // width], -1) + 0.5) * COARSE_STRIDE - 0.5
     right = ((at - pairs.uv_b).norm(dim=-1) < RELIABLE_PX) & pairs.seen
-    # what nobody could see again says nothing about reliability, but what moves or mirrors does
-    told = (pairs.seen | ~pairs.steady).float()
+    # train reliability on visible points, and on moving and reflecting ones as unreliable
+    used = (pairs.seen | ~pairs.steady).float()
     claim = sample(reliability[:n], pairs.uv_a, COARSE_STRIDE)[..., 0].clamp(1e-4, 1 - 1e-4)
     reliability_loss = (
-        F.binary_cross_entropy(claim, right.float(), reduction="none") * told
-    ).sum() / told.sum()
+        F.binary_cross_entropy(claim, right.float(), reduction="none") * used
+    ).sum() / used.sum()
     guess = pairs.uv_b + torch.randn_like(pairs.uv_b) * GUESS_NOISE_PX
     there, here = correlations(fine[:n], pairs.uv_a, fine[n:], guess)
     flat = pairs.seen.reshape(-1)
@@ -81,7 +81,7 @@ def losses(model: Model, pairs: Pairs) -> tuple[Tensor, dict[str, float]]:
     wanted = ((pairs.uv_b - guess) / FINE_STRIDE).reshape(-1, 2)[flat]
     error = (offset - wanted).norm(dim=1)
     inside = (wanted.abs() < 4).all(1)
-    # Laplace's law in two dimensions: a wrong match costs its size once, not its square
+    # negative log-likelihood of a two-dimensional Laplace distribution, robust to wrong matches
     refine_loss = (error * torch.exp(-log_sigma) + 2 * log_sigma)[inside].mean()
     loss = coarse_loss + 0.5 * refine_loss + 0.3 * reliability_loss
     px = error[inside].detach() * FINE_STRIDE
@@ -96,7 +96,7 @@ def losses(model: Model, pairs: Pairs) -> tuple[Tensor, dict[str, float]]:
 
 
 def _rate(step: int, minutes: float, began: float, peak: float) -> float:
-    """Warm-up, then a cosine over the minutes given."""
+    """Learning rate: warm-up, then cosine decay over the given minutes."""
     done = min(1.0, (time.monotonic() - began) / (60 * minutes))
     return (
         peak * min(1.0, (step + 1) / WARM_UP) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * done)))

@@ -1,7 +1,7 @@
-"""Random worlds of textured rectangles, cast ray by ray: pictures with exact depth.
+"""Random scenes of textured rectangles, rendered by ray casting with exact depth.
 
-World axes x right, y down, z ahead, metres; the ground is y = 0. A scene is a set of rectangles,
-so a ray meets all of them in three matrix products, on a CPU or a GPU alike.
+World axes x right, y down, z ahead, metres; the ground is y = 0. All rays are intersected with all
+rectangles by three matrix products, on CPU or GPU.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch import Tensor
 
 Array = np.ndarray
 
-# What a rectangle is: seen through where its mask is empty; mirrors; moves while the car drives.
+# Kinds of rectangles: opaque; transparent where its mask is 0; mirror; moving.
 SOLID, CUTOUT, MIRROR, MOVING = range(4)
 FAR_M = 400.0
 MASKS = 24
@@ -23,7 +23,7 @@ MIN_DEPTH_M = 0.4
 
 
 class TextureBank:
-    """(N, 256, 256) uint8 squares with all their halvings, flat, so that one gather samples any."""
+    """Textures (N, 256, 256) uint8 with mipmaps in one flat array, sampled by a single gather."""
 
     def __init__(self, textures: Array, device: torch.device) -> None:
         level = torch.from_numpy(textures).to(device).float().div_(255)
@@ -39,7 +39,10 @@ class TextureBank:
         self.start = torch.tensor(starts[:-1], device=device)
 
     def sample(self, index: Tensor, u: Tensor, v: Tensor, texels: Tensor) -> Tensor:
-        """(P,) grey in [0, 1] at u, v (P,) in squares (wrapped), a pixel being `texels` wide."""
+        """Grey values (P,) in [0, 1] at texture coordinates u, v (P,), period 1.
+
+        texels: (P,) width of an image pixel in texels, which selects the mipmap level.
+        """
         level = torch.log2(texels.clamp(min=1.0)).round().long().clamp(max=len(self.sides) - 1)
         side = self.side[level]
         base = self.start[level] + index * side * side
@@ -56,11 +59,11 @@ class TextureBank:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Q rectangles corner + a * right + b * down, a and b in [0, 1].
+    """Q rectangles with points corner + a * right + b * down, a and b in [0, 1].
 
-    corner, right, down: (Q, 3) m, right and down at right angles. texture (Q,), repeats (Q, 2)
-    squares along each side, offset (Q, 2), gain and bias (Q,): what is painted. kind, mask: (Q,).
-    velocity: (Q, 3) m/s. sky: texture of the sky, sky_gain its contrast and level.
+    corner, right, down: (Q, 3) m, right and down orthogonal. texture: (Q,) index, repeats: (Q, 2)
+    per side, offset: (Q, 2), gain, bias: (Q,) of its grey values. kind, mask: (Q,).
+    velocity: (Q, 3) m/s. sky: texture index, sky_gain: its gain and bias. masks: (MASKS, 64, 64).
     """
 
     corner: Tensor
@@ -80,7 +83,7 @@ class Scene:
 
 
 class _Builder:
-    """Collects rectangles as plain rows."""
+    """Collects the rectangles of a scene."""
 
     def __init__(self, random: np.random.Generator, n_textures: int) -> None:
         self.random = random
@@ -112,7 +115,7 @@ class _Builder:
         )  # fmt: skip
 
     def box(self, centre: Array, size: Array, yaw: float, square_m: float, **paint: object) -> None:
-        """Sides and top of a box standing on the ground; size: width, height, length."""
+        """Add sides and top of a box standing on the ground; size: width, height, length [m]."""
         c, s = np.cos(yaw), np.sin(yaw)
         x, z = np.array([c, 0, -s]), np.array([s, 0, c])
         up = np.array([0, -size[1], 0])
@@ -127,7 +130,7 @@ class _Builder:
 
 
 def random_scene(random: np.random.Generator, n_textures: int, device: torch.device) -> Scene:
-    """A street (most of the time) or rectangles in all directions."""
+    """A random street (75 %) or random rectangles in all orientations (25 %)."""
     builder = _Builder(random, n_textures)
     if random.random() < 0.25:
         _chaos(builder)
@@ -244,7 +247,10 @@ def _chaos(b: _Builder) -> None:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """grey (H, W) in [0, 1]; depth (H, W) z in m, FAR_M in the sky; steady (H, W): it rests."""
+    """A rendered view. grey: (H, W) in [0, 1]. depth: (H, W) z [m], FAR_M for sky.
+
+    steady: (H, W) true for static surfaces, false for sky, mirrors and moving objects.
+    """
 
     grey: Tensor
     depth: Tensor
@@ -252,7 +258,7 @@ class View:
 
 
 def _in_sight(scene: Scene, T_w_c: Tensor, K: Tensor, size: tuple[int, int], t_s: float) -> Scene:
-    """The scene without rectangles that lie wholly behind a side of the view."""
+    """The scene without the rectangles that are entirely outside the view frustum."""
     at = scene.corner + scene.velocity * t_s
     across, down = scene.right, scene.down
     ends = torch.stack([at, at + across, at + down, at + across + down], 1)
@@ -273,7 +279,7 @@ def _in_sight(scene: Scene, T_w_c: Tensor, K: Tensor, size: tuple[int, int], t_s
 def render(
     scene: Scene, bank: TextureBank, T_w_c: Tensor, K: Tensor, size: tuple[int, int], t_s: float
 ) -> View:
-    """The scene at time t_s from T_w_c (4, 4) through K (3, 3); size: height, width in px."""
+    """Render the scene at time t_s [s] from T_w_c (4, 4) with K (3, 3); size: height, width px."""
     height, width = size
     device = scene.corner.device
     y, x = torch.meshgrid(
