@@ -83,7 +83,7 @@ def target_of(python: Path) -> Target:
 def install_packages(target: Target, site: Path, commit: Path, *what: str) -> None:
     """Install into a site-packages folder as pip does for the target, less what is unused.
 
-    commit: the unpacked commit, whose pins hold.
+    commit: the folder of the unpacked commit, with its constraints.txt.
     """
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "-q"]
     where = ["--python", str(target.python), "install", "--target", str(site)]

@@ -1,4 +1,4 @@
-"""Are both cameras and the serial port there, under names that survive a reboot?"""
+"""Test 1: both cameras and the serial port are present, under names that survive a reboot."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ NAME = "1 enumerate"
 
 
 def rows(kit: Kit) -> Iterator[Row]:
-    """A row a camera, one an eye, one for the port."""
+    """Yield a row for each camera, one for each eye, one for the port."""
     try:
         nodes = list_devices()
     except DeviceError as error:
-        yield judged(NAME, "cameras", False, str(error), "may be opened")
+        yield judged(NAME, "cameras", False, str(error), "can be opened")
         return
     for node in nodes:
         yield judged(NAME, node.path, True, f"{node.card}, {node.driver}, {node.address}", "")
@@ -33,20 +33,20 @@ def rows(kit: Kit) -> Iterator[Row]:
         if driver != "v4l2":
             yield skipped(NAME, eye, f"{text}: not V4L2")
             continue
-        wanted = "an address by USB port, of a camera that is here"
+        wanted = "an address by USB port, of a camera that is present"
         if not address:
-            yield skipped(NAME, eye, f"capture.{eye} names no port: the first found is taken")
+            yield skipped(NAME, eye, f"capture.{eye} names no port: the first camera found is used")
         else:
             here = [
                 node for node in nodes if address in (node.address, node.path, SERIAL + node.serial)
             ]
             good = len(here) == 1 and not address.startswith("/dev/video")
             yield judged(
-                NAME, eye, good, f"{address}: {here[0].path if here else 'not here'}", wanted
+                NAME, eye, good, f"{address}: {here[0].path if here else 'not present'}", wanted
             )
     port = kit.config.pose_output.port
     if not port:
         yield skipped(NAME, "serial port", "pose_output.port is empty")
     else:
         usable = Path(port).exists() and os.access(port, os.R_OK | os.W_OK)
-        yield judged(NAME, "serial port", usable, port, "exists and may be written (group dialout)")
+        yield judged(NAME, "serial port", usable, port, "exists and can be written (group dialout)")

@@ -1,4 +1,4 @@
-"""Do both cameras, at the same time, give the frames that they were asked for?"""
+"""Test 2: both cameras, at the same time, deliver the requested frame rate."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from hil_tests.report import Row, judged, skipped
 
 NAME = "2 frame rate"
 WATCHED_S = 20.0
-# cameras settle on their nearest rate; less than this share of it is a bus too narrow, or the dark
+# a camera takes the nearest rate it has; a lower share of it means too little bus bandwidth, or a
+# long exposure in the dark
 LEAST_SHARE = 0.9
 MOST_DROPS_PERCENT = 0.1
 
 
 def rows(kit: Kit) -> Iterator[Row]:
-    """Rate, drops and unusable buffers of each eye."""
+    """Yield rate, drops and unusable buffers of each eye."""
     absent = kit.absent()
     if absent:
         yield skipped(NAME, "both eyes", absent)
@@ -26,19 +27,21 @@ def rows(kit: Kit) -> Iterator[Row]:
     except DeviceError as error:
         yield judged(NAME, "both eyes", False, str(error), "open")
         return
-    asked_hz = kit.config.capture.rate_hz
+    requested_hz = kit.config.capture.rate_hz
     for seen in both:
         eye = seen.thread.camera.spec.eye.name.lower()
         stats = seen.thread.camera.stats()
         t_ns = [frame.t_ns for frame in seen.frames]
         rate_hz = (len(t_ns) - 1) * 1e9 / (t_ns[-1] - t_ns[0]) if len(t_ns) > 1 else 0.0
-        good = rate_hz >= LEAST_SHARE * asked_hz
-        wanted = f"{asked_hz:g} Hz asked, at least {LEAST_SHARE:.0%}"
+        good = rate_hz >= LEAST_SHARE * requested_hz
+        wanted = f"{requested_hz:g} Hz requested, at least {LEAST_SHARE:.0%}"
         yield judged(NAME, f"{eye} rate", good, f"{rate_hz:.2f} Hz, {len(t_ns)} frames", wanted)
         lost = stats.drops + stats.corrupt + seen.thread.overflow
         percent = 100 * lost / max(1, stats.frames + lost)
-        said = f"{stats.drops} dropped, {stats.corrupt} unusable, {seen.thread.overflow} overflowed"
+        losses = (
+            f"{stats.drops} dropped, {stats.corrupt} unusable, {seen.thread.overflow} overflowed"
+        )
         if seen.thread.error:
-            said += f"; {seen.thread.error}"
+            losses += f"; {seen.thread.error}"
         good = percent <= MOST_DROPS_PERCENT and not seen.thread.error
-        yield judged(NAME, f"{eye} losses", good, said, f"{MOST_DROPS_PERCENT} % at most")
+        yield judged(NAME, f"{eye} losses", good, losses, f"{MOST_DROPS_PERCENT} % at most")

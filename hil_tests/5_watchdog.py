@@ -1,4 +1,4 @@
-"""Does the daemon say that it lives while frames come, stop cleanly, come back from a hang?"""
+"""Test 5: `record` feeds the watchdog, stops on SIGTERM, and is restarted after a hang."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNIT = "calm-edge.service"
 
 
 def rows(kit: Kit) -> Iterator[Row]:
-    """READY, the watchdog, SIGTERM; then the installed service, if it is one and we may."""
+    """Yield READY, watchdog and SIGTERM; then the restart of the installed service, if it runs."""
     absent = kit.absent()
     if absent:
         yield skipped(NAME, "daemon", absent)
@@ -35,29 +35,28 @@ def rows(kit: Kit) -> Iterator[Row]:
 
 
 def of_daemon(daemon: Daemon) -> Iterator[Row]:
-    """What our own stand-in for systemd hears."""
+    """Yield what a stand-in for systemd receives from the daemon."""
     if not daemon.ready_within(START_LIMIT_S):
-        said = daemon.last_words()
-        yield judged(NAME, "READY", False, said, f"within {START_LIMIT_S:g} s")
+        yield judged(NAME, "READY", False, daemon.last_line(), f"within {START_LIMIT_S:g} s")
         return
     ready_s = daemon.times("READY=1")[0]
     yield judged(NAME, "READY", True, f"after {ready_s:.1f} s", f"within {START_LIMIT_S:g} s")
     alive = daemon.listen(RUN_S)
     fed = [ready_s, *daemon.times("WATCHDOG=1")]
     gap_s = max(b - a for a, b in pairwise(fed)) if len(fed) > 1 else RUN_S
-    said = f"{len(fed) - 1} times, longest gap {gap_s:.2f} s"
-    yield judged(NAME, "fed", gap_s < WATCHDOG_S / 2, said, f"a gap under {WATCHDOG_S / 2:g} s")
-    status = [text for _, text in daemon.heard if text.startswith("STATUS=")]
-    said = status[-1].removeprefix("STATUS=") if status else "nothing"
-    yield judged(NAME, "STATUS", bool(status), said, "a line")
+    text = f"{len(fed) - 1} times, longest gap {gap_s:.2f} s"
+    yield judged(NAME, "fed", gap_s < WATCHDOG_S / 2, text, f"a gap under {WATCHDOG_S / 2:g} s")
+    status = [text for _, text in daemon.received if text.startswith("STATUS=")]
+    text = status[-1].removeprefix("STATUS=") if status else "nothing"
+    yield judged(NAME, "STATUS", bool(status), text, "a line")
     if not alive:
-        yield skipped(NAME, "SIGTERM", f"it had ended by itself: {daemon.last_words()}")
+        yield skipped(NAME, "SIGTERM", f"it had ended by itself: {daemon.last_line()}")
         return
     code, took_s = daemon.stop(STOP_LIMIT_S)
     parts = list(daemon.out.glob("*.part"))
-    said = f"exit {code} after {took_s:.1f} s, {len(parts)} segment left open"
+    text = f"exit {code} after {took_s:.1f} s, {len(parts)} segment left open"
     wanted = f"exit 0 or 3 within {STOP_LIMIT_S:g} s, none left open"
-    yield judged(NAME, "SIGTERM", code in (0, 3) and not parts, said, wanted)
+    yield judged(NAME, "SIGTERM", code in (0, 3) and not parts, text, wanted)
 
 
 def systemctl(*words: str) -> str:
@@ -69,7 +68,7 @@ def systemctl(*words: str) -> str:
 
 
 def of_service() -> Iterator[Row]:
-    """A frozen capture process is replaced by systemd."""
+    """Yield how long systemd takes to replace a stopped capture process."""
     if os.geteuid() or systemctl("is-active", UNIT) != "active":
         yield skipped(NAME, "restart", f"needs root and a running {UNIT}")
         return
@@ -83,5 +82,5 @@ def of_service() -> Iterator[Row]:
         time.sleep(0.1)
     took_s = time.monotonic() - started
     back = now not in (0, before)
-    said = f"a new process after {took_s:.1f} s" if back else "not replaced"
-    yield judged(NAME, "restart", back and took_s <= BACK_S, said, f"within {BACK_S:g} s")
+    text = f"a new process after {took_s:.1f} s" if back else "not replaced"
+    yield judged(NAME, "restart", back and took_s <= BACK_S, text, f"within {BACK_S:g} s")

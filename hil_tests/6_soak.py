@@ -1,4 +1,4 @@
-"""Minutes of recording: is anything lost, does memory grow, does it get hot?"""
+"""Test 6: minutes of recording, for losses, memory growth and temperature."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ WATCHDOG_S = 5.0
 START_LIMIT_S = 60.0
 STOP_LIMIT_S = 60.0
 LOOK_S = 5.0
-# after the first fifth, in which libraries load and the first windows are solved
+# memory is judged after this part of the run (1/N): libraries load and windows fill in it
 SETTLED = 5
 MOST_GROWTH_MIB_MINUTE = 5.0
-# before that, growth is windows that fill up and not a leak
+# a shorter run shows windows that fill up, not a leak
 LEAST_MINUTES = 5.0
 
 
 def hottest_celsius() -> float | None:
-    """The hottest thermal zone, None where the kernel shows none."""
+    """Return the temperature of the hottest thermal zone; None if the kernel shows none."""
     found = []
     for zone in Path("/sys/class/thermal").glob("thermal_zone*/temp"):
         try:
@@ -36,14 +36,14 @@ def hottest_celsius() -> float | None:
 
 
 def rows(kit: Kit) -> Iterator[Row]:
-    """Memory, temperature, and what the recording holds of the time it ran."""
+    """Yield memory, temperature, and the frames in the recording."""
     absent = kit.absent()
     if absent:
         yield skipped(NAME, "recording", absent)
         return
     with recording(kit, "soak", WATCHDOG_S) as daemon:
         if not daemon.ready_within(START_LIMIT_S):
-            yield judged(NAME, "recording", False, daemon.last_words(), "starts")
+            yield judged(NAME, "recording", False, daemon.last_line(), "starts")
             return
         started, memory, heat = time.monotonic(), [], []
         while time.monotonic() - started < 60 * kit.minutes and daemon.listen(
@@ -60,9 +60,9 @@ def rows(kit: Kit) -> Iterator[Row]:
     else:
         (t0, first), (t1, last) = settled[0], settled[-1]
         growth = (last - first) / max(1e-9, (t1 - t0) / 60)
-        said = f"{first:.0f} -> {last:.0f} MiB, {growth:+.1f} MiB a minute"
+        text = f"{first:.0f} -> {last:.0f} MiB, {growth:+.1f} MiB a minute"
         good = growth < MOST_GROWTH_MIB_MINUTE
-        yield judged(NAME, "memory", good, said, f"under {MOST_GROWTH_MIB_MINUTE:g} MiB a minute")
+        yield judged(NAME, "memory", good, text, f"under {MOST_GROWTH_MIB_MINUTE:g} MiB a minute")
     hot = [h for h in heat if h is not None]
     if hot:
         yield judged(NAME, "heat", max(hot) < 95, f"{max(hot):.0f} °C at most", "under 95 °C")
@@ -71,8 +71,8 @@ def rows(kit: Kit) -> Iterator[Row]:
     yield from of_recording(daemon.out, kit.config.capture.rate_hz)
 
 
-def of_recording(out: Path, asked_hz: float) -> Iterator[Row]:
-    """Frames per eye against the time between its first and last one."""
+def of_recording(out: Path, requested_hz: float) -> Iterator[Row]:
+    """Yield the frame rate of each eye in the recording, from its first to its last frame."""
     held = Recording(out)
     yield judged(NAME, "readable", not held.losses, "; ".join(held.losses) or "whole", "whole")
     for eye in Eye:
@@ -82,6 +82,6 @@ def of_recording(out: Path, asked_hz: float) -> Iterator[Row]:
             yield judged(NAME, name, False, f"{len(t_ns)}", "some")
             continue
         span_s = (int(t_ns.max()) - int(t_ns.min())) / 1e9
-        said = f"{len(t_ns)} in {span_s:.0f} s, {(len(t_ns) - 1) / span_s:.2f} Hz"
-        good = (len(t_ns) - 1) / span_s >= 0.9 * asked_hz
-        yield judged(NAME, name, good, said, f"{asked_hz:g} Hz asked, at least 90 %")
+        text = f"{len(t_ns)} in {span_s:.0f} s, {(len(t_ns) - 1) / span_s:.2f} Hz"
+        good = (len(t_ns) - 1) / span_s >= 0.9 * requested_hz
+        yield judged(NAME, name, good, text, f"{requested_hz:g} Hz requested, at least 90 %")

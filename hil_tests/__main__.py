@@ -1,4 +1,4 @@
-"""Bring-up tests of a kit on the table: a numbered test after the other, then a table to send in.
+"""Bring-up tests of a kit, run one after the other; prints a table to send in.
 
 See hil_tests/README.md for what to plug in.
 """
@@ -23,9 +23,7 @@ INSTALLED = Path("/etc/calm-edge/calm-edge.toml")
 def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(prog="make hil", description=__doc__)
     made.add_argument("tests", nargs="*", metavar="N", help="numbers of tests; none: all of them")
-    made.add_argument(
-        "--config", type=Path, help=f"of the kit; default: {INSTALLED} if it is there"
-    )
+    made.add_argument("--config", type=Path, help=f"of the kit; default: {INSTALLED} if it exists")
     made.add_argument("--sequence", type=Path, help="a folder of pictures in place of cameras")
     made.add_argument("--minutes", type=float, default=10.0, help="of the soak (6)")
     made.add_argument("--out", type=Path, default=Path("build/hil"), help="table and recordings")
@@ -33,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs the tests asked for; 1 when one failed, 2 for a wrong question."""
+    """Run the tests named; returns 1 when one failed, 2 for wrong usage."""
     arguments = parser().parse_args(argv)
     logging.basicConfig(stream=sys.stderr, level=logging.ERROR, format="%(message)s")
     chosen = [name for name in TESTS if not arguments.tests or name[0] in arguments.tests]

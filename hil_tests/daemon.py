@@ -1,4 +1,4 @@
-"""`calm-edge record` under a service manager that is us: what it tells, and when."""
+"""Run `calm-edge record` with a stand-in for systemd that receives its notifications."""
 
 from __future__ import annotations
 
@@ -21,31 +21,31 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 
 @dataclass(slots=True)
 class Daemon:
-    """A running `record`. heard: (seconds since the start, message) of each notification."""
+    """A running `record`. received: (seconds since the start, message) of each notification."""
 
     process: subprocess.Popen[str]
     out: Path
     manager: socket.socket
     started_s: float
-    heard: list[tuple[float, str]] = field(default_factory=list)
+    received: list[tuple[float, str]] = field(default_factory=list)
 
     def listen(self, duration_s: float) -> bool:
-        """Collects notifications for a while; False when the daemon has ended."""
+        """Collect notifications for a while; returns False when the daemon has ended."""
         end = time.monotonic() + duration_s
         while (left_s := end - time.monotonic()) > 0:
             if select.select([self.manager], [], [], min(0.2, left_s))[0]:
                 text = self.manager.recv(4096).decode(errors="replace")
-                self.heard.append((time.monotonic() - self.started_s, text))
+                self.received.append((time.monotonic() - self.started_s, text))
             elif self.process.poll() is not None:
                 return False
         return True
 
     def times(self, message: str) -> list[float]:
-        """When a message was heard, seconds since the start."""
-        return [t for t, text in self.heard if text.startswith(message)]
+        """Return when a message was received, in seconds since the start."""
+        return [t for t, text in self.received if text.startswith(message)]
 
     def ready_within(self, limit_s: float) -> bool:
-        """Listens until READY=1."""
+        """Listen until READY=1; returns False if it did not come."""
         end = time.monotonic() + limit_s
         while not self.times("READY=1") and time.monotonic() < end:
             if not self.listen(0.5):
@@ -53,7 +53,7 @@ class Daemon:
         return bool(self.times("READY=1"))
 
     def rss_mib(self) -> float:
-        """Resident memory of the capture process and its children."""
+        """Return the resident memory of the capture process and its children [MiB]."""
         pids = [self.process.pid]
         for task in Path(f"/proc/{self.process.pid}/task").iterdir():
             try:
@@ -69,7 +69,7 @@ class Daemon:
         return total / 2**20
 
     def stop(self, limit_s: float) -> tuple[int | None, float]:
-        """SIGTERM; the exit status, None when it had to be killed, and the seconds it took."""
+        """Send SIGTERM; returns the exit status, None if killed, and the seconds taken."""
         before = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         while self.process.poll() is None and time.monotonic() - before < limit_s:
@@ -80,15 +80,15 @@ class Daemon:
             return None, limit_s
         return self.process.returncode, time.monotonic() - before
 
-    def last_words(self) -> str:
-        """The end of what it printed."""
+    def last_line(self) -> str:
+        """Return the last line that it printed."""
         lines = (self.out.parent / f"{self.out.name}.log").read_text().strip().splitlines()
         return lines[-1] if lines else ""
 
 
 @contextmanager
 def recording(kit: Kit, name: str, watchdog_s: float) -> Iterator[Daemon]:
-    """A running `record` of the kit; killed on the way out if it still runs."""
+    """Run `record` with the kit; it is killed at the end if it still runs."""
     kit.out.mkdir(parents=True, exist_ok=True)
     out = Path(tempfile.mkdtemp(prefix=f"{name}-", dir=kit.out)) / "recording"
     log = out.parent / f"{out.name}.log"

@@ -1,4 +1,4 @@
-"""The kit on the table: two cameras by the configuration, or a folder that plays one."""
+"""The kit under test: two cameras as configured, or a folder replayed in their place."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Kit:
     minutes: float = 10.0
 
     def source(self) -> Source:
-        """Its frames; raises CameraError, SequenceError."""
+        """Open the source of its frames; raises CameraError, SequenceError."""
         if self.sequence is None:
             return live(self.config)
         from calm_edge.recording.sequence_folder import SequenceFolder
@@ -40,7 +40,7 @@ class Kit:
         return replayed(folder.frames, epoch_ns, True, self.config, str(self.sequence))
 
     def absent(self) -> str:
-        """Why there are not two cameras to test, in words; empty when there are."""
+        """Return why there are not two cameras to test, in words; empty when there are."""
         if self.sequence is not None:
             return ""
         from device.drivers.v4l2_nodes import list_devices
@@ -58,7 +58,7 @@ class Kit:
         return "" if found >= 2 else f"{found} V4L2 cameras on this machine, two are needed"
 
     def record_command(self, out: Path) -> list[str]:
-        """`calm-edge record` with this kit into a new folder."""
+        """Return the command line that records this kit into a new folder."""
         command = [sys.executable, "-m", "calm_edge.cli", "record", "--out", str(out)]
         if self.config_file is not None:
             command += ["--config", str(self.config_file)]
@@ -69,7 +69,7 @@ class Kit:
 
 @dataclass(slots=True)
 class Seen:
-    """What one eye's thread gave. arrived_ns: when each frame was taken, on the source's clock."""
+    """The frames of one eye's thread. arrived_ns: when each arrived, on the source's clock."""
 
     thread: CameraThread
     frames: list[Frame] = field(default_factory=list)
@@ -78,7 +78,7 @@ class Seen:
 
 @contextmanager
 def running(kit: Kit) -> Iterator[tuple[Source, tuple[Seen, Seen]]]:
-    """Both cameras, each in its thread; raises CameraError."""
+    """Run both cameras, each in its thread; raises CameraError."""
     source = kit.source()
     both = [Seen(CameraThread(camera)) for camera in source.open()]
     try:
@@ -93,7 +93,7 @@ def running(kit: Kit) -> Iterator[tuple[Source, tuple[Seen, Seen]]]:
 def watch(
     kit: Kit, duration_s: float, sleep: Callable[[float], None] = time.sleep
 ) -> tuple[Seen, Seen]:
-    """Frames of both eyes for a while, pictures left out; raises CameraError."""
+    """Collect the frames of both eyes for a while, without their pictures; raises CameraError."""
     with running(kit) as (source, both):
         end = time.monotonic() + duration_s
         while time.monotonic() < end and any(s.thread.state is CameraState.RUNNING for s in both):

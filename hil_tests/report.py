@@ -1,4 +1,4 @@
-"""A row a finding, and the table of them that a user can send in."""
+"""Rows of results, and the table of them that a user can send in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import calm_edge
 
 
 class Verdict(StrEnum):
-    """SKIP: what the test needs is not here; the reason is the row's text."""
+    """The result of a row. SKIP: what the test needs is not present; the row's text says what."""
 
     PASS = "pass"
     FAIL = "FAIL"
@@ -24,7 +24,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One thing looked at. seen: the figure. wanted: what passes."""
+    """The result of one check. seen: the measurement. wanted: what passes."""
 
     test: str
     what: str
@@ -34,17 +34,17 @@ class Row:
 
 
 def judged(test: str, what: str, good: bool, seen: str, wanted: str) -> Row:
-    """A row that passes when `good`."""
+    """Make a row that passes when `good`."""
     return Row(test, what, Verdict.PASS if good else Verdict.FAIL, seen, wanted)
 
 
 def skipped(test: str, what: str, why: str) -> Row:
-    """A row for what could not be looked at."""
+    """Make a row for what could not be checked."""
     return Row(test, what, Verdict.SKIP, why)
 
 
 def machine() -> dict[str, str]:
-    """What the table was made on: nothing that names its owner."""
+    """Describe the machine, without anything that identifies its owner."""
     model = Path("/proc/device-tree/model")
     cpu = [x for x in Path("/proc/cpuinfo").read_text().splitlines() if x.startswith("model name")]
     named = model.read_text().strip("\0\n") if model.exists() else ""
@@ -58,7 +58,7 @@ def machine() -> dict[str, str]:
 
 
 def text_of(rows: Sequence[Row]) -> str:
-    """The table, as text."""
+    """Format the table."""
     widths = [max((len(getattr(r, k)) for r in rows), default=0) for k in ("test", "what")]
     lines = [f"{key:10} {value}" for key, value in machine().items()]
     lines.append("")
@@ -72,7 +72,7 @@ def text_of(rows: Sequence[Row]) -> str:
 
 
 def write(rows: Sequence[Row], folder: Path) -> tuple[Path, Path]:
-    """report.txt and report.json in the folder."""
+    """Write report.txt and report.json into the folder; returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     text, data = folder / "report.txt", folder / "report.json"
     text.write_text(text_of(rows))

@@ -1,4 +1,4 @@
-"""`make vm-test`: what needs a machine of its own. It takes minutes; a table at the end."""
+"""`make vm-test`: tests on an emulated machine. They take minutes; prints a table at the end."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TESTS: dict[str, Callable[[Path], Iterator[Row]]] = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs the tests asked for; 1 when a row failed."""
+    """Run the tests named; returns 1 when a row failed."""
     parser = argparse.ArgumentParser(prog="make vm-test", description=__doc__)
     parser.add_argument("tests", nargs="*", help=f"{', '.join(TESTS)}; none: all of them")
     parser.add_argument("--out", type=Path, default=Path("build/vm"))
@@ -28,7 +28,7 @@ def main(argv: list[str] | None = None) -> int:
     unknown = set(arguments.tests) - TESTS.keys()
     if unknown:
         parser.error(f"no test {', '.join(sorted(unknown))}; there are {', '.join(TESTS)}")
-    why = service.lacks()
+    why = service.missing()
     rows: list[Row] = []
     for name in arguments.tests or TESTS:
         if why:

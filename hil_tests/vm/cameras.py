@@ -1,4 +1,4 @@
-"""The V4L2 driver on the kernel's virtual cameras, through each fault that these know."""
+"""Test the V4L2 driver on the kernel's virtual cameras (vivid), with each fault they can inject."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LIMIT_S = 400.0
 
 
 def rows(out: Path) -> Iterator[Row]:
-    """A row for each `ROW name|verdict|seen` of the guest; raises MachineError."""
+    """Yield a row for each `ROW name|verdict|seen` of the guest; raises MachineError."""
     guest = f"cd {ROOT} && exec {sys.executable} -m hil_tests.vm.cameras_guest\n"
     outcome = Machine((VIVID,)).run(guest, out, LIMIT_S)
     for line in outcome.log.splitlines():

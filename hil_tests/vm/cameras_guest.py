@@ -1,4 +1,4 @@
-"""In the guest: both virtual cameras in threads, as in `record`, and every fault they know."""
+"""Runs in the guest: both virtual cameras in threads, as in `record`, with each fault injected."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from device.drivers.v4l2_nodes import list_devices
 from device.errors import CameraError
 from device.frame import Eye, Frame
 
-# vivid's own controls
+# controls of vivid that inject faults
 DROP_PERCENT, DISCONNECT, BUFFER_ERROR, FATAL = 0x00F0F040, 0x00F0F041, 0x00F0F042, 0x00F0F046
 DRIVER = Path("/sys/bus/platform/drivers/vivid")
 ADDRESSES = "platform:vivid-000", "platform:vivid-001"
@@ -36,7 +36,7 @@ def camera(eye: Eye, controls: CameraControls | None = None) -> V4l2Camera:
 
 
 class Eyes:
-    """Both cameras running; `frames` of each so far."""
+    """Both cameras, running; `frames`: those of each so far."""
 
     def __init__(self) -> None:
         self.cameras = [camera(eye) for eye in Eye]
@@ -53,7 +53,7 @@ class Eyes:
             thread.stop()
 
     def until(self, done: Callable[[], bool], limit_s: float = 30.0) -> float:
-        """Drains both until `done`; how long it took, in s; infinite when it did not happen."""
+        """Drain both until `done`; returns the time taken [s], infinite when the limit passed."""
         start = time.monotonic()
         while time.monotonic() - start < limit_s:
             for thread, frames in zip(self.threads, self.frames, strict=True):
@@ -64,12 +64,12 @@ class Eyes:
         return float("inf")
 
     def more(self, eye: int, n: int) -> Callable[[], bool]:
-        """Whether this eye has n more frames than now."""
+        """Return a condition: this eye has n more frames than now."""
         goal = len(self.frames[eye]) + n
         return lambda: len(self.frames[eye]) >= goal
 
     def press(self, eye: int, control: int, value: int = 1) -> bool:
-        """A fault of one camera."""
+        """Inject a fault into one camera."""
         io = LinuxVideoIO()
         fd = io.open(str(self.cameras[eye].settings["path"]))
         try:
@@ -108,13 +108,13 @@ def running(eyes: Eyes) -> None:
 def drops(eyes: Eyes) -> None:
     eyes.press(0, DROP_PERCENT, 40)
     eyes.until(lambda: False, 1.0)
-    # what the camera has already counted may still be on its way here: the next frames are left out
+    # drops counted before may still be in flight: leave out the next frames
     before, start = eyes.cameras[0].stats().drops, len(eyes.frames[0]) + 2
     eyes.until(eyes.more(0, 23))
     eyes.press(0, DROP_PERCENT, 0)
     part = eyes.frames[0][start : start + 21]
     counted = part[-1].sequence - part[0].sequence - (len(part) - 1)
-    # the camera stamps at its own fixed rate: time tells independently how many there were
+    # the camera stamps at a fixed rate: the elapsed time gives the number of frames independently
     lapsed = (part[-1].t_ns - part[0].t_ns) / 1e9 * RATE_HZ
     missing = round(lapsed) - (len(part) - 1)
     total = eyes.cameras[0].stats().drops - before
@@ -131,7 +131,7 @@ def buffer_error(eyes: Eyes) -> None:
 
 
 def lost_one(eyes: Eyes, what: str, control: int) -> None:
-    """One camera fails; the other's frames go on; the first is back."""
+    """Make one camera fail: the other's frames continue, the first reconnects."""
     before, other = eyes.cameras[0].stats().reconnects, len(eyes.frames[1])
     eyes.press(0, control)
     gone = eyes.until(lambda: not eyes.cameras[0].connected)
@@ -139,13 +139,13 @@ def lost_one(eyes: Eyes, what: str, control: int) -> None:
     flows = eyes.until(eyes.more(0, 3))
     others = len(eyes.frames[1]) - other
     good = max(gone, back, flows) < 30 and others > 0 and eyes.cameras[1].stats().reconnects == 0
-    row(what, good, f"back after {gone + back:.1f} s; the other gave {others} frames meanwhile")
+    row(what, good, f"back after {gone + back:.1f} s; {others} frames of the other meanwhile")
 
 
 def renumbered(eyes: Eyes) -> None:
     before = [str(c.settings["path"]) for c in eyes.cameras]
     counts = [c.stats().reconnects for c in eyes.cameras]
-    # a program that keeps the old node keeps its number taken
+    # an open file keeps the number of the old node in use
     stale = [os.open(path, os.O_RDWR | os.O_NONBLOCK) for path in before]
     (DRIVER / "unbind").write_text("vivid.0")
     gone = eyes.until(lambda: not any(c.connected for c in eyes.cameras))

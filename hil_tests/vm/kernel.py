@@ -1,4 +1,4 @@
-"""Debian's stock kernel, unpacked into a cache: its modules bring the virtual cameras and disks."""
+"""Debian's stock kernel, unpacked into a cache, with modules for virtual cameras and disks."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from pathlib import Path
 
 
 class MachineError(RuntimeError):
-    """The emulated machine cannot be built; one line, with the mend."""
+    """The emulated machine cannot be built; one line with the remedy."""
 
 
 def command(*words: str | Path, folder: Path | None = None) -> str:
-    """What a command prints; raises MachineError with the end of its complaint."""
+    """Return what a command prints; raises MachineError with the last line of its errors."""
     try:
         done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     except FileNotFoundError:
         raise MachineError(f"{words[0]}: not installed; see hil_tests/vm/README.md") from None
     if done.returncode:
-        said = (done.stderr or done.stdout).strip().splitlines() or ["it says nothing"]
-        raise MachineError(f"{' '.join(map(str, words))}: {said[-1]}")
+        lines = (done.stderr or done.stdout).strip().splitlines() or ["failed without a message"]
+        raise MachineError(f"{' '.join(map(str, words))}: {lines[-1]}")
     return done.stdout
 
 
 def cache() -> Path:
-    """Where kernels and what is built for them are kept."""
+    """Return the folder for kernels and the modules built for them."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(base) / "calm-edge" / "vm"
     folder.mkdir(parents=True, exist_ok=True)
@@ -45,13 +45,13 @@ class Kernel:
             command("depmod", "-b", tree, self.version)
 
     def modules(self, name: str) -> list[Path]:
-        """The files of a module and of all it needs, in the order they are loaded."""
+        """Return the files of a module and its dependencies, in loading order."""
         listing = command("modprobe", "-d", self.tree, "-S", self.version, "--show-depends", name)
         return [Path(f) for f in re.findall(r"^insmod (\S+)", listing, re.MULTILINE)]
 
 
 def fetch_package(name: str, into: Path) -> None:
-    """Downloads a Debian package and unpacks it, without installing it; raises MachineError."""
+    """Download and unpack a Debian package without installing it; raises MachineError."""
     with tempfile.TemporaryDirectory() as scratch:
         command("apt-get", "download", "-qq", name, folder=Path(scratch))
         package = next(Path(scratch).glob("*.deb"))
@@ -59,14 +59,14 @@ def fetch_package(name: str, into: Path) -> None:
 
 
 def fetch() -> Kernel:
-    """The kernel of this Debian release: about 70 MB, downloaded once. Raises MachineError."""
+    """Fetch the kernel of this Debian release, about 70 MB, once; raises MachineError."""
     tree = cache() / "kernel"
     if not list(tree.glob("boot/vmlinuz-*")):
         found = re.search(
             r"Depends: (linux-image-\d\S+)", command("apt-cache", "depends", "linux-image-amd64")
         )
         if found is None:
-            raise MachineError("linux-image-amd64: not known here; run apt-get update")
+            raise MachineError("linux-image-amd64: not found; run apt-get update")
         half = tree.with_name("kernel.part")
         shutil.rmtree(half, ignore_errors=True)
         fetch_package(found[1], half)

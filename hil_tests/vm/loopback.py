@@ -1,4 +1,4 @@
-"""Motion JPEG through a real kernel device: v4l2loopback, built here for the guest's kernel."""
+"""Test Motion JPEG through a kernel device: v4l2loopback, built for the guest's kernel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LIMIT_S = 500.0
 
 
 def rows(out: Path) -> Iterator[Row]:
-    """A row for each `ROW name|verdict|seen` of the guest; raises MachineError."""
+    """Yield a row for each `ROW name|verdict|seen` of the guest; raises MachineError."""
     guest = f"cd {ROOT} && exec {sys.executable} -m hil_tests.vm.loopback_guest\n"
     machine = Machine(("videodev",), files=(f"{module(fetch())} {OPTIONS}",))
     outcome = machine.run(guest, out, LIMIT_S)
@@ -32,7 +32,7 @@ def rows(out: Path) -> Iterator[Row]:
 
 
 def module(kernel: Kernel) -> Path:
-    """The module for that kernel, built once and kept; raises MachineError."""
+    """Return the module for a kernel, built once; raises MachineError."""
     made = cache() / f"v4l2loopback-{kernel.version}.ko"
     if made.is_file():
         return made
@@ -43,7 +43,7 @@ def module(kernel: Kernel) -> Path:
     headers = f"linux-headers-{kernel.version}"
     for package in (headers, f"linux-headers-{release}-common", f"linux-kbuild-{series}", SOURCE):
         fetch_package(package, tree)
-    # they expect to be installed
+    # the headers expect to be installed under /usr/src
     makefile = tree / "usr/src" / headers / "Makefile"
     makefile.write_text(makefile.read_text().replace("/usr/src/", f"{tree}/usr/src/"))
     (source,) = (tree / "usr/src").glob("v4l2loopback-*")

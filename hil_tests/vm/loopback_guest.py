@@ -1,4 +1,4 @@
-"""In the guest: two programs that play cameras, and `record` on the other end of the kernel."""
+"""Runs in the guest: feeds pictures into two loopback devices and records them with `record`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OUT = Path("/run/loopback")
 BUF_TYPE_VIDEO_OUTPUT = 2
 SIZE = 320, 180
 PERIOD_S = 0.2
-# of each eye, in the recording
+# frames of each eye that the recording must hold
 ENOUGH, LIMIT_S = 25, 240.0
 
 
@@ -31,8 +31,8 @@ def row(what: str, good: bool, seen: str) -> None:
 
 
 def picture(eye: Eye, number: int) -> bytes:
-    """A JPEG unlike any other: by its pixels, by a comment that an encoder would not keep, and some
-    by bytes behind their end, as cameras send them.
+    """Make a JPEG that no re-encoding reproduces: random pixels, a comment segment, and in some
+    padding behind the end marker, as cameras send it.
     """
     random = np.random.default_rng((int(eye), number))
     pixels = random.integers(0, 256, (SIZE[1] // 4, SIZE[0] // 4, 3), np.uint8)
@@ -44,7 +44,7 @@ def picture(eye: Eye, number: int) -> bytes:
 
 
 class PlayedCamera:
-    """Writes pictures into the output side of a loopback device until told to end."""
+    """Writes pictures into the output side of a loopback device until `stop`."""
 
     def __init__(self, eye: Eye, path: str) -> None:
         self.sent: dict[bytes, int] = {}
@@ -74,7 +74,7 @@ class PlayedCamera:
 
 
 def recorded() -> dict[Eye, list[bytes]]:
-    """What is in the files."""
+    """Read the pictures of each eye back from the recording."""
     recording = Recording(OUT)
     return {eye: [f.image for f in recording.frames(eye)] for eye in Eye}  # type: ignore[misc]
 
@@ -96,11 +96,11 @@ def main() -> None:
         while time.monotonic() < end_s and record.poll() is None:
             time.sleep(5)
             taken = sum(p.stat().st_size for p in OUT.glob("*.part"))
-            # some are larger than the first: twice as much is enough of both
+            # pictures differ in size: twice the bytes of ENOUGH holds ENOUGH of each
             if taken > 2 * len(Eye) * ENOUGH * len(picture(Eye.PRIMARY, 0)):
                 break
         for _ in range(2):
-            # the second: without the windows that wait
+            # the second one skips the windows still waiting
             record.send_signal(signal.SIGINT)
             time.sleep(2)
         code_of_record = record.wait()
@@ -115,8 +115,8 @@ def main() -> None:
         same = sum(n >= 0 for n in numbers)
         padded = bool(frames) and numbers[0] < 0
         if padded:
-            # written before anyone read: the device hands this one over with its whole buffer, and
-            # what an earlier one left there
+            # written before a reader was there: the device returns it with its whole buffer,
+            # including what an earlier picture left there
             numbers[0] = next((n for data, n in sent.items() if frames[0].startswith(data)), -1)
         good = numbers[:1] != [-1] and same + padded == len(frames) >= ENOUGH
         ordered = all(b > a for a, b in pairwise(numbers))

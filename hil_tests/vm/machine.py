@@ -1,8 +1,8 @@
 """An emulated machine: a stock kernel under QEMU on a read-only view of this root file system.
 
 The guest runs the very files that are here, the virtual environment too; what it writes is lost,
-but for one folder that both see (the guest at /mnt). It shows behaviour only: nothing is
-accelerated, so its timing means nothing.
+but for one shared folder (/mnt in the guest). Nothing is accelerated: it shows behaviour, not
+timing.
 
     python -m hil_tests.vm.machine --out build/vm --module "vivid n_devs=2" guest.sh
 """
@@ -44,8 +44,8 @@ _SCRIPT_INIT = """mount -t tmpfs tmpfs /new/run
 chroot /new /bin/bash -c '/bin/bash /mnt/guest.sh > /mnt/guest.log 2>&1'
 echo $? > /new/mnt/guest.rc; sync; poweroff -f
 """
-# systemd mounts what it wants itself, and would empty the host's /tmp file by file on the memory
-# disk; the script is a unit that ends the machine
+# systemd cleans /tmp, which would copy the host's /tmp up file by file: hide it; the script is a
+# unit that powers the machine off
 _SYSTEMD_INIT = """mount -t tmpfs tmpfs /new/tmp; mount -t tmpfs tmpfs /new/var/tmp
 mkdir -p /new/etc/systemd/system/multi-user.target.wants
 cat > /new/etc/systemd/system/vm-guest.service <<'UNIT'
@@ -67,10 +67,10 @@ exec switch_root /new /lib/systemd/systemd --unit=multi-user.target
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a guest script ended.
+    """The end of a guest script.
 
-    rc: its exit status; None when the machine was ended before. log: its stdout and stderr.
-    console: the kernel's. power_cut: ended because the log held the words asked for.
+    rc: its exit status; None when the machine was stopped before. log: its stdout and stderr.
+    console: the kernel's. power_cut: stopped because the log held the given words.
     """
 
     rc: int | None
@@ -81,7 +81,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Machine:
-    """What is emulated.
+    """An emulated machine.
 
     modules: `NAME` or `NAME OPTION=VALUE ...`, loaded before the guest script; what they need
     comes along. files: modules built here, loaded last, likewise with options.
@@ -101,10 +101,10 @@ class Machine:
     def run(
         self, guest: str, out: Path, timeout_s: float = 300.0, cut_power_at: str | None = None
     ) -> Outcome:
-        """Boots, runs the guest script (its text) and waits for its end; raises MachineError.
+        """Boot, run the guest script (its text) and wait for its end; raises MachineError.
 
-        out: the folder both see. cut_power_at: words in the script's log at which the power is
-        cut: the emulator is killed, nothing in it gets to sync.
+        out: the shared folder. cut_power_at: words in the script's log at which the emulator is
+        killed, before anything can sync.
         """
         out.mkdir(parents=True, exist_ok=True)
         for name in (_LOG, _RC, _CONSOLE):
@@ -122,7 +122,7 @@ class Machine:
         )
 
     def _initrd(self, kernel: Kernel, scratch: Path) -> Path:
-        """busybox, the modules in loading order, and an init that mounts the root."""
+        """Pack busybox, the modules in loading order, and an init that mounts the root."""
         tree = scratch / "tree"
         for name in ("bin", "proc", "sys", "dev", "lib", "host", "over", "new"):
             (tree / name).mkdir(parents=True)
@@ -192,7 +192,7 @@ class Machine:
 
 
 def _wait(process: subprocess.Popen[bytes], log: Path, timeout_s: float, words: str | None) -> bool:
-    """Whether the power was cut; a machine past its time is ended too."""
+    """Wait for the end, kill a machine past its time; returns whether the power was cut."""
     end_s = time.monotonic() + timeout_s
     try:
         while process.poll() is None and time.monotonic() < end_s:
@@ -212,10 +212,10 @@ def _text(path: Path) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one guest script; exit status: the script's, 124 where it did not end."""
+    """Run one guest script; returns its exit status, 124 if it did not end."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("guest", type=Path, help="a bash script")
-    parser.add_argument("--out", type=Path, required=True, help="the folder the guest has as /mnt")
+    parser.add_argument("--out", type=Path, required=True, help="the folder shared as /mnt")
     parser.add_argument("--module", action="append", default=[], help='"vivid n_devs=2"')
     parser.add_argument("--file", action="append", default=[], help="a module built here")
     parser.add_argument("--disk", action="append", type=Path, default=[], help="an image")

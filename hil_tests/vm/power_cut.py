@@ -1,8 +1,8 @@
-"""The power goes ten times while a drive is recorded onto ext4: what is lost, what is damaged.
+"""Cut the power ten times while recording onto ext4; measure what is lost and what is damaged.
 
-Nine times the machine is frozen between two instructions and its disk copied as it is at that
-moment, then it goes on; the tenth time the emulator is killed. The host caches nothing of the disk,
-so either way what the guest did not sync is gone.
+Nine times the machine is paused, its disk copied, and the machine resumed; the tenth time the
+emulator is killed. The host caches nothing of the disk, so either way what the guest did not sync
+is lost.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ BETWEEN_S = (4.0, 9.0)
 ROOT = Path(__file__).resolve().parents[2]
 SEGMENT_S = 10
 
-# /proc/uptime is the clock that frames are stamped with; told by the shell alone, since starting
-# a program takes long where everything is emulated
+# /proc/uptime is the clock of the frames' timestamps; written by the shell alone, since starting a
+# program is slow in emulation
 GUEST = f"""
 mkdir -p /tmp/data && mount /dev/vda /tmp/data
 cd {ROOT}
@@ -50,16 +50,16 @@ exec .venv/bin/python -m calm_edge.cli record --out /tmp/data/drive \\
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """The disk as it was, and the guest's clock then [s]."""
+    """A copy of the disk, and the guest's clock at that moment [s]."""
 
     image: Path
     clock_s: float
 
 
 class GuestClock:
-    """The guest's clock on the host's: both run alike, and what the guest tells comes late.
+    """The guest's clock, estimated on the host from the times that the guest writes into a file.
 
-    The latest it can be told is never ahead of it, so the smallest difference seen is the nearest.
+    Both run at the same rate and a time is read late, never early: the smallest difference holds.
     """
 
     def __init__(self, file: Path) -> None:
@@ -67,21 +67,21 @@ class GuestClock:
         self._behind_s = float("inf")
 
     def watch(self, duration_s: float) -> None:
-        """Sleeps, and reads what the guest tells."""
+        """Read the file for a while."""
         end_s = time.monotonic() + duration_s
         while time.monotonic() < end_s:
-            told = self._file.read_text() if self._file.exists() else ""
-            if told.endswith("\n"):
-                self._behind_s = min(self._behind_s, time.monotonic() - float(told))
+            text = self._file.read_text() if self._file.exists() else ""
+            if text.endswith("\n"):
+                self._behind_s = min(self._behind_s, time.monotonic() - float(text))
             time.sleep(0.005)
 
     def now_s(self) -> float:
-        """The guest's clock now."""
+        """Return the guest's clock now [s]."""
         return time.monotonic() - self._behind_s
 
 
 def rows(out: Path) -> Iterator[Row]:
-    """A row a cut; raises MachineError."""
+    """Yield a row for each cut; raises MachineError."""
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     disk = out / "disk.img"
@@ -94,7 +94,7 @@ def rows(out: Path) -> Iterator[Row]:
 
 
 def cuts(disk: Path, out: Path) -> list[Cut]:
-    """Records in the guest, and takes the power away; raises MachineError."""
+    """Record in the guest and cut its power; raises MachineError."""
     pid_file, found = out / "qemu.pid", []
     machine = Machine((VIVID,), disks=(disk,), extra=("-pidfile", str(pid_file)))
     ended: list[Outcome] = []
@@ -128,8 +128,8 @@ def cuts(disk: Path, out: Path) -> list[Cut]:
 
 
 def judge(cut: Cut, what: str, folder: Path) -> Row:
-    """Mends the file system as a boot would, reads what is there."""
-    mended = subprocess.run(["e2fsck", "-p", cut.image], capture_output=True, check=False)
+    """Repair the file system as a boot would, and read the recording."""
+    repaired = subprocess.run(["e2fsck", "-p", cut.image], capture_output=True, check=False)
     clean = subprocess.run(["e2fsck", "-f", "-n", cut.image], capture_output=True, check=False)
     folder.mkdir()
     tool("debugfs", "-R", f"rdump /drive {folder}", cut.image)
@@ -138,14 +138,14 @@ def judge(cut: Cut, what: str, folder: Path) -> Row:
     lost_s = cut.clock_s - min(ends_s)
     finished = sorted((folder / "drive").glob("*.mcap"))
     damaged = [path.name for path in finished if Recording(path).losses]
-    good = lost_s <= MOST_LOST_S and clean.returncode == 0 and mended.returncode <= 1
-    said = (
-        f"{lost_s:.2f} s lost; e2fsck -p {mended.returncode}, then -fn {clean.returncode}; "
+    good = lost_s <= MOST_LOST_S and clean.returncode == 0 and repaired.returncode <= 1
+    text = (
+        f"{lost_s:.2f} s lost; e2fsck -p {repaired.returncode}, then -fn {clean.returncode}; "
         f"{len(finished)} earlier segments, {len(damaged)} damaged"
     )
     wanted = f"at most {MOST_LOST_S:g} s, clean, none damaged"
     shutil.rmtree(folder)
-    return judged(NAME, what, good and not damaged, said, wanted)
+    return judged(NAME, what, good and not damaged, text, wanted)
 
 
 def kill(pid_file: Path, number: signal.Signals) -> None:
@@ -153,5 +153,5 @@ def kill(pid_file: Path, number: signal.Signals) -> None:
 
 
 def tool(*command: str | Path) -> str:
-    """What a command prints, however it ends."""
+    """Return what a command prints, whatever its exit status."""
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout

@@ -1,5 +1,5 @@
-"""The package on a booted machine: installed, started from virtual cameras, hung, stopped, its disk
-taken away, removed. systemd is process 1; the guest's part is `service_guest.sh`.
+"""Test the package on a booted machine with virtual cameras: installation, start, a hang, a stop, a
+failing disk, removal. systemd is process 1; `service_guest.sh` runs in the guest.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ VIVID = "vivid n_devs=2 node_types=0x1,0x1 num_inputs=1,1 input_types=0x0,0x0"
 MODULES = (VIVID, "usbserial", "cdc_acm", "dm-flakey")
 GUEST = Path(__file__).with_name("service_guest.sh")
 ROOT = Path(__file__).resolve().parents[2]
-# the floor that recordings keep free is a gigabyte
+# recordings keep a gigabyte of it free
 DISK_BYTES = 3 << 30
 LIMIT_S = 1500.0
 
 
 def rows(out: Path) -> Iterator[Row]:
-    """A row for each `ROW name|verdict|seen` of the guest; raises MachineError."""
+    """Yield a row for each `ROW name|verdict|seen` of the guest; raises MachineError."""
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    command(sys.executable, ROOT / "deploy" / "build_deb.py", "--no-oak", "--out", out)
+    command(sys.executable, "-m", "deploy.build_deb", "--no-oak", "--out", out, folder=ROOT)
     disk = out / "data.img"
     with disk.open("wb") as file:
         file.truncate(DISK_BYTES)
@@ -50,11 +50,11 @@ def rows(out: Path) -> Iterator[Row]:
     yield judged(NAME, "guest script", outcome.rc == 0, ended, "runs to its last line")
 
 
-def lacks() -> str:
-    """What this needs and does not find, in words; empty when all is there."""
+def missing() -> str:
+    """Return what is missing for this test, in words; empty when nothing is."""
     tools = ("qemu-system-x86_64", "debootstrap", "mke2fs", "debugfs", "busybox", "cpio")
-    missing = [name for name in tools if not shutil.which(name)]
-    if missing:
-        return f"{', '.join(missing)} not installed; see hil_tests/vm/README.md"
+    absent = [name for name in tools if not shutil.which(name)]
+    if absent:
+        return f"{', '.join(absent)} not installed; see hil_tests/vm/README.md"
     root = subprocess.run(["id", "-u"], capture_output=True, text=True, check=True).stdout.strip()
     return "" if root == "0" else "needs root"

@@ -12,7 +12,7 @@ now() { cut -d' ' -f1 /proc/uptime; }
 since() { echo "$1 $(now)" | awk '{printf "%.1f", $2 - $1}'; }
 # frames that the newest status line counts, both eyes together
 frames() { show StatusText | sed -n 's/.*[^0-9]\([0-9]\+\)+\([0-9]\+\) frames.*/\1 \2/p' | awk '{n = $1 + $2} END {print n + 0}'; }
-# until SECONDS CONDITION: whether it came true
+# until_true SECONDS CONDITION: succeeds when the condition holds in time
 until_true() {
     limit=$(now | awk -v s="$1" '{print $1 + s}')
     until eval "$2"; do
@@ -72,7 +72,7 @@ judge "journal fields" '[ "$entries" -ge 1 ]' "$(journalctl -u "$UNIT" -F CALM_E
 start=$(now)
 kill -STOP "$PID"
 until_true 60 '[ "$(show MainPID)" != "$PID" ] && [ "$(show MainPID)" != 0 ]'
-# as systemd noted it: asking takes a second where everything is emulated
+# the time that systemd logged: systemctl itself takes a second in emulation
 took=$(show ExecMainStartTimestampMonotonic | awk -v s="$start" '{printf "%.1f", $1 / 1e6 - s}')
 judge "hang: watchdog" 'awk "BEGIN {exit !($took <= 10)}"' "a new process after $took s; result of the old: $(journalctl -u "$UNIT" -o cat | grep -o "Watchdog timeout" | tail -1)"
 until_true 180 '[ "$(show ActiveState)" = active ] && [ "$(frames)" -gt 0 ]'

@@ -1,4 +1,4 @@
-"""A staged tree becomes a package: reproducible, root's, its settings kept by dpkg."""
+"""A package from a staged tree: reproducible, owned by root, with its settings as conffiles."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def staged(folder: Path, mtime_s: int, mode: int) -> Path:
     return folder
 
 
-def asked(deb: Path, *words: str) -> str:
+def dpkg_deb(deb: Path, *words: str) -> str:
     return subprocess.run(
         ["dpkg-deb", *words, deb], check=True, capture_output=True, text=True
     ).stdout
@@ -49,23 +49,23 @@ def test_the_same_files_give_the_same_bytes_whoever_staged_them_when(tmp_path: P
             pack(staged(tmp_path / f"tree{k}", mtime_s, mode), out, FIELDS, "1700000000")[0]
         )
     assert debs[0].read_bytes() == debs[1].read_bytes()
-    listing = asked(debs[0], "--contents").splitlines()
+    listing = dpkg_deb(debs[0], "--contents").splitlines()
     modes = {line.split()[-1]: line.split()[:2] for line in listing}
     assert modes["./etc/calm-edge/a.toml"] == ["-rw-r--r--", "root/root"]
     assert modes["./opt/calm-edge/bin/run"] == ["-rwxr-xr-x", "root/root"]
 
 
 def test_settings_are_conffiles_and_the_rest_is_summed(tmp_path: Path) -> None:
-    deb, said = pack(
+    deb, line = pack(
         staged(tmp_path / "tree", 2_000_000_000, 0o644), tmp_path, FIELDS, "1700000000"
     )
     control = tmp_path / "control"
-    asked(deb, "--info")
+    dpkg_deb(deb, "--info")
     subprocess.run(["dpkg-deb", "--control", deb, control], check=True)
     assert (control / "conffiles").read_text() == "/etc/calm-edge/a.toml\n"
     assert (control / "md5sums").read_text().split()[1::2] == ["opt/calm-edge/bin/run"]
     assert "Installed-Size: " in (control / "control").read_text()
-    assert str(deb) in said
+    assert str(deb) in line
 
 
 @pytest.mark.parametrize("script", SCRIPTS)

@@ -11,14 +11,14 @@ from calm_edge.cli import main
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reason"),
     [
         ("[capture]\nprimary = 'nosuch:1'\n", "unknown driver 'nosuch'"),
         ("[capture]\nprimry = 'v4l2:'\n", "capture.primry: no such key"),
     ],
 )
 def test_the_reason_of_a_failed_start_is_the_status(
-    text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    text: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("systemd.daemon")
     config = tmp_path / "calm-edge.toml"
@@ -28,8 +28,8 @@ def test_the_reason_of_a_failed_start_is_the_status(
         manager.settimeout(2)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         assert main(["record", "--config", str(config), "--root", str(tmp_path / "root")]) == 1
-        heard = manager.recv(4096).decode()
-    assert heard.startswith("STATUS=FAILED: ") and said in heard
+        received = manager.recv(4096).decode()
+    assert received.startswith("STATUS=FAILED: ") and reason in received
 
 
 def test_a_start_without_cameras_leaves_no_empty_drive(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The udev rules, as far as they can be judged without a device."""
+"""The udev rules, as far as they can be tested without a device."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def udev_can_verify() -> bool:
     """`udevadm verify` came with systemd 254."""
     if shutil.which("udevadm") is None:
         return False
-    asked = subprocess.run(["udevadm", "verify", "--help"], capture_output=True, check=False)
-    return asked.returncode == 0
+    done = subprocess.run(["udevadm", "verify", "--help"], capture_output=True, check=False)
+    return done.returncode == 0
 
 
 @pytest.mark.skipif(not udev_can_verify(), reason="this udevadm has no `verify`")

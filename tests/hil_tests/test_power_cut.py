@@ -9,7 +9,7 @@ from device.clock import ManualClock
 from hil_tests.vm import power_cut
 
 
-def test_the_guests_clock_is_the_nearest_of_what_it_told(
+def test_the_guests_clock_is_that_of_the_smallest_difference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     host = ManualClock(50_000_000_000)

@@ -21,7 +21,7 @@ serial_test = importlib.import_module("hil_tests.4_serial")
 
 @pytest.fixture(autouse=True)
 def _short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serial_test, "LISTENED_S", 0.3)
+    monkeypatch.setattr(serial_test, "LISTEN_S", 0.3)
 
 
 def kit(port: str, out: Path) -> Kit:
@@ -30,16 +30,16 @@ def kit(port: str, out: Path) -> Kit:
 
 @contextmanager
 def adapter(answer: Callable[[bytes], bytes]) -> Iterator[str]:
-    """A terminal whose far end reads everything and answers what `answer` makes of it."""
+    """Open a pseudo-terminal; its far end replies with `answer` of what it reads."""
     ours, theirs = pty.openpty()
 
     def serve() -> None:
         while True:
             try:
-                heard = os.read(ours, 4096)
+                received = os.read(ours, 4096)
             except OSError:
                 return
-            if heard and (reply := answer(heard)):
+            if received and (reply := answer(received)):
                 os.write(ours, reply)
 
     threading.Thread(target=serve, daemon=True).start()
@@ -53,8 +53,8 @@ def verdicts(port: str, out: Path) -> dict[str, Verdict]:
     return {row.what: row.verdict for row in serial_test.rows(kit(port, out))}
 
 
-def test_a_wired_loop_is_heard(tmp_path: Path) -> None:
-    with adapter(lambda heard: heard) as port:
+def test_a_wired_loop_is_received(tmp_path: Path) -> None:
+    with adapter(lambda received: received) as port:
         assert verdicts(port, tmp_path) == {"writing": Verdict.PASS, "an answer": Verdict.PASS}
 
 
