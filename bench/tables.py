@@ -55,7 +55,7 @@ def publish(table: Table, out: Path = OUT) -> int:
     print_rows(table.columns, table.rows, table.title)
     if table.checks:
         rows = [(c.what, c.asked, c.measured, c.passed) for c in table.checks]
-        print_rows(("what", "asked", "measured", "kept"), rows)
+        print_rows(("what", "target", "measured", "kept"), rows)
     for note in table.notes:
         print(f"  {note}")
     folder = out / FOLDER
@@ -94,7 +94,7 @@ def render(tables: Iterable[Table]) -> str:
     parts = [f'<h1>calm-edge, measured</h1><p class="lead">{lead}</p>']
     if checks:
         rows = [(t.title, c.what, c.asked, c.measured, c.passed) for t, c in checks]
-        body = _html_table(("table", "what", "asked", "measured", "kept"), rows)
+        body = _html_table(("table", "what", "target", "measured", "kept"), rows)
         parts.append(page.section("Promises", "", body))
     for table in tables:
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in table.notes)

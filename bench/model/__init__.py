@@ -1,1 +1,1 @@
-"""What the learned model has to beat, measured: `python -m bench.model`."""
+"""The learned model beside classical methods: correspondences, depth, places, whole drives."""

@@ -1,8 +1,7 @@
-"""Shares of correct correspondences of several matchers, on the same pairs and query points."""
+"""Shares of correct correspondences of several matchers at the same query points."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,29 +13,29 @@ from numpy.typing import NDArray
 from bench.model import described
 from bench.model.degrade import DEGRADATIONS
 from bench.model.protocols import Matcher, Matches
-from bench.model.scenes import Pair, Scene, pairs
+from bench.model.scenes import Pair, Scene, pairs, prepared
 from bench.model.truth import transfer
 from bench.paired import PairedRatio, compare
 from calm_edge.types import Bytes, CalmEdgeError, Float
 
-# Of either kind: SIFT's own keypoints and Shi-Tomasi corners, so that nobody plays at home.
+# Query points of each kind: SIFT keypoints and Shi-Tomasi corners, to favour neither method.
 QUERIES = 200
 KINDS = ("SIFT", "corner")
 ALL = "all"
 THRESHOLDS_PX = (1.0, 3.0)
-# The pairs on which pictures are made worse, too.
+# Cases that are also measured on degraded pictures.
 DEGRADED_CASES = ("3 on", "eyes")
-# A pair with fewer queries that can be found says nothing.
+# Minimum number of visible query points of a pair.
 MIN_QUERIES = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What a matcher did on one pair, of queries of one kind, or ALL, whose truth can be seen.
+    """Result of a matcher on one pair, over visible queries of one kind or ALL.
 
-    queries: their number. within: how many were found within each of THRESHOLDS_PX of the truth.
-    found: how many it stood for. error_px: median of those found within the last threshold.
-    claimed: root mean square of error over sigma an axis, of those; NaN where it claims none.
+    queries: their number. within: numbers found within each of THRESHOLDS_PX of the truth. found:
+    number reported as found. error_px: median error of those within the last threshold. claimed:
+    root mean square of error over sigma per axis of these; NaN without a claimed sigma.
     """
 
     matcher: str
@@ -52,12 +51,12 @@ class Score:
     claimed: float
 
     def share(self, threshold: int = 0) -> float:
-        """Share of correct ones, half a query away from 0 and 1 so that ratios exist."""
+        """Share of correct matches, kept half a query away from 0 and 1 so that ratios exist."""
         return (self.within[threshold] + 0.5) / (self.queries + 1)
 
 
 def query_points(pair: Pair) -> tuple[Float, NDArray[np.int64]]:
-    """(N, 2) px of picture a, at most QUERIES of each kind, and their kind (N,) in KINDS."""
+    """Query points (N, 2) px in picture a, up to QUERIES of each kind, and kinds (N,) in KINDS."""
     chosen = []
     for points in candidates(pair.a.image, pair.a.seed):
         _, seen = transfer(pair.a.truth, pair.b.truth, points)
@@ -67,7 +66,7 @@ def query_points(pair: Pair) -> tuple[Float, NDArray[np.int64]]:
 
 
 def candidates(image: Bytes, seed: int) -> list[Float]:
-    """Of each of KINDS, (N, 2) px of a picture (H, W, 3) in an order drawn by the seed."""
+    """Points (N, 2) px of each of KINDS in a picture (H, W, 3), in random order by the seed."""
     gray, rng = described.gray_of(image), np.random.default_rng(seed)
     own = np.array([p.pt for p in described.keypoints(gray, 4 * QUERIES)]).reshape(-1, 2)
     kinds = np.unique(own, axis=0), described.corners(gray, 2 * QUERIES)
@@ -75,7 +74,7 @@ def candidates(image: Bytes, seed: int) -> list[Float]:
 
 
 def judge(matches: Matches, true_uv: Float) -> tuple[tuple[int, ...], int, float, float]:
-    """within, found, error_px and claimed of Score, against the truth (N, 2) px."""
+    """Compute within, found, error_px and claimed of Score against the truth (N, 2) px."""
     off = np.where(matches.found, np.linalg.norm(matches.uv_b - true_uv, axis=1), np.inf)
     right = off <= THRESHOLDS_PX[-1]
     error = float(np.median(off[right])) if right.any() else float("nan")
@@ -88,7 +87,7 @@ def judge(matches: Matches, true_uv: Float) -> tuple[tuple[int, ...], int, float
 
 
 def measure_pair(pair: Pair, matchers: Mapping[str, Matcher]) -> list[Score]:
-    """Every matcher on a pair as it is and, in DEGRADED_CASES, made worse; queries stay."""
+    """Scores of all matchers on a pair and, for DEGRADED_CASES, on its degraded pictures."""
     uv, kind = query_points(pair)
     if len(uv) < MIN_QUERIES:
         return []
@@ -115,25 +114,22 @@ def measure_pair(pair: Pair, matchers: Mapping[str, Matcher]) -> list[Score]:
 def measure(
     scenes: Iterable[Scene], matchers: Mapping[str, Matcher], out: Path
 ) -> tuple[list[Score], list[str]]:
-    """All scores, and why drives were skipped."""
+    """All scores, and the reasons of skipped drives."""
     scores: list[Score] = []
-    skipped = []
-    for scene in scenes:
-        print(f"{scene.name} ...", file=sys.stderr, flush=True)
-        folder = scene.prepare(out)
-        if isinstance(folder, str):
-            skipped.append(f"{scene.name} skipped: {folder}")
-            continue
+    skipped: list[str] = []
+    by_name = {scene.name: scene for scene in scenes}
+    drives = {name: scene.prepare for name, scene in by_name.items()}
+    for name, folder in prepared(drives, None, out, skipped):
         try:
-            for pair in pairs(scene, folder):
+            for pair in pairs(by_name[name], folder):
                 scores += measure_pair(pair, matchers)
         except CalmEdgeError as error:
-            skipped.append(f"{scene.name} stopped: {error}")
+            skipped.append(f"{name} stopped: {error}")
     return scores, skipped
 
 
 def rows(scores: Sequence[Score]) -> list[tuple[Any, ...]]:
-    """A case, a degradation and a matcher: shares of all pairs' queries, in percent."""
+    """One row per case, degradation and matcher: shares over the queries of all pairs, percent."""
     out: list[tuple[Any, ...]] = []
     keys = dict.fromkeys((s.case, s.degraded, s.matcher) for s in scores)
     order = list(dict.fromkeys((case, degraded) for case, degraded, _ in keys))
@@ -162,7 +158,7 @@ COLUMNS = (
 def against(
     scores: Sequence[Score], ours: str, other: str, case: str, threshold: int
 ) -> PairedRatio | None:
-    """`other`'s share over ours on the clean pairs of a case: below 1, ours finds more."""
+    """Ratio of the share of `other` to ours on clean pairs of a case; below 1 ours is better."""
     mine, theirs = (_shares(scores, name, case, "", threshold) for name in (ours, other))
     return compare(theirs, mine) if mine.keys() & theirs.keys() else None
 
@@ -170,7 +166,7 @@ def against(
 def retained_against(
     scores: Sequence[Score], ours: str, other: str, degraded: str
 ) -> PairedRatio | None:
-    """The part of its share within 1 px that `other` keeps when pictures get worse, over ours."""
+    """Ratio of `other` to ours of the part of the 1 px share that is kept on degraded pictures."""
     kept = []
     for name in (other, ours):
         both: dict[tuple[str, int], float | None] = {}

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -20,14 +18,13 @@ from bench.model.depth_scores import (
     relative_error,
     score,
 )
-from bench.model.ours import contestant
+from bench.model.ours import OURS, add_arguments, contestant
 from bench.model.protocols import DepthMaker
-from bench.paired import COLUMNS as PAIRED
 from bench.paired import compare
-from bench.tables import OUT, Check, Table, publish
+from bench.tables import Check, Table, publish
 from calm_edge.types import Float
 
-OURS, RIVAL, SWEEP = "ours", "SGBM", "plane sweep"
+RIVAL, SWEEP = "SGBM", "plane sweep"
 PLACES, KEYFRAMES = 3, 5
 NEAREST_M, FARTHEST_M = 1.0, 60.0
 # Target: our relative error over that of semi-global matching.
@@ -40,8 +37,11 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """One maker on one picture. own: where it gives depth. common: where all makers do. equal:
-    its most confident pixels, as many as the sparsest maker gives."""
+    """Scores of one method on one picture.
+
+    own: where it has depth. common: where all methods have. equal: its most confident pixels, as
+    many as the sparsest method has.
+    """
 
     maker: str
     drive: str
@@ -55,31 +55,31 @@ class Scored:
 def measure_place(
     drive: scenes.Pictures, name: str, place: int, frame: int, makers: Mapping[str, DepthMaker]
 ) -> list[Scored]:
-    """Every maker on the middle one of KEYFRAMES keyframes of both eyes from `frame` on."""
+    """Scores of all methods on the middle one of KEYFRAMES keyframes from `frame` on."""
     frames = drive.keyframes(frame)[:KEYFRAMES]
     sides = [drive.side(eye, k) for eye in (0, 1) for k in frames]
     reference = len(frames) // 2
     K, T_w_c = (np.stack([getattr(s.truth, key) for s in sides]) for key in ("K", "T_w_c"))
     eyes = np.repeat([0, 1], len(frames))
     true_z = sides[reference].truth.z
-    asked = (true_z > NEAREST_M) & (true_z < FARTHEST_M)
+    in_range = (true_z > NEAREST_M) & (true_z < FARTHEST_M)
     made = {}
     for label, maker in makers.items():
         z, confidence = maker.depth([s.image for s in sides], K, T_w_c, eyes, reference)
         size = true_z.shape[1], true_z.shape[0]
         full = [cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (z, confidence)]
-        made[label] = (_asked(full[0], asked), _asked(full[1], asked))
-    return compared(name, place, _asked(true_z, asked), made)
+        made[label] = (_pixels(full[0], in_range), _pixels(full[1], in_range))
+    return compared(name, place, _pixels(true_z, in_range), made)
 
 
-def _asked(picture: Any, asked: Any) -> Float:
-    return np.asarray(np.asarray(picture, np.float32)[asked], np.float64)
+def _pixels(picture: Any, mask: Any) -> Float:
+    return np.asarray(np.asarray(picture, np.float32)[mask], np.float64)
 
 
 def compared(
     name: str, place: int, true_z: Float, made: Mapping[str, tuple[Float, Float]]
 ) -> list[Scored]:
-    """Of depth and confidence (M,) each against the truth (M,); none where one gives nothing."""
+    """Score depths and confidences (M,) against the truth (M,); empty if a method has no depth."""
     known = {label: z > 0 for label, (z, _) in made.items()}
     both = np.logical_and.reduce(list(known.values()))
     least = min(int(k.sum()) for k in known.values())
@@ -95,7 +95,7 @@ def compared(
 
 
 def table(scored: Sequence[Scored], notes: Sequence[str], held_out: bool) -> Table:
-    """Means over pictures, then every maker against RIVAL, paired."""
+    """Means over pictures, then each method against RIVAL, paired."""
     rows: list[tuple[Any, ...]] = []
     for label in dict.fromkeys(s.maker for s in scored):
         own = [s for s in scored if s.maker == label]
@@ -103,10 +103,10 @@ def table(scored: Sequence[Scored], notes: Sequence[str], held_out: bool) -> Tab
         figures = [v for part in parts for v in (_mean(part, "abs_rel"), _mean(part, "close"))]
         coverage = 100 * float(np.mean([s.coverage for s in own]))
         rows.append((label, coverage, *figures, _mean(parts[2], "ause"), len(own)))
-    said, checks = list(notes), []
+    remarks, checks = list(notes), []
     for label in dict.fromkeys(s.maker for s in scored if s.maker != RIVAL):
         for what, part, key in (
-            ("abs-rel where both know", "common", "abs_rel"),
+            ("abs-rel where both have depth", "common", "abs_rel"),
             ("abs-rel at equal share", "equal", "abs_rel"),
             ("AUSE at equal share", "equal", "ause"),
         ):
@@ -114,13 +114,12 @@ def table(scored: Sequence[Scored], notes: Sequence[str], held_out: bool) -> Tab
             if not ours.keys() & rival.keys():
                 continue
             ratio = compare(ours, rival)
-            line = dict(zip(PAIRED, ratio.row(f"{label} over {RIVAL}, {what}"), strict=True))
-            figures_said = f"{ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f})"
-            said.append(f"{line['compared']}: {figures_said}, {ratio.pairs} pictures")
+            shown = f"{ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f})"
+            remarks.append(f"{label} over {RIVAL}, {what}: {shown}, {ratio.pairs} pictures")
             if label == OURS:
                 most = ASKED if key == "abs_rel" else 1.0
                 kept = ratio.verdict == "better" and ratio.within(most)
-                checks.append(Check(what, f"<= {most:g} of {RIVAL}", figures_said, kept))
+                checks.append(Check(what, f"<= {most:g} of {RIVAL}", shown, kept))
     suffix = " --held-out" if held_out else ""
     return Table(
         f"51_model_depth{'_held_out' if held_out else ''}",
@@ -130,7 +129,7 @@ def table(scored: Sequence[Scored], notes: Sequence[str], held_out: bool) -> Tab
         (
             f"pixels {NEAREST_M:g} to {FARTHEST_M:g} m away; equal share: the most confident "
             "pixels of each, as many as the sparsest gives",
-            *said,
+            *remarks,
         ),
     )  # fmt: skip
 
@@ -151,16 +150,13 @@ def _errors(
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
-    parser.add_argument("--ours", metavar="MODULE:FACTORY", help="the learned depth")
-    parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
-    parser.add_argument("--only", action="append", metavar="DRIVE")
-    parser.add_argument("--out", type=Path, default=OUT)
+    add_arguments(parser, "depth")
 
 
 def run(options: argparse.Namespace) -> int:
     """Measure, print and keep the table; 1 when a promise is broken."""
     scored: list[Scored] = []
-    notes = []
+    notes: list[str] = []
     makers: dict[str, DepthMaker] = {name: make() for name, make in MAKERS.items()}
     ours, missing = contestant(options.ours, "depth")
     if missing:
@@ -168,17 +164,12 @@ def run(options: argparse.Namespace) -> int:
     else:
         makers = {OURS: ours, **makers}
     if options.ours is None:
-        # ours is the sweep: it is not measured twice
+        # the shipped depth is the sweep itself
         del makers[SWEEP]
-    for scene in scenes.UNSEEN if options.held_out else scenes.DEVELOPMENT:
-        if options.only and scene.name not in options.only:
-            continue
-        print(f"{scene.name} ...", file=sys.stderr, flush=True)
-        folder = scene.prepare(options.out)
-        if isinstance(folder, str):
-            notes.append(f"{scene.name} skipped: {folder}")
-            continue
+    chosen = scenes.UNSEEN if options.held_out else scenes.DEVELOPMENT
+    drives = {scene.name: scene.prepare for scene in chosen}
+    for name, folder in scenes.prepared(drives, options.only, options.out, notes):
         drive = scenes.Pictures(folder)
         for place, frame in enumerate(scenes.places(drive.sequence.n_frames, PLACES)):
-            scored += measure_place(drive, scene.name, place, frame, makers)
+            scored += measure_place(drive, name, place, frame, makers)
     return publish(table(scored, notes, options.held_out), options.out)

@@ -1,4 +1,4 @@
-"""What makes depth of posed pictures today: semi-global matching of a pair, and bundle's sweep."""
+"""Classical depth of posed pictures: semi-global matching of a pair, and bundle's plane sweep."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calm_edge.backbones.bundle.depth import sweep_window
 from calm_edge.geometry import pinhole, se3
 from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 
-# Nothing nearer than so many camera distances is looked for; a multiple of 16 px is searched.
+# Nearest depth searched, in camera distances; the disparity range is rounded up to 16 px.
 NEAREST_SPACINGS = 4.0
 BLOCK_PX, UNIQUENESS = 5, 10
 CONSISTENT_PX = 1.0
@@ -21,22 +21,22 @@ STEP_NS = 100_000_000
 
 
 def partner(T_w_c: Float, eyes: Int, reference: int) -> int:
-    """The view of the other eye whose camera stood nearest."""
+    """Index of the other eye's view whose camera is nearest."""
     other = np.flatnonzero(eyes != eyes[reference])
     away = np.linalg.norm(T_w_c[other, :3, 3] - T_w_c[reference, :3, 3], axis=1)
     return int(other[away.argmin()])
 
 
 class SgbmDepth:
-    """OpenCV's semi-global matching on the pair of both eyes, rectified by the same K and poses.
+    """OpenCV's StereoSGBM on a pair of both eyes, rectified by the given K and poses.
 
-    Confidence is how nearly both pictures' disparities agree; where they do not, depth is 0.
+    Confidence falls with the left-right difference of disparity; beyond CONSISTENT_PX depth is 0.
     """
 
     def depth(
         self, images: Sequence[Bytes], K: Float, T_w_c: Float, eyes: Int, reference: int
     ) -> tuple[Float32, Float32]:
-        """See DepthMaker; eyes must stand side by side, or nothing is found."""
+        """See DepthMaker. Depth is 0 where the cameras are above each other, not side by side."""
         other = partner(T_w_c, eyes, reference)
         a, b = gray_of(images[reference]), gray_of(images[other])
         size = (a.shape[1], a.shape[0])
@@ -57,7 +57,7 @@ class SgbmDepth:
         )
         nearest = NEAREST_SPACINGS * float(np.linalg.norm(T[:3, 3]))
         most = max(16, int(np.ceil(abs(shift) / nearest / 16)) * 16)
-        if shift > 0:  # the reference is the right eye: seen in a mirror it is the left one
+        if shift > 0:  # the reference is the right eye: mirrored, it is the left one
             flat_a, flat_b = flat_a[:, ::-1], flat_b[:, ::-1]
         disparity, off = _consistent(flat_a, flat_b, most)
         if shift > 0:
@@ -72,9 +72,9 @@ def _rectified(gray: Bytes, K: Float, R: Float, P: Float, size: tuple[int, int])
 
 
 def _consistent(left: Bytes, right: Bytes, most: int) -> tuple[Float32, Float32]:
-    """Disparity (h, w) of the left picture, 0 unknown, and how far the right one's is off, px."""
+    """Disparity (h, w) of the left picture, 0 unknown, and its difference from the right's, px."""
     ahead = _disparity(left, right, most)
-    # in a mirror the right picture is the left one
+    # mirrored, the right picture is the left one
     back = _disparity(right[:, ::-1], left[:, ::-1], most)[:, ::-1]
     x = np.arange(left.shape[1], dtype=np.float32)[None] - ahead
     y = np.broadcast_to(np.arange(left.shape[0], dtype=np.float32)[:, None], x.shape)
@@ -94,13 +94,13 @@ def _disparity(left: Bytes, right: Bytes, most: int) -> Float32:
         P2=32 * BLOCK_PX**2, uniquenessRatio=UNIQUENESS, speckleWindowSize=100, speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_SGBM,
     )  # fmt: skip
-    # the search begins `most` pixels into the picture
+    # StereoSGBM leaves the first `most` columns out
     pad = [cv2.copyMakeBorder(p, 0, 0, most, 0, cv2.BORDER_REPLICATE) for p in (left, right)]
     return np.asarray(matcher.compute(*pad)[:, most:] / 16, np.float32)
 
 
 def _brought_back(z: Float, off: Float32, K: Float, R: Float, P: Float) -> tuple[Float32, Float32]:
-    """Depth (h, w) of the rectified camera as z-depth of the camera itself, and confidence."""
+    """z-depth and confidence (h, w) of the camera from depth (h, w) of its rectified camera."""
     height, width = z.shape
     v, u = np.mgrid[:height, :width]
     uv = np.stack([u, v], -1).astype(np.float64)
@@ -118,7 +118,7 @@ def _brought_back(z: Float, off: Float32, K: Float, R: Float, P: Float) -> tuple
 
 
 class SweepDepth:
-    """Bundle's plane sweep, given true K and poses in place of solved ones."""
+    """Bundle's plane sweep under the given K and poses."""
 
     def depth(
         self, images: Sequence[Bytes], K: Float, T_w_c: Float, eyes: Int, reference: int

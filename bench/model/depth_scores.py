@@ -1,4 +1,8 @@
-"""How good a depth is: relative error, share within five percent, and what its confidence knows."""
+"""Depth metrics: relative error, share within five percent, and AUSE of the confidence.
+
+AUSE, area under the sparsification error curve: Ilg et al., "Uncertainty estimates and
+multi-hypotheses networks for optical flow", 2018.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +19,11 @@ STEPS = 20
 
 @dataclass(frozen=True, slots=True)
 class DepthScore:
-    """Of the pixels scored, M in number. abs_rel: mean of |z - true| / true. close: share within
-    CLOSE. ause: area between the sparsification by confidence and by the error itself, as a part
-    of abs_rel; 0 is perfect."""
+    """Metrics over M pixels.
+
+    abs_rel: mean of |z - true| / true. close: share within CLOSE. ause: area between the
+    sparsification curves by confidence and by error, over abs_rel; 0 is perfect.
+    """
 
     abs_rel: float
     close: float
@@ -30,21 +36,21 @@ def relative_error(z: Float, true_z: Float) -> Float:
 
 
 def score(error: Float, confidence: Float) -> DepthScore:
-    """Of relative errors (M,), M >= 1, and confidences (M,)."""
+    """Metrics of relative errors (M,), M >= 1, and confidences (M,)."""
     mean = float(error.mean())
     area = _sparsified(error, -confidence) - _sparsified(error, error)
     return DepthScore(mean, float((error <= CLOSE).mean()), area / max(mean, 1e-12))
 
 
 def _sparsified(error: Float, worst_last: Float) -> float:
-    """Mean over STEPS shares of the mean error of what is left when the worst are dropped."""
+    """Mean over STEPS shares of the mean error that is left when the worst are dropped."""
     kept = np.cumsum(error[np.argsort(worst_last, kind="stable")])
     n = np.maximum(1, np.round(np.arange(1, STEPS + 1) / STEPS * len(error)).astype(np.int64))
     return float((kept[n - 1] / n).mean())
 
 
 def most_confident(known: NDArray[np.bool_], confidence: Float, count: int) -> NDArray[np.bool_]:
-    """(M,) the `count` most confident of the known ones; all of these where they are fewer."""
+    """Mask (M,) of the `count` most confident known pixels, or of all if they are fewer."""
     order = np.argsort(np.where(known, -confidence, np.inf), kind="stable")
     chosen = np.zeros(len(known), bool)
     chosen[order[:count]] = True

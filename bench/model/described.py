@@ -1,4 +1,4 @@
-"""Points of a picture with SIFT descriptors: SIFT's own keypoints, and any other point given."""
+"""SIFT descriptors at SIFT keypoints and at any other given points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calm_edge.backbones.bundle.tracks import detect_corners
 from calm_edge.geometry.sift import CONTRAST
 from calm_edge.types import Bytes, Float, Float32, Int
 
-# SIFT's second layer of octaves 0, 1 and 2: the diameters it would give its own keypoints there.
+# Second scale-space layer of octaves 0, 1 and 2, with the keypoint diameters of SIFT there.
 OCTAVES = (0, 1, 2)
 LAYER = 1
 BASE_SIGMA, LAYERS = 1.6, 3
@@ -24,9 +24,9 @@ NO_CORNERS = np.zeros((0, 2), np.float32)
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """uv (N, 2) px and vector (N, 128) of unit length; a point may come with several vectors.
+    """Pixels uv (N, 2) and unit descriptors (N, 128); a point may have several.
 
-    index: (N,) which of the points given a row is of.
+    index: (N,) row of the given point.
     """
 
     uv: Float32
@@ -40,12 +40,12 @@ def gray_of(image: Bytes) -> Bytes:
 
 
 def keypoints(gray: Bytes, count: int) -> Sequence[cv2.KeyPoint]:
-    """SIFT's own, strongest first; a point of two orientations comes twice."""
+    """SIFT keypoints, strongest first; one with two orientations appears twice."""
     return tuple(_sift(count).detect(gray, None))
 
 
 def corners(gray: Bytes, count: int) -> Float32:
-    """Shi-Tomasi corners (N, 2) px as bundle's tracks spread them, brought to a part of a pixel."""
+    """Shi-Tomasi corners (N, 2) px as detected by bundle's tracks, refined to subpixels."""
     uv = detect_corners(gray, NO_CORNERS, count)
     if len(uv) == 0:
         return uv
@@ -54,7 +54,7 @@ def corners(gray: Bytes, count: int) -> Float32:
 
 
 def at_points(gray: Bytes, uv: Float | Float32) -> list[cv2.KeyPoint]:
-    """Keypoints at uv (N, 2) px, one an octave of OCTAVES, turned as their gradients say.
+    """Keypoints at uv (N, 2) px, one per octave of OCTAVES, oriented by their gradients.
 
     class_id is the row of uv.
     """
@@ -63,14 +63,17 @@ def at_points(gray: Bytes, uv: Float | Float32) -> list[cv2.KeyPoint]:
         sigma = BASE_SIGMA * 2 ** (LAYER / LAYERS + octave)
         angles = _orientations(gray, np.asarray(uv, np.float32), sigma)
         for k, ((x, y), angle) in enumerate(zip(uv, angles, strict=True)):
-            # the scale space it is read from: octave in the low byte, layer in the next
+            # OpenCV packs the octave in the low byte and the layer in the next
             packed = octave | (LAYER << 8)
             made.append(cv2.KeyPoint(float(x), float(y), 2 * sigma, float(angle), 0, packed, k))
     return made
 
 
 def describe(gray: Bytes, points: Sequence[cv2.KeyPoint]) -> Described:
-    """SIFT descriptors, square roots of shares (RootSIFT); index is each point's class_id."""
+    """RootSIFT descriptors; index is the class_id of each point.
+
+    Arandjelovic, Zisserman, "Three things everyone should know to improve object retrieval", 2012.
+    """
     if not points:
         return Described(NO_CORNERS, np.zeros((0, 128), np.float32), np.zeros(0, np.int64))
     kept, vector = _sift(0).compute(gray, points)
@@ -85,7 +88,7 @@ def _sift(count: int) -> cv2.SIFT:
 
 
 def _orientations(gray: Bytes, uv: Float32, sigma: float) -> Float:
-    """(N,) degrees, the way of OpenCV's keypoints: the strongest direction of brightness around."""
+    """Dominant gradient direction (N,), degrees in OpenCV's convention for keypoints."""
     if len(uv) == 0:
         return np.zeros(0)
     smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), sigma)

@@ -1,4 +1,4 @@
-"""A contestant given as MODULE:FACTORY on the command line."""
+"""Load a method given as MODULE:FACTORY on the command line."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from calm_edge.evaluation.errors import EvaluationError
 
 
 def loaded(spec: str, method: str) -> Any:
-    """What the factory makes, called without arguments; raises EvaluationError.
+    """Return the factory's result, called without arguments; raises EvaluationError.
 
-    method: what it must be able to do: `match`, `depth` or `describe`.
+    method: method that the result must have: `match`, `depth` or `describe`.
     """
     module, _, factory = spec.partition(":")
     try:
@@ -19,5 +19,5 @@ def loaded(spec: str, method: str) -> Any:
     except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise EvaluationError(f"--ours {spec}: {error}; expected MODULE:FACTORY") from None
     if not hasattr(made, method):
-        raise EvaluationError(f"--ours {spec}: what it makes has no {method}()")
+        raise EvaluationError(f"--ours {spec}: its result has no {method}()")
     return made

@@ -22,16 +22,15 @@ from bench.model.correspondences import (
 )
 from bench.model.degrade import DEGRADATIONS
 from bench.model.matchers import BASELINES
-from bench.model.ours import contestant
+from bench.model.ours import OURS, add_arguments, contestant
 from bench.model.protocols import Matcher
 from bench.paired import PairedRatio
-from bench.tables import OUT, Check, Table, publish
+from bench.tables import Check, Table, publish
 from calm_edge.evaluation.errors import EvaluationError
 
-OURS = "ours"
-# Across eyes that differ by 20 degrees and twice the focal length, ours finds so many times more.
+# Factor by which ours shall find more between eyes 20 degrees and twice the focal length apart.
 HARD_GAIN = 1.5
-# This one is helped by SIFT first and finds up to two thirds: it is only to be beaten.
+# Starts from SIFT matches and finds up to two thirds: ours shall only be better.
 HELPED = "KLT warped"
 
 
@@ -42,9 +41,9 @@ def table(
     out: Path,
     missing: str = "",
 ) -> Table:
-    """Measure on development or held-out drives; raises EvaluationError where there is none.
+    """Measure on development or held-out drives; raises EvaluationError without any.
 
-    missing: a note on why ours takes no part.
+    missing: a note on why ours is not measured.
     """
     chosen = scenes.UNSEEN + scenes.HARD_UNSEEN if held_out else scenes.DEVELOPMENT + scenes.HARD
     unknown = set(only or ()) - {scene.name for scene in chosen}
@@ -58,10 +57,10 @@ def table(
     others = [name for name in matchers if name != OURS]
     checks = promises(scores, others) if OURS in matchers else ()
     notes = (
-        "over query points whose exact truth the other picture shows; half are SIFT keypoints, "
-        "half Shi-Tomasi corners, found on the clean picture",
+        "over query points visible in the other picture; half are SIFT keypoints, half Shi-Tomasi "
+        "corners, detected on the clean picture",
         "error px: median of those within 3 px; error / sigma: 1 where the claimed sigma is honest",
-        "KLT goes from picture to picture at once, also over 8 keyframes, which bundle chains",
+        "KLT tracks from one picture directly to the other, also over 8 keyframes; bundle chains",
         *skipped,
         *([missing] if missing else []),
     )
@@ -77,7 +76,7 @@ def table(
 
 
 def promises(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check, ...]:
-    """Ours against every other: more found, on every case; more kept where pictures get worse."""
+    """Ours against each other matcher: more found in all cases, more kept on degraded pictures."""
     checks = []
     for case in dict.fromkeys(score.case for score in scores):
         for other in others:
@@ -94,7 +93,7 @@ def promises(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check, ...
 
 
 def ratio_check(what: str, ratio: PairedRatio | None, most: float) -> list[Check]:
-    """Kept where the interval ends below 1 and the ratio meets `most`."""
+    """Promise that the interval ends below 1 and the ratio is at most `most`."""
     if ratio is None or ratio.ratio is None or ratio.low is None or ratio.high is None:
         return []
     measured = f"{ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f}), {ratio.pairs} pairs"
@@ -104,11 +103,8 @@ def ratio_check(what: str, ratio: PairedRatio | None, most: float) -> list[Check
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
-    parser.add_argument("--ours", metavar="MODULE:FACTORY", help="the learned matcher")
+    add_arguments(parser, "matcher")
     parser.add_argument("--matcher", action="append", choices=list(BASELINES))
-    parser.add_argument("--only", action="append", metavar="DRIVE")
-    parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
-    parser.add_argument("--out", type=Path, default=OUT)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""The classical matchers that a learned one has to beat, at query points that others chose."""
+"""Classical matchers at given query points: SIFT, KLT, and KLT after a homography."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from calm_edge.types import Bytes, Float, Float32
 
 Bool = NDArray[np.bool_]
 
-# A query this near to a SIFT keypoint is described as SIFT describes that one.
+# A query within this distance of a SIFT keypoint takes its scale and orientation.
 SAME_PX = 1.0
-# Candidates nearer than this to the best one are the same point again, not a rival of it.
+# Candidates within this distance of the best are the same point; the ratio test skips them.
 RIVAL_PX = 3.0
-# How many best candidates are looked through for the first rival.
+# Number of best candidates searched for the second-best point of the ratio test.
 DEEP = 12
 MAX_KEYPOINTS, MAX_CORNERS = 4000, 1000
 KEPT_PICTURES = 4
 
 
 class SiftMatcher:
-    """RootSIFT and the ratio test, on SIFT's keypoints and on corners at three scales.
+    """RootSIFT and the ratio test, on SIFT keypoints and on corners at three scales.
 
-    A query at a keypoint has that one's scale and orientation; any other point is described at
-    three scales, as are the other picture's corners, so that it can be found again.
+    A query at a keypoint takes its scale and orientation. Any other query is described at three
+    scales, as are the corners of the other picture.
     """
 
     def __init__(self) -> None:
@@ -56,10 +56,10 @@ class SiftMatcher:
             value = np.maximum(np.take_along_axis(value, order, 1), 1e-9)
             at = there.uv[near]
             rival = np.linalg.norm(at - at[:, :1], axis=2) > RIVAL_PX
-            # no rival among the best: even the last of them is near enough to be a bound
+            # no second point among them: the last one bounds its distance
             first = np.where(rival.any(1), rival.argmax(1), DEEP - 1)
             clear = value[:, 0] / value[np.arange(len(value)), first]
-            for row in clear.argsort()[::-1]:  # the clearest description of a query comes last
+            for row in clear.argsort()[::-1]:  # the best description of a query overwrites others
                 uv_b[query.index[row]], ratio[query.index[row]] = at[row, 0], clear[row]
         return Matches(uv_b, ratio < RATIO**2, np.full(n, np.nan))
 
@@ -79,13 +79,13 @@ class SiftMatcher:
         return described.describe(gray, chosen)
 
     def _candidates(self, image: Bytes) -> described.Described:
-        """Of the other picture; the last few are kept, for pictures come in several pairs."""
+        """Descriptors of the other picture; the last few are cached, as pairs share pictures."""
         known = self._kept.get(id(image))
         if known is None or known[0] is not image:
             gray = described.gray_of(image)
             points = described.at_points(gray, described.corners(gray, MAX_CORNERS))
             found = described.describe(gray, [*described.keypoints(gray, MAX_KEYPOINTS), *points])
-            # holding the picture keeps its id its own
+            # the reference keeps the id from being reused
             known = self._kept[id(image)] = (image, found)
             while len(self._kept) > KEPT_PICTURES:
                 self._kept.popitem(last=False)
@@ -95,7 +95,7 @@ class SiftMatcher:
 class KltMatcher:
     """Pyramidal Lucas-Kanade with a backward check, in the settings of bundle's tracks.
 
-    Two rounds: what the first one believes is where its neighbours start from in the second.
+    Two rounds: the second starts from the flow of neighbours found in the first.
     """
 
     def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
@@ -113,13 +113,13 @@ class KltMatcher:
 
 
 class WarpedKltMatcher:
-    """Lucas-Kanade after a homography from SIFT matches, as bundle goes across the eyes.
+    """Lucas-Kanade after a homography from SIFT matches, as bundle matches between the eyes.
 
-    Zoom and roll are in the homography. What no fundamental matrix explains is dropped, as there.
+    The homography takes zoom and roll. Outliers to a fundamental matrix are dropped, as there.
     """
 
     def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
-        """See Matcher; pictures without enough SIFT matches give none."""
+        """See Matcher. None is found without enough SIFT matches."""
         a, b = described.gray_of(image_a), described.gray_of(image_b)
         uv, none = np.asarray(query_uv, np.float32), np.full(len(query_uv), np.nan)
         H_b_a = sift_homography(a, b) if len(uv) else None
@@ -135,7 +135,7 @@ class WarpedKltMatcher:
 
 
 def around(uv: Float32, flow: Float32, known: Bool) -> Float32:
-    """(N, 2) the median flow of the five known points (N,) nearest to each; 0 where none is."""
+    """Median flow (N, 2) of the five known points nearest to each point; 0 without any."""
     if not known.any():
         return np.zeros_like(flow)
     k = min(5, int(known.sum()))

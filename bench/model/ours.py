@@ -1,7 +1,9 @@
-"""The shipped model as a contestant: what takes part as `ours` where nothing else is asked for."""
+"""The shipped model as a method to compare, unless another one is given by --ours."""
 
 from __future__ import annotations
 
+import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from bench.model.depth_makers import SweepDepth
 from bench.model.described import gray_of
 from bench.model.loading import loaded
 from bench.model.protocols import Matches
+from bench.tables import OUT
 from calm_edge.backbones.base import BackboneError
 from calm_edge.types import Bytes, Float
 
@@ -18,10 +21,19 @@ if TYPE_CHECKING:
     from calm_edge.backbones.bundle.place import LearnedPlace
 
 MODEL = "calm-geo"
+OURS = "ours"
+
+
+def add_arguments(parser: argparse.ArgumentParser, kind: str) -> None:
+    """Add the arguments that all comparisons of a learned `kind` with classical ones have."""
+    parser.add_argument("--ours", metavar="MODULE:FACTORY", help=f"the learned {kind}")
+    parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
+    parser.add_argument("--only", action="append", metavar="DRIVE")
+    parser.add_argument("--out", type=Path, default=OUT)
 
 
 class ModelMatcher:
-    """A model's matching, as `learned` offers it, in the shape of a Matcher."""
+    """Adapter of bundle's learned matching to Matcher."""
 
     def __init__(self, matching: LearnedMatching) -> None:
         self._matching = matching
@@ -33,7 +45,7 @@ class ModelMatcher:
         return Matches(found.uv.astype(np.float64), found.sure, found.sigma_px.astype(np.float64))
 
 
-# the classical methods are measured where ONNX Runtime is not there, too
+# lazy: classical methods run without ONNX Runtime
 def _matcher() -> ModelMatcher:
     from calm_edge.backbones.bundle import learned
 
@@ -46,15 +58,14 @@ def _place() -> LearnedPlace:
     return learned.place(MODEL)
 
 
-# By what a contestant must be able to do. The model has no depth of its own: the sweep is what
-# the backbone makes with it, too.
+# By method name. The model has no depth of its own: its backbone uses the plane sweep.
 FACTORIES = {"match": _matcher, "depth": SweepDepth, "describe": _place}
 
 
 def contestant(spec: str | None, method: str) -> tuple[Any, str]:
-    """(what takes part as ours, "") or (None, why nothing does); raises EvaluationError.
+    """(ours, "") or (None, the reason why there is none); raises EvaluationError.
 
-    spec: MODULE:FACTORY as given, None for the shipped model. method: a key of FACTORIES.
+    spec: MODULE:FACTORY, None for the shipped model. method: a key of FACTORIES.
     """
     if spec:
         return loaded(spec, method), ""

@@ -25,17 +25,17 @@ from calm_edge.backbones.onnx.precision import opened
 from calm_edge.config import BackboneConfig, Config
 
 COMMAND = "python -m bench model.pipeline"
-# Targets: of the error, by how many sigmas a drive may be worse, and of int8 over fp32.
+# Targets: error ratio, sigmas by which a drive may be worse, upper end of int8 over fp32.
 ASKED, WORSE_SIGMAS, INT8_END = 0.9, 2.0, 1.1
-# Seconds a window may take, depth apart, and its depth.
+# Target seconds of a window without depth, and of its depth.
 WINDOW_S, DEPTH_S = 0.8, 1.5
 
 
 def worst_drive(errors: Errors, reference: Errors) -> tuple[str, float] | None:
-    """The drive whose mean log ratio is the most sigmas above 0, and how many.
+    """The drive whose mean log ratio is the most sigmas above 0, and that number.
 
-    The sigma of a run is pooled over all drives' scatter between seeds. None where no drive was
-    run with two seeds. A drive that only the variant lost is infinitely worse.
+    The sigma is pooled over all drives from the scatter between seeds; None if no drive has two
+    seeds. A drive that only the variant lost is infinitely worse.
     """
     logs: dict[str, list[float]] = {}
     for key in errors.keys() & reference.keys():
@@ -57,21 +57,21 @@ def worst_drive(errors: Errors, reference: Errors) -> tuple[str, float] | None:
 
 
 def ate_table(results: Mapping[str, Any]) -> Table:
-    """Errors of the pairs, and what was promised of them."""
+    """Paired errors and the promises on them."""
     plain, network, int8 = (runs.errors(results, v) for v in (runs.PLAIN, runs.NETWORK, runs.INT8))
     rows: list[tuple[Any, ...]] = []
     checks: list[Check] = []
     notes = [
         "ratios of the error, below 1 the first is better; a drive's interval needs two seeds",
-        "seed 0 is the drive as it is, each other one without 5 % of its frames, drawn by lot",
-        "sigmas are of the scatter between a drive's seeds, pooled over the drives",
+        "seed 0 is the whole drive, other seeds drop 5 % of its frames at random",
+        "sigmas are those of the scatter between seeds, pooled over the drives",
     ]
     if plain.keys() & network.keys():
         ratio, what = compare(network, plain), f"bundle:{MODEL} over bundle"
         rows.append(tuple(ratio.row(what)))
         rows += _by_drive(network, plain)
         kept = ratio.within(ASKED) and ratio.verdict == "better" and not ratio.failed
-        checks.append(Check(what, f"< {ASKED:g}, interval below 1", _said(ratio), kept))
+        checks.append(Check(what, f"< {ASKED:g}, interval below 1", _shown(ratio), kept))
         worst = worst_drive(network, plain)
         if worst is not None:
             name, sigmas = worst
@@ -84,10 +84,10 @@ def ate_table(results: Mapping[str, Any]) -> Table:
         ends = ratio.high is not None and ratio.high < INT8_END
         kept = ends and ratio.verdict in ("tie", "better") and not ratio.failed
         asked = f"interval includes 1 or is below, ends below {INT8_END:g}"
-        checks.append(Check(what, asked, _said(ratio), kept))
+        checks.append(Check(what, asked, _shown(ratio), kept))
     for drive, variants in results.items():
-        said = {f.get("skipped") for seeds in variants.values() for f in seeds.values()} - {None}
-        notes += [f"{drive} skipped: {reason}" for reason in sorted(said)]
+        why = {f.get("skipped") for seeds in variants.values() for f in seeds.values()} - {None}
+        notes += [f"{drive} skipped: {reason}" for reason in sorted(why)]
         for variant, seeds in variants.items():
             broken = [f"seed {s}: {f['failed']}" for s, f in seeds.items() if "failed" in f]
             notes += [f"{drive}, {variant} failed: {line}" for line in broken]
@@ -105,7 +105,7 @@ def _by_drive(errors: Errors, reference: Errors) -> list[tuple[Any, ...]]:
     return out
 
 
-def _said(ratio: PairedRatio) -> str:
+def _shown(ratio: PairedRatio) -> str:
     if ratio.ratio is None:
         return "no pair of finished runs"
     ends = f"({ratio.low:.3f} to {ratio.high:.3f})"
@@ -113,7 +113,7 @@ def _said(ratio: PairedRatio) -> str:
 
 
 def time_table(results: Mapping[str, Any]) -> Table:
-    """Seconds a full window by stage, in real time, of both, and what was promised."""
+    """Seconds of a full window by stage, in real time, and the promises on them."""
     rows: list[tuple[Any, ...]] = []
     checks: list[Check] = []
     for variant in runs.TIMED:
@@ -149,9 +149,9 @@ def time_table(results: Mapping[str, Any]) -> Table:
         tuple(rows),
         tuple(checks),
         (
-            "by the clock, beside capture and whatever else the machine did; infer holds the "
-            "encoder, matching and the solve, search and rectify the correction; a drive's first "
-            "windows, whose focal lengths are not known yet, take twice as long",
+            "wall time, beside capture and other load of the machine; infer: encoder, matching and "
+            "solver; search and rectify: the correction; the first windows of a drive, before the "
+            "focal lengths are known, take twice as long",
         ),
     )  # fmt: skip
 
@@ -176,7 +176,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     drives.add_argument("--all", action="store_true", help="every development drive, hours")
     drives.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--show", action="store_true", help="measure nothing, show what is kept")
+    parser.add_argument("--show", action="store_true", help="show the kept results alone")
     parser.add_argument("--out", type=Path, default=OUT)
 
 

@@ -1,4 +1,4 @@
-"""Whole drives, recorded by bundle without and with the network: what came of each run."""
+"""Runs of whole drives by bundle with and without the network."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from calm_edge.recording.reader import Recording
 from calm_edge.types import CalmEdgeError, LocalizerUpdate
 
 RESULTS = "model_pipeline.json"
-# Depth is made apart, when there is time.
+# Depth is a stage of its own, run when there is time.
 DEPTH_STAGE = "densify"
-# A seed is a drive of its own: the solver's has no say in the outcome, frames that are lost have.
+# Share of frames dropped by a seed: the solver's own seed does not change the result.
 LOST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """settings: of the configuration. pace: of `record`."""
+    """A configuration to record with. pace: of `record`."""
 
     name: str
     settings: tuple[str, ...]
     pace: str = "lockstep"
 
     def options(self, seed: int) -> tuple[str, ...]:
-        """Of `record`."""
-        said = (*self.settings, f"backbone.seed={seed}")
-        return ("--pace", self.pace, *(part for s in said for part in ("--set", s)))
+        """Options of `record`."""
+        settings = (*self.settings, f"backbone.seed={seed}")
+        return ("--pace", self.pace, *(part for s in settings for part in ("--set", s)))
 
 
 PLAIN = Variant("bundle", ("backbone.name=bundle",))
 _WITH = f"backbone.name=bundle:{MODEL}"
 NETWORK = Variant(f"bundle:{MODEL}", (_WITH, "backbone.precision=fp32"))
 INT8 = Variant(f"bundle:{MODEL} int8", (_WITH, "backbone.precision=int8"))
-# As a user runs it: the precision that `model check` found best here.
+# As a user runs it: in the precision that `model check` chose on this machine.
 TIMED = (
     Variant("bundle, real time", PLAIN.settings, "realtime"),
     Variant(f"bundle:{MODEL}, real time", (_WITH,), "realtime"),
@@ -53,7 +53,7 @@ TIMED = (
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """error: the key of `eval --json` it is judged by. options: of `record`."""
+    """A drive to record. options: of `record`. error: its error's key in `eval --json`."""
 
     name: str
     prepare: Prepare
@@ -65,7 +65,7 @@ _REAL = ("karlsruhe", "karlsruhe_late", "kitti06")
 
 
 def _drives() -> dict[str, Drive]:
-    """Of the targets, then the pixel drives; a name that both have is the former's."""
+    """Drives of `targets` and of `pixels`; the former win where names are equal."""
     found = {}
     for case in (*pixel_cases.UNSEEN, *pixel_cases.CASES):
         error = "ate_sim3_m" if case.name in _REAL else "ate_se3_m"
@@ -73,7 +73,7 @@ def _drives() -> dict[str, Drive]:
         found[case.name] = Drive(case.name, case.loose, options, error)
     for row in targets.ROWS:
         if not row.twice:
-            # the real clips' metre is not exact, or not given
+            # the scale of the real clips is inexact or not given
             error = "ate_sim3_m" if row.name in _REAL else "ate_se3_m"
             found[row.name] = Drive(row.name, row.prepare, row.options, error)
     return found
@@ -89,9 +89,9 @@ Results = dict[str, dict[str, dict[str, dict[str, Any]]]]
 
 
 def full_windows_s(updates: Iterable[LocalizerUpdate], most: int) -> list[dict[str, float]]:
-    """Seconds by stage of the windows of `most` + `most` keyframes, when they were first solved.
+    """Seconds by stage of each window of `most` + `most` keyframes, in its first solution.
 
-    Without the first of them, which shares no keyframe with an earlier one.
+    Without the first window, which has no overlap.
     """
     found: dict[int, dict[str, float]] = {}
     for update in updates:
@@ -104,8 +104,8 @@ def full_windows_s(updates: Iterable[LocalizerUpdate], most: int) -> list[dict[s
 def run(drive: Drive, variant: Variant, seed: int, out: Path) -> dict[str, Any]:
     """Figures of one run: `error_m`, None where the drive was lost, and `windows_s`.
 
-    Seed 0 is the drive as it is; another one has lost frames of its own, LOST of each eye's.
-    `skipped` or `failed` says why there are none.
+    Seed 0 is the whole drive; other seeds drop LOST of the frames of each eye at random. Without
+    figures the reason is under `skipped` or `failed`.
     """
     work = out / "model_pipeline" / drive.name / variant.name.replace(":", "_")
     work.mkdir(parents=True, exist_ok=True)
@@ -117,14 +117,14 @@ def run(drive: Drive, variant: Variant, seed: int, out: Path) -> dict[str, Any]:
     recording = work / "recording"
     try:
         cost = steps.record(sequence, recording, (*drive.options, *variant.options(seed)))
-        said = steps.figures(recording, sequence)
+        figures = steps.figures(recording, sequence)
         kept = Recording(recording)
         windows = full_windows_s(kept.updates(), kept.config.frontend.n_max)
-    except CalmEdgeError as error:
-        return {"failed": str(error)}
-    off = error_m(said, drive.error)
+    except CalmEdgeError as failure:
+        return {"failed": str(failure)}
+    error = error_m(figures, drive.error)
     return {
-        "error_m": off if math.isfinite(off) else None,
+        "error_m": error if math.isfinite(error) else None,
         "windows_s": windows,
         "cpu_s": cost.cpu_s,
         "wall_s": cost.wall_s,
@@ -132,7 +132,7 @@ def run(drive: Drive, variant: Variant, seed: int, out: Path) -> dict[str, Any]:
 
 
 def read_results(file: Path) -> Results:
-    """What earlier runs left; empty when there were none. Raises EvaluationError."""
+    """Results of earlier runs, empty without any; raises EvaluationError."""
     if not file.is_file():
         return {}
     try:
@@ -143,7 +143,7 @@ def read_results(file: Path) -> Results:
 
 
 def run_all(drives: Sequence[Drive], variants: Sequence[Variant], seeds: int, out: Path) -> Results:
-    """Every drive and seed by every variant, side by side in time; kept as soon as it is known."""
+    """Run all variants on each drive and seed in turn, keeping each result at once."""
     out.mkdir(parents=True, exist_ok=True)
     results = read_results(out / RESULTS)
     for drive in drives:
@@ -157,7 +157,7 @@ def run_all(drives: Sequence[Drive], variants: Sequence[Variant], seeds: int, ou
 
 
 def errors(results: Mapping[str, Any], variant: Variant) -> dict[tuple[str, int], float | None]:
-    """(drive, seed) -> error, None where the run failed; without what was skipped."""
+    """(drive, seed) -> error, None where the run failed; skipped runs are left out."""
     return {
         (drive, int(seed)): figures.get("error_m")
         for drive, variants in results.items()

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.drives import Prepare, pictures, simulated
-from bench.model.match_table import OURS, ratio_check
-from bench.model.ours import contestant
+from bench.drives import Prepare, pictures, read_picture, simulated
+from bench.model.match_table import ratio_check
+from bench.model.ours import OURS, add_arguments, contestant
 from bench.model.places import (
     PRECISION,
     SiftVlad,
@@ -22,18 +20,18 @@ from bench.model.places import (
     found_again,
     same_place,
 )
+from bench.model.scenes import prepared
 from bench.paired import compare
-from bench.tables import OUT, Check, Table, publish
+from bench.tables import Check, Table, publish
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.loops.descriptor import GradientLayout, PlaceDescriptor
 from calm_edge.trajectories import read_kitti
-from calm_edge.types import Bytes
 
 RIVAL = "SIFT-VLAD"
-# At one picture a second, nothing nearer than 20 s is a return.
+# At one picture a second: a return comes after 20 s at least.
 MIN_GAP = 20
-TAUGHT_BY = 40  # pictures of another track
-# A drive's returns in so many stretches of as many: the pairs of the interval.
+TRAINING_PICTURES = 40
+# The returns of a drive are split into stretches, the pairs of the comparison.
 STRETCHES = 6
 
 
@@ -44,29 +42,18 @@ def _laps(track: str, frames: int, seed: int) -> Prepare:
 
 DEVELOPMENT = {"g-track-1": _laps("g-track-1", 290, 31), "brondehach": _laps("brondehach", 600, 32)}
 UNSEEN = {"forza": _laps("forza", 800, 33), "e-track-6": _laps("e-track-6", 700, 34)}
-# Words of the vocabulary come from a drive that is no drive of two laps.
-TEACHER = simulated("aalborg", "--track", "aalborg", "--frames", "600")
-
-
-def read(files: list[Path]) -> list[Bytes]:
-    """Pictures (H, W, 3) BGR; raises EvaluationError."""
-    out = []
-    for file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-        if image is None:
-            raise EvaluationError(f"{file}: not a readable image")
-        out.append(np.asarray(image, np.uint8))
-    return out
+# The visual words are trained on another track.
+TRAINING = simulated("aalborg", "--track", "aalborg", "--frames", "600")
 
 
 def measured(folder: Path, descriptors: dict[str, PlaceDescriptor]) -> dict[str, NDArray[np.bool_]]:
-    """Of each, whether it found a return, (R,) in their order; raises EvaluationError."""
+    """Whether each descriptor finds the returns, (R,) in order; raises EvaluationError."""
     T_w_c = read_kitti(folder / "poses0.txt")
-    images = read(pictures(folder, 0))
+    images = [read_picture(file) for file in pictures(folder, 0)]
     same, allowed = same_place(T_w_c, MIN_GAP), earlier(len(T_w_c), MIN_GAP)
     returns = same.any(1)
     if not returns.any():
-        raise EvaluationError(f"{folder}: nothing on it comes back")
+        raise EvaluationError(f"{folder}: no place is visited twice")
     found = {}
     for name, descriptor in descriptors.items():
         vectors = np.stack([descriptor.describe(image) for image in images])
@@ -76,15 +63,15 @@ def measured(folder: Path, descriptors: dict[str, PlaceDescriptor]) -> dict[str,
 
 
 def promises(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[Check, ...]:
-    """Ours finds more returns than RIVAL, paired over drives' stretches; found: by drive and name.
+    """Ours finds more returns than RIVAL, paired over stretches; found: by drive and name.
 
-    Nothing where ours took no part.
+    Empty without ours.
     """
     recall: dict[str, dict[tuple[str, int], float | None]] = {OURS: {}, RIVAL: {}}
     for drive, by_name in found.items():
         for name in recall.keys() & by_name.keys():
             for k, stretch in enumerate(np.array_split(by_name[name], STRETCHES)):
-                # half a return away from none and all, so that ratios exist
+                # kept half a return away from 0 and 1 so that ratios exist
                 recall[name][drive, k] = float((stretch.sum() + 0.5) / (len(stretch) + 1))
     if not recall[OURS]:
         return ()
@@ -94,10 +81,7 @@ def promises(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[Chec
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
-    parser.add_argument("--ours", metavar="MODULE:FACTORY", help="the learned descriptor")
-    parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
-    parser.add_argument("--only", action="append", metavar="DRIVE")
-    parser.add_argument("--out", type=Path, default=OUT)
+    add_arguments(parser, "descriptor")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -105,25 +89,20 @@ def run(options: argparse.Namespace) -> int:
     rows: list[tuple[Any, ...]] = []
     found: dict[str, dict[str, NDArray[np.bool_]]] = {}
     notes = [f"the best candidate, accepted where {100 * PRECISION:g} % of all accepted are right"]
-    teacher = TEACHER(options.out)
-    if isinstance(teacher, str):
-        raise EvaluationError(teacher)
-    files = pictures(teacher, 0)
-    taught = SiftVlad(read(files[:: max(1, len(files) // TAUGHT_BY)]))
-    makers: dict[str, PlaceDescriptor] = {RIVAL: taught, "gradients": GradientLayout()}
+    training = TRAINING(options.out)
+    if isinstance(training, str):
+        raise EvaluationError(training)
+    files = pictures(training, 0)
+    some = files[:: max(1, len(files) // TRAINING_PICTURES)]
+    vlad = SiftVlad([read_picture(file) for file in some])
+    makers: dict[str, PlaceDescriptor] = {RIVAL: vlad, "gradients": GradientLayout()}
     ours, missing = contestant(options.ours, "describe")
     if ours is not None:
         makers = {OURS: ours, **makers}
     else:
         notes.append(missing)
-    for name, prepare in (UNSEEN if options.held_out else DEVELOPMENT).items():
-        if options.only and name not in options.only:
-            continue
-        print(f"{name} ...", file=sys.stderr, flush=True)
-        folder = prepare(options.out)
-        if isinstance(folder, str):
-            notes.append(f"{name} skipped: {folder}")
-            continue
+    drives = UNSEEN if options.held_out else DEVELOPMENT
+    for name, folder in prepared(drives, options.only, options.out, notes):
         again = found[name] = measured(folder, makers)
         recalls = (100 * float(again[label].mean()) for label in makers)
         rows.append((name, len(again[RIVAL]), *recalls))

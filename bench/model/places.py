@@ -1,4 +1,7 @@
-"""Whether a picture's place is found again: recall at a precision, on drives of two laps."""
+"""Place recognition metrics and a SIFT-VLAD descriptor.
+
+VLAD: Jegou et al., "Aggregating local descriptors into a compact image representation", 2010.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,14 @@ from numpy.typing import NDArray
 from calm_edge.geometry import sift
 from calm_edge.types import Bytes, Float, Float32
 
-# The same place: so near, and looking the same way.
+# Two pictures show the same place within this distance and angle between optical axes.
 NEAR_M, TURN_DEG = 10.0, 30.0
 PRECISION = 0.99
 WORDS, FEATURES = 64, 500
 
 
 def same_place(T_w_c: Float, min_gap: int) -> NDArray[np.bool_]:
-    """(N, N): whether picture i (row) shows the place of an earlier j, at least min_gap before."""
+    """Mask (N, N): picture i (row) shows the place of picture j, at least min_gap earlier."""
     centre, ahead = T_w_c[:, :3, 3], T_w_c[:, :3, 2]
     near = np.linalg.norm(centre[:, None] - centre[None], axis=2) <= NEAR_M
     alike = ahead @ ahead.T >= np.cos(np.radians(TURN_DEG))
@@ -24,30 +27,18 @@ def same_place(T_w_c: Float, min_gap: int) -> NDArray[np.bool_]:
 
 
 def earlier(count: int, min_gap: int) -> NDArray[np.bool_]:
-    """(N, N): whether j (column) was taken at least min_gap pictures before i (row)."""
+    """Mask (N, N): picture j (column) is at least min_gap pictures before i (row)."""
     step = np.arange(count)
     return np.asarray(step[:, None] - step[None] >= min_gap)
-
-
-def recall_at_one(
-    likeness: Float, same: NDArray[np.bool_], allowed: NDArray[np.bool_], precision: float
-) -> float:
-    """Share of the pictures that come back somewhere whose best candidate is right and accepted.
-
-    As in found_again; 0 where none comes back.
-    """
-    returns = int(same[allowed.any(1)].any(1).sum())
-    found = int(found_again(likeness, same, allowed, precision).sum())
-    return found / returns if returns else 0.0
 
 
 def found_again(
     likeness: Float, same: NDArray[np.bool_], allowed: NDArray[np.bool_], precision: float
 ) -> NDArray[np.bool_]:
-    """(N,) whether a picture's best candidate is right and accepted.
+    """Mask (N,): the best candidate of a picture is correct and accepted.
 
-    likeness, same, allowed: (N, N), rows are queries. Accepted is what is at least as alike as a
-    threshold, chosen so that of all accepted ones, returns or not, `precision` are right.
+    likeness, same, allowed: (N, N), rows are queries. Candidates above a threshold are accepted;
+    it is the lowest at which a share `precision` of all accepted ones is correct.
     """
     ask = allowed.any(1)
     best = np.where(allowed, likeness, -np.inf).argmax(1)
@@ -56,7 +47,7 @@ def found_again(
     order = np.argsort(-value, kind="stable")
     correct = np.cumsum(right[order])
     count = np.arange(1, len(rows) + 1)
-    # ties are accepted together
+    # equal values are accepted together
     last = np.append(np.diff(value[order]) != 0, True)
     good = last & (correct >= precision * count)
     found = np.zeros(len(likeness), bool)
@@ -67,7 +58,7 @@ def found_again(
 
 
 class SiftVlad:
-    """Vectors of locally aggregated SIFT descriptors, with words learnt from other pictures."""
+    """Vector of locally aggregated SIFT descriptors; words are clustered from other pictures."""
 
     worth_a_look = 0.0
 
@@ -81,11 +72,11 @@ class SiftVlad:
         self.words = np.asarray(centres, np.float32)
 
     def describe(self, image: Bytes) -> Float32:
-        """(H, W, 3) BGR -> (words * 128,) of unit length; each word's part counts alike."""
+        """(H, W, 3) BGR -> (words * 128,), unit length, normalised by word before."""
         vector = _vectors(image)
         total: NDArray[np.float32] = np.zeros_like(self.words)
         if len(vector):
-            # the nearest word: |x - c|^2 less what all words share
+            # nearest word: |x - c|^2 without the term |x|^2
             nearest = ((self.words**2).sum(1) - 2 * vector @ self.words.T).argmin(1)
             np.add.at(total, nearest, vector - self.words[nearest])
         total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-9)

@@ -1,4 +1,4 @@
-"""What is measured: anything that matches two pictures, or makes depth of posed ones."""
+"""Protocols of the methods compared: matchers and depth makers."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from calm_edge.types import Bytes, Float, Float32, Int
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Where N query points are in the other picture.
+    """Positions of N query points in the other picture.
 
-    uv_b: (N, 2) px, anything where not found. found: (N,) what the matcher stands for.
-    sigma_px: (N,) one sigma of each image axis, NaN where it claims none.
+    uv_b: (N, 2) px, undefined where not found. found: (N,). sigma_px: (N,) one sigma per image
+    axis, NaN where the matcher gives none.
     """
 
     uv_b: Float
@@ -26,15 +26,15 @@ class Matches:
 
 
 class Matcher(Protocol):
-    """Finds given points of one picture in another; the same input gives the same answer."""
+    """Finds given points of one picture in another; deterministic."""
 
     def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
-        """Pictures (H, W, 3) BGR, which may differ in size; query_uv (N, 2) px of a."""
+        """Match query_uv (N, 2) px of a. Pictures (H, W, 3) BGR may differ in size."""
         ...
 
 
 class DepthMaker(Protocol):
-    """Makes the depth of one of several posed pictures."""
+    """Computes the depth of one of several posed pictures."""
 
     def depth(
         self, images: Sequence[Bytes], K: Float, T_w_c: Float, eyes: Int, reference: int
@@ -42,7 +42,7 @@ class DepthMaker(Protocol):
         """z-depth (h, w), 0 unknown, in the poses' unit, and confidence (h, w), larger is better.
 
         images: N of (H, W, 3) BGR, of one eye in order of time, then of the other. K: (N, 3, 3) px.
-        T_w_c: (N, 4, 4). eyes: (N,). reference: whose depth. h, w may be smaller than the
-        picture; pixel centres scale as cv2.resize does.
+        T_w_c: (N, 4, 4). eyes: (N,). reference: index of the picture. h, w may be smaller than
+        the picture; pixel centres scale as in cv2.resize.
         """
         ...

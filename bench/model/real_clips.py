@@ -7,22 +7,20 @@ the other picture does not show cannot be excluded.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
-from bench.drives import DATA, pictures
+from bench.drives import DATA, pictures, read_picture, there
 from bench.model.correspondences import MIN_QUERIES, QUERIES, candidates
-from bench.model.match_table import OURS, ratio_check
+from bench.model.match_table import ratio_check
 from bench.model.matchers import BASELINES
-from bench.model.ours import contestant
+from bench.model.ours import OURS, contestant
 from bench.model.protocols import Matcher, Matches
-from bench.model.scenes import GAPS, keyframes, places
+from bench.model.scenes import GAPS, keyframes, places, prepared
 from bench.paired import compare
 from bench.tables import OUT, Check, Table, publish
 from calm_edge.evaluation.errors import EvaluationError
@@ -37,14 +35,14 @@ THRESHOLDS_PX = (1.0, 3.0)
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """A rectified stereo clip. posed: its poses are the camera's, exact enough for a pixel."""
+    """A rectified stereo clip. posed: its poses are accurate to a pixel."""
 
     name: str
     spacing_m: float
     posed: bool
 
 
-# Karlsruhe's poses are an INS's, its mounting pitch of six degrees left in: no truth of rotations.
+# The poses of karlsruhe_town are those of an INS mounted at six degrees of pitch.
 CLIPS = (
     Clip("kitti06_straight", 0.5372, posed=True),
     Clip("karlsruhe_town", 0.5712, posed=False),
@@ -54,7 +52,7 @@ CLIPS = (
 
 @dataclass(frozen=True, slots=True)
 class RealPair:
-    """Pictures a and b (H, W, 3) BGR and their true F (3, 3), `x_b^T F x_a = 0`."""
+    """Pictures a and b (H, W, 3) BGR with their true F (3, 3), `x_b^T F x_a = 0`."""
 
     case: str
     clip: str
@@ -66,7 +64,11 @@ class RealPair:
 
 @dataclass(frozen=True, slots=True)
 class LineScore:
-    """One matcher on one pair. within: found and so near to the line. error_px: their median."""
+    """Result of a matcher on one pair.
+
+    within: numbers found within each of THRESHOLDS_PX of the line. error_px: median distance of
+    those within the last.
+    """
 
     matcher: str
     clip: str
@@ -78,12 +80,12 @@ class LineScore:
     error_px: float
 
     def share(self, threshold: int = 0) -> float:
-        """Share of the queries within the threshold, kept off 0 and 1 so that ratios exist."""
+        """Share of the queries within a threshold, kept away from 0 and 1 so that ratios exist."""
         return (self.within[threshold] + 0.5) / (self.queries + 1)
 
 
 def line_distances(F: Float, uv_a: Float, uv_b: Float) -> Float:
-    """Distances (N,) px of matches (N, 2) to their lines, the larger one of both pictures."""
+    """Distances (N,) px of matches (N, 2) from epipolar lines, the larger of both pictures."""
     x_a, x_b = epipolar.homogeneous(uv_a), epipolar.homogeneous(uv_b)
     lines_b, lines_a = x_a @ F.T, x_b @ F
     value = np.abs((x_b * lines_b).sum(1))
@@ -92,7 +94,7 @@ def line_distances(F: Float, uv_a: Float, uv_b: Float) -> Float:
 
 
 def pairs(clip: Clip, folder: Path) -> Iterator[RealPair]:
-    """Across the eyes, and between keyframes where poses are known; raises CalmEdgeError."""
+    """Yield pairs of both eyes, and of keyframes if the clip is posed; raises CalmEdgeError."""
     truth, sequence = read_truth(folder), SequenceFolder(folder)
     if truth.K is None:
         raise EvaluationError(f"{folder}: no calib.txt")
@@ -101,17 +103,17 @@ def pairs(clip: Clip, folder: Path) -> Iterator[RealPair]:
     F_eyes = epipolar.from_motion(truth.K[0], truth.K[1], se3.inverse(T_p_a))
     files = [pictures(folder, eye) for eye in (0, 1)]
     for place, frame in enumerate(places(min(map(len, files)), PLACES)):
-        a, b = (_read(files[eye][frame]) for eye in (0, 1))
+        a, b = (read_picture(files[eye][frame]) for eye in (0, 1))
         yield RealPair("eyes", clip.name, place, a, b, F_eyes)
         chosen = keyframes(sequence, files[0], frame) if clip.posed else []
         for gap in (g for g in GAPS if g < len(chosen)):
             T_b_a = se3.inverse(truth.T_w_c[chosen[gap]]) @ truth.T_w_c[frame]
             F = epipolar.from_motion(truth.K[0], truth.K[0], T_b_a)
-            yield RealPair(f"{gap} on", clip.name, place, a, _read(files[0][chosen[gap]]), F)
+            yield RealPair(f"{gap} on", clip.name, place, a, read_picture(files[0][chosen[gap]]), F)
 
 
 def measure_pair(pair: RealPair, matchers: Mapping[str, Matcher]) -> list[LineScore]:
-    """Every matcher at the same query points, half SIFT keypoints and half corners."""
+    """Scores of all matchers at the same query points, half SIFT keypoints and half corners."""
     uv = np.concatenate([points[:QUERIES] for points in candidates(pair.a, pair.place)])
     if len(uv) < MIN_QUERIES:
         return []
@@ -124,7 +126,7 @@ def measure_pair(pair: RealPair, matchers: Mapping[str, Matcher]) -> list[LineSc
 
 
 def judge(matches: Matches, uv: Float, F: Float) -> tuple[int, tuple[int, ...], float]:
-    """found, within and error_px of LineScore for queries uv (N, 2) px."""
+    """Compute found, within and error_px of LineScore for queries uv (N, 2) px."""
     ok = matches.found
     off = line_distances(F, uv[ok], matches.uv_b[ok])
     near = off[off <= THRESHOLDS_PX[-1]]
@@ -139,7 +141,7 @@ COLUMNS = (
 
 
 def rows(scores: Sequence[LineScore]) -> list[tuple[Any, ...]]:
-    """A clip, a case and a matcher: shares of all pairs' queries, in percent."""
+    """One row per clip, case and matcher: shares over the queries of all pairs, percent."""
     out: list[tuple[Any, ...]] = []
     for clip, case, name in dict.fromkeys((s.clip, s.case, s.matcher) for s in scores):
         own = [s for s in scores if (s.clip, s.case, s.matcher) == (clip, case, name)]
@@ -155,7 +157,7 @@ def rows(scores: Sequence[LineScore]) -> list[tuple[Any, ...]]:
 
 
 def promises(scores: Sequence[LineScore], others: Sequence[str]) -> tuple[Check, ...]:
-    """Ours finds more within either threshold than every other, on every case, over the clips."""
+    """Ours finds more than each other matcher, in all cases and within both thresholds."""
     checks = []
     for case in dict.fromkeys(score.case for score in scores):
         for other in others:
@@ -175,7 +177,7 @@ def promises(scores: Sequence[LineScore], others: Sequence[str]) -> tuple[Check,
 
 
 def table(scores: Sequence[LineScore], notes: Sequence[str]) -> Table:
-    """Shares of every clip and case, and the promises where ours took part."""
+    """Shares by clip and case, and the promises where ours is measured."""
     names = list(dict.fromkeys(score.matcher for score in scores))
     return Table(
         "53_model_real_clips",
@@ -185,21 +187,14 @@ def table(scores: Sequence[LineScore], notes: Sequence[str]) -> Table:
         tuple(rows(scores)),
         promises(scores, [n for n in names if n != OURS]) if OURS in names else (),
         (
-            "shares of all query points, seen in the other picture or not; the distance is the "
-            "larger one of both pictures; error px: median of those within 3 px",
-            "across the eyes the clips are rectified; between keyframes only where the poses are "
-            "the camera's own, and then their error of rotation counts against everyone",
-            "a case of one clip has its interval from that clip's places alone",
+            "shares of all query points, visible in the other picture or not; distance: the larger "
+            "of both pictures; error px: median of those within 3 px",
+            "between keyframes only on clips with camera poses, whose rotation errors affect all "
+            "matchers alike",
+            "the interval of a case with one clip is over the places of that clip alone",
             *notes,
         ),
     )
-
-
-def _read(file: Path) -> Bytes:
-    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    if image is None:
-        raise EvaluationError(f"{file}: not a readable image")
-    return np.asarray(image, np.uint8)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -218,14 +213,9 @@ def run(options: argparse.Namespace) -> int:
     if ours is not None:
         matchers = {OURS: ours, **matchers}
     notes = [missing] if missing else []
-    for clip in CLIPS:
-        folder = options.data / clip.name
-        if options.only and clip.name not in options.only:
-            continue
-        if not (folder / "cam1").is_dir():
-            notes.append(f"{clip.name} skipped: {folder} is not here")
-            continue
-        print(f"{clip.name} ...", file=sys.stderr, flush=True)
-        for pair in pairs(clip, folder):
+    clips = {clip.name: clip for clip in CLIPS}
+    drives = {name: there(options.data / name) for name in clips}
+    for name, folder in prepared(drives, options.only, options.out, notes):
+        for pair in pairs(clips[name], folder):
             scores += measure_pair(pair, matchers)
     return publish(table(scores, notes), options.out)

@@ -1,33 +1,33 @@
-"""The pictures that are matched: pairs out of rendered drives, and what is true of them."""
+"""Picture pairs from rendered drives with their ground truth."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from bench.drives import HELD_OUT, Prepare, pictures, simulated
+from bench.drives import HELD_OUT, Prepare, pictures, read_picture, simulated
 from bench.model.simulator import DriveWorld, true_intrinsics
 from bench.model.truth import PosedDepth
 from calm_edge.config import FrontendConfig
-from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import Bytes
 from device.frame import Eye, Frame
 
 GAPS = (1, 3, 8)
-# Places along a drive, and how many frames are looked through for GAPS' keyframes.
+# Places along a drive, and frames searched for the keyframes of GAPS.
 PLACES, HARD_PLACES = 5, 6
 SEARCHED = 60
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A drive to match on. hard: only across the eyes, which differ by more than usual."""
+    """A drive to match on. hard: only between the eyes, which differ strongly in focal and roll."""
 
     name: str
     prepare: Prepare
@@ -36,7 +36,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One picture of a pair: (H, W, 3) BGR, whose seed tells it from others, and its truth."""
+    """One picture of a pair (H, W, 3) BGR, its truth, and a seed unique to the picture."""
 
     image: Bytes
     truth: PosedDepth
@@ -45,7 +45,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """a is where queries are, b where they are looked for. place: counts along the drive."""
+    """Query points are in a and searched for in b. place: index along the drive."""
 
     case: str
     scene: str
@@ -91,8 +91,23 @@ HARD = (*_hard("street-1", 800), *_hard("e-track-2", 800))
 HARD_UNSEEN = (*_hard("forza", 800), *_hard("e-track-6", 800))
 
 
+def prepared(
+    drives: Mapping[str, Prepare], only: Sequence[str] | None, out: Path, skipped: list[str]
+) -> Iterator[tuple[str, Path]]:
+    """Names and folders of drives, all or those in `only`; why one is absent goes to `skipped`."""
+    for name, prepare in drives.items():
+        if only and name not in only:
+            continue
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        folder = prepare(out)
+        if isinstance(folder, str):
+            skipped.append(f"{name} skipped: {folder}")
+        else:
+            yield name, folder
+
+
 class Pictures:
-    """The pictures of a rendered drive with their truth; raises EvaluationError where it cannot."""
+    """Pictures of a rendered drive with their ground truth; raises EvaluationError."""
 
     def __init__(self, folder: Path) -> None:
         self.sequence = SequenceFolder(folder)
@@ -102,21 +117,21 @@ class Pictures:
 
     def side(self, eye: int, frame: int) -> Side:
         """The picture of an eye and its truth."""
-        image = cv2.imread(str(self._files[eye][frame]), cv2.IMREAD_COLOR)
-        if image is None:
-            raise EvaluationError(f"{self._files[eye][frame]}: not a readable image")
+        image = read_picture(self._files[eye][frame])
         z = self._world.z_depth(eye, frame)
         truth = PosedDepth(self._K[eye], self._world.T_w_c[eye][frame], z)
-        return Side(np.asarray(image, np.uint8), truth, 2 * frame + eye)
+        return Side(image, truth, 2 * frame + eye)
 
     def keyframes(self, start: int) -> list[int]:
-        """Frames the front end would take as keyframes from `start` on, it being one."""
+        """Frames that the front end selects as keyframes from `start` on, which is the first."""
         return keyframes(self.sequence, self._files[0], start)
 
 
 def keyframes(sequence: SequenceFolder, files: Sequence[Path], start: int) -> list[int]:
-    """Up to max(GAPS) + 1 frames of the primary that the front end would take as keyframes from
-    `start` on, it being one. files: the primary's pictures."""
+    """Up to max(GAPS) + 1 primary frames that the front end selects as keyframes.
+
+    The first is `start`. files: pictures of the primary.
+    """
     selector = KeyframeSelector(FrontendConfig())
     t_ns, chosen = sequence.t_ns(Eye.PRIMARY), []
     for k in range(start, min(start + SEARCHED, len(t_ns))):
@@ -130,12 +145,12 @@ def keyframes(sequence: SequenceFolder, files: Sequence[Path], start: int) -> li
 
 
 def places(frames: int, count: int) -> list[int]:
-    """`count` frames spread over a drive of so many, away from its ends."""
+    """Indices of `count` frames spread over a drive of `frames`, away from its ends."""
     return [int(k) for k in np.linspace(0.12, 0.85, count) * frames]
 
 
 def pairs(scene: Scene, folder: Path) -> Iterator[Pair]:
-    """Its pairs, one place after the other; raises EvaluationError."""
+    """Yield the pairs of a drive, place by place; raises EvaluationError."""
     drive = Pictures(folder)
     n = min(drive.sequence.count(eye) for eye in Eye)
     for place, frame in enumerate(places(n, HARD_PLACES if scene.hard else PLACES)):

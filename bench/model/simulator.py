@@ -1,7 +1,7 @@
-"""Exact depth of a rendered drive's pictures: its world, rendered again from its own poses.
+"""Exact depth of rendered drives, rendered again from their poses.
 
-`drive_sim.py` writes pictures and poses but no depth. `rig.json` says what was rendered, seed
-included, so the same code finds the world and where the first picture stood in it.
+`drive_sim.py` writes pictures and poses but no depth. `rig.json` holds its options and seed, from
+which the world and the pose of the first picture in it are built again.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from calm_edge.types import Float, Float32
 from device.frame import Eye
 
 CACHE = "depth"
-# Metres between the path's samples, as the simulator draws it.
+# Step of the path's samples in the simulator.
 STEP_M = 0.5
-# A mesh that loops is driven again where its ends are nearer than this, m.
+# A path whose ends are within this distance is a circuit.
 CLOSED_M = 150.0
 SAME_M = 1e-3
 
 
 def true_intrinsics(folder: Path) -> Float:
-    """(2, 3, 3) px of a rendered drive, an eye, pixel centres on whole numbers.
+    """K (2, 3, 3) px of a rendered drive, one per eye, with pixel centres at integers.
 
-    The simulator's principal point is half the picture counted from its corner, which is half a
-    pixel further right and down than from the first pixel's centre.
+    The simulator counts the principal point from the picture's corner, half a pixel before the
+    centre of the first pixel.
     """
     rows = np.loadtxt(folder / "calib.txt", ndmin=2)
     return np.stack([pinhole.matrix(fx, fy, cx - 0.5, cy - 0.5) for fx, fy, cx, cy in rows[:, :4]])
 
 
 class DriveWorld:
-    """The world of one rendered drive; owns the renderer, made when first needed.
+    """World of one rendered drive; owns the renderer, created at first use.
 
-    Depth is kept beside the drive, in `depth/`, so that it is rendered once.
+    Depth is kept in `depth/` beside the drive.
     """
 
     def __init__(self, folder: Path, simulator: Path = SIMULATOR) -> None:
@@ -52,7 +52,7 @@ class DriveWorld:
         self._made: tuple[Any, Float, SimpleNamespace] | None = None
 
     def z_depth(self, eye: int, frame: int) -> Float32:
-        """(H, W) m at the pixel centres, 0 where there is sky; raises EvaluationError."""
+        """z-depth (H, W) m at the pixel centres, 0 for sky; raises EvaluationError."""
         kept = self.folder / CACHE / f"cam{eye}" / f"{frame:06d}.npy"
         if kept.is_file():
             return np.asarray(np.load(kept), np.float32)
@@ -82,7 +82,7 @@ class DriveWorld:
             mesh = next(root.glob(f"tracks/*/{rig.track}/{rig.track}.acc"))
             triangles, road = tool.triangles(tool.load_acc(mesh))
             textures = [str(mesh.parent), *(str(root / "data" / d) for d in ("textures", "img"))]
-            # one sample a pixel: they fall on the pixel centres
+            # one sample per pixel, at its centre
             renderer = tool.Renderer(triangles, textures, rig.width, rig.height, 1)
         except Exception as error:  # whatever a graphics driver raises
             raise EvaluationError(f"{self.folder}: no depth ({error})") from None
@@ -96,7 +96,9 @@ class DriveWorld:
         T_mesh_w = T_mesh_c[0]
         apart = (T_mesh_w @ self.T_w_c[0])[:, :3, 3] - T_mesh_c[:, :3, 3]
         if np.abs(apart).max() > SAME_M:
-            raise EvaluationError(f"{self.folder}: not what {self._simulator.name} drives today")
+            raise EvaluationError(
+                f"{self.folder}: not made by this {self._simulator.name}; remove it"
+            )
         return renderer, np.asarray(T_mesh_w, np.float64), rig
 
 
@@ -105,14 +107,14 @@ def _rig(folder: Path) -> SimpleNamespace:
         return SimpleNamespace(**json.loads((folder / "rig.json").read_text()))
     except (OSError, ValueError, TypeError) as error:
         raise EvaluationError(
-            f"{folder}: rig.json does not say how it was rendered ({error})"
+            f"{folder / 'rig.json'}: no options of the simulator ({error})"
         ) from None
 
 
 def _module(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise EvaluationError(f"{path} is not here: no depth of rendered drives")
+        raise EvaluationError(f"{path} is not here; depth of rendered drives needs it")
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)

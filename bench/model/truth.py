@@ -1,4 +1,4 @@
-"""Where a pixel truly is in another picture, from depth and poses; arrays in, arrays out."""
+"""True correspondences between pictures, from depth and poses."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from calm_edge.types import Float, Float32
 
 Bool = NDArray[np.bool_]
 
-# Beside a jump of depth nobody can say which of two surfaces a pixel means. On a plane inverse
-# depth is linear over the picture, so its second difference tells a jump from a slope.
+# At a depth discontinuity the surface of a pixel is ambiguous. Inverse depth of a plane is linear
+# over the picture, so a second difference above this share marks a discontinuity.
 EDGE_SHARE = 0.02
-# The other picture shows the same surface if its own depth there is within this share.
+# A point is visible if the other picture's depth there agrees within this share.
 VISIBLE_SHARE = 0.02
 MARGIN_PX = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class PosedDepth:
-    """K (3, 3) px, T_w_c (4, 4) m and z (H, W) m of one picture, 0 for sky."""
+    """K (3, 3) px, T_w_c (4, 4) m and z-depth (H, W) m of one picture, 0 for sky."""
 
     K: Float
     T_w_c: Float
@@ -30,10 +30,9 @@ class PosedDepth:
 
 
 def transfer(a: PosedDepth, b: PosedDepth, uv: Float) -> tuple[Float, Bool]:
-    """Pixels uv (N, 2) of a in b: (N, 2) px, and which of them are known and seen there (N,).
+    """Positions (N, 2) px in b of pixels uv (N, 2) of a, and whether they are valid (N,).
 
-    Unknown: sky, a jump of depth. Not seen: outside of b or less than MARGIN_PX inside, behind
-    b, or hidden by something else.
+    Invalid: sky, depth discontinuities, points behind b, less than MARGIN_PX inside b, or occluded.
     """
     zeta, safe = _inverse_depth(a.z, uv)
     known = safe & (zeta > 0)
@@ -65,7 +64,7 @@ def _inverse(z: Float32) -> Float:
 
 
 def _inverse_depth(z: Float32, uv: Float) -> tuple[Float, Bool]:
-    """Inverse depth (N,) at pixels (N, 2), and whether one surface covers all four around them."""
+    """Inverse depth (N,) at pixels (N, 2), and whether their four neighbours are one surface."""
     zeta = _inverse(z)
     bend: Float = np.zeros_like(zeta)
     bend[:, 1:-1] = np.abs(zeta[:, :-2] - 2 * zeta[:, 1:-1] + zeta[:, 2:])
@@ -77,7 +76,7 @@ def _inverse_depth(z: Float32, uv: Float) -> tuple[Float, Bool]:
 
 
 def _seen(z: Float32, uv: Float, zeta: Float) -> Bool:
-    """Whether what lies at inverse depth zeta (N,) is what the picture shows at uv (N, 2)."""
+    """Whether points at pixels uv (N, 2) and inverse depth zeta (N,) are not occluded."""
     four, weights = _corners(_inverse(z), uv)
     around = np.concatenate([four, (four * weights).sum(1, keepdims=True)], 1)
     off = np.abs(around - zeta[:, None]).min(1)

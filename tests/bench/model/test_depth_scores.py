@@ -43,7 +43,7 @@ def test_half_the_error_keeps_the_promise_and_the_same_error_does_not():
     kept = {c.what: c.passed for c in depth.table(scored(0.05), (), False).checks}
     assert all(kept.values()) and len(kept) == 3
     same = {c.what: c.passed for c in depth.table(scored(0.1), (), False).checks}
-    assert not same["abs-rel where both know"]
+    assert not same["abs-rel where both have depth"]
 
 
 def test_coverage_counts_and_equal_share_is_of_the_sparsest():
