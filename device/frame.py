@@ -17,7 +17,7 @@ class Eye(IntEnum):
     ASSISTANT = 1
 
 
-# of a picture that comes from its camera as pixels
+# for images that a camera delivers as pixels
 JPEG_QUALITY = 92
 
 _GRAY = {
@@ -32,7 +32,7 @@ class UnreadableImage(ValueError):
 
 
 def jpeg(image: NDArray[np.uint8], quality: int = JPEG_QUALITY) -> bytes:
-    """JPEG bytes of (H, W, 3) BGR or (H, W) gray pixels. quality: 1 to 100."""
+    """Encode (H, W, 3) BGR or (H, W) grey pixels as JPEG. quality: 1 to 100."""
     return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
 
 
@@ -51,7 +51,7 @@ class Frame:
     image: NDArray[np.uint8] | bytes
 
     def encoded(self, quality: int = JPEG_QUALITY) -> Frame:
-        """The frame with its picture as bytes: its camera's own, else a JPEG of its pixels."""
+        """Return the frame with JPEG bytes: as they are, else encoded from its pixels."""
         if isinstance(self.image, bytes):
             return self
         return replace(self, image=jpeg(self.image, quality))

@@ -145,7 +145,10 @@ def open_notifier() -> Notifier:
     try:
         from systemd import daemon, journal
     except ImportError:
-        log.warning("systemd waits for READY=1, but systemd-python is not installed: make setup")
+        log.warning(
+            "systemd waits for READY=1, but systemd-python is not installed: "
+            "pip install systemd-python"
+        )
         return NullNotifier()
     to_journal = journal.send if _stderr_is_the_journal() else None
     return SystemdNotifier(daemon.notify, _watchdog_s(), to_journal)

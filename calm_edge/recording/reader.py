@@ -171,7 +171,10 @@ class Recording:
                 found = index.schemas.get(channel.schema_id)
                 if found is None or found.name != expected:
                     name = found.name if found else "no schema"
-                    raise RecordingError(f"{index.path}: {topic} holds {name}, not {expected}")
+                    raise RecordingError(
+                        f"{index.path}: {topic} holds {name}, not {expected}; "
+                        "open a recording of calm-edge"
+                    )
                 columns = zip(
                     rows.chunk, rows.offset, rows.size, rows.sequence, rows.log_time, strict=True
                 )

@@ -72,7 +72,7 @@ def is_kept(drive: Path) -> bool:
 def set_kept(drive: Path, kept: bool) -> None:
     """Mark a drive to be kept, or remove the mark, synced to disk; raises RecordingError."""
     if not drive.is_dir() or not segment_files(drive):
-        raise RecordingError(f"{drive}: holds no recording (no NNNN.mcap in it)")
+        raise RecordingError(f"{drive}: holds no recording (NNNN.mcap); name another folder")
     try:
         if kept:
             (drive / KEEP_FLAG).touch()

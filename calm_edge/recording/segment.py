@@ -42,7 +42,7 @@ def recording_files(path: Path) -> list[Path]:
     if missing:
         raise RecordingError(f"{path}: no such recording; name a recording folder or MCAP file")
     if not files:
-        raise RecordingError(f"{path}: holds no recording (no NNNN.mcap in it)")
+        raise RecordingError(f"{path}: holds no recording (NNNN.mcap); name another folder")
     return files
 
 

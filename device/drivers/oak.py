@@ -39,7 +39,7 @@ def load() -> Any:
     try:
         import depthai
     except ImportError:
-        raise CameraError("OAK cameras need depthai, which is not installed (make setup)") from None
+        raise CameraError("OAK cameras need depthai: pip install depthai") from None
     return depthai
 
 
