@@ -29,6 +29,7 @@ COMMANDS = {
     "cost.load": ("bench.cost.load", "frame loss and pose age on a busy machine"),
     "cost.mapping": ("bench.cost.mapping", "processor time of anchors and mapping by stage"),
     "cost.search": ("bench.cost.focal_search", "focal errors of the intrinsic search over sigma"),
+    "honesty": ("bench.honesty", "pose errors of the joint graph over their covariances"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }

@@ -7,23 +7,18 @@ applies them in the unit of its first sub-map. Without loops only their ratios m
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import count
 
 import numpy as np
 
 from calm_edge.config import PoseGraphConfig
 from calm_edge.geometry import se3
-from calm_edge.posegraph.marginals import Marginals
-from calm_edge.posegraph.noise import Noise, assumed_noise, measured_noise
 from calm_edge.posegraph.optimiser import Snapshot, Solved
 from calm_edge.posegraph.problem import Edges, Problem, State, joined
 from calm_edge.types import Float, Int, LoopClosure
 
 # Information of a bridge relative to an odometry edge: it is a guess, so 10 times the sigma.
 _BRIDGE_WEIGHT = 0.01
-# Minimum number of recent sub-maps that `relative_covariance` uses.
-_RECENT = 6
 _KEYS = count()
 
 
@@ -146,16 +141,13 @@ class JointGraph:
 
         Raises ValueError without a rig prior or without any edge.
         """
-        return self._problem(self._edges)
-
-    def _problem(self, edges: list[Edges]) -> Problem:
         if self._T_p_a_prior is None:
-            raise ValueError("call set_rig_prior before problem or optimise")
+            raise ValueError("call set_rig_prior before problem")
         config = self._config
         unit = np.repeat([self._spacing, 1.0], 3)
         variance = np.repeat([config.translation_variance, config.rotation_variance], 3)
         return Problem(
-            edges=joined(edges),
+            edges=joined(self._edges),
             T_p_a_prior=self._T_p_a_prior,
             sigma=np.sqrt(variance) * unit,
             sigma_prior=np.sqrt(config.rig_prior_variance) * unit,
@@ -179,44 +171,6 @@ class JointGraph:
         moved = T_w_p[-1] @ se3.inverse(self._T_w_p[n - 1])
         self._T_w_p = [*T_w_p, *(moved @ T for T in self._T_w_p[n:])]
         return True
-
-    def covariances(self, ids: Int) -> Float:
-        """Pose covariances (M, 6, 6) of keyframes `ids` (M,) relative to the first keyframe.
-
-        (translation, rotation) in each camera's own axes, world units and rad. Valid after
-        `optimise`. Time is linear in the graph's length. Raises KeyError for an unknown id.
-        """
-        rows = np.array([self._row[int(keyframe_id)] for keyframe_id in ids])
-        problem = self.problem()
-        return Marginals(problem, self.state(), self._noise(problem)).covariances(rows)
-
-    def relative_covariance(self, keyframe_id: int, origin_id: int) -> Float:
-        """Pose covariance (6, 6) of a keyframe relative to an earlier, recent one.
-
-        Like `covariances`, but only the newest sub-maps that span both keyframes are used, so
-        the time does not grow with the drive; loops to older keyframes are ignored. Raises
-        KeyError for an unknown id.
-        """
-        row, origin = self._row[keyframe_id], self._row[origin_id]
-        recent: list[Edges] = []
-        n_submaps = 0
-        for edges in reversed(self._edges):
-            recent.append(edges)
-            n_submaps += int(edges.submap[0] >= 0)
-            if n_submaps >= _RECENT and edges.i.max() < min(row, origin):
-                break
-        problem = self._problem(recent[::-1])
-        edges = problem.edges
-        first = int(edges.j[edges.submap >= 0].min(initial=min(row, origin)))
-        inside = np.minimum(edges.i, edges.j) >= first
-        local = replace(problem, edges=edges.chosen(inside).shifted(-first))
-        state = State(np.array(self._T_w_p[first:]), self._T_p_a)
-        marginals = Marginals(local, state, self._noise(problem))
-        return np.asarray(marginals.covariances(np.array([row - first]), origin - first)[0])
-
-    @staticmethod
-    def _noise(problem: Problem) -> Noise:
-        return measured_noise(problem) or assumed_noise(problem)
 
 
 def _preceding(n: int, window: int) -> tuple[Int, Int]:

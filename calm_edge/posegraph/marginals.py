@@ -44,12 +44,6 @@ class Marginals:
         """
         return np.stack([self._covariance(self._sensitivity(int(row), origin)) for row in rows])
 
-    def graph_covariances(self, rows: Int) -> Float:
-        """Blocks (M, 6, 6) of the inverse Hessian: covariances if edges were independent with
-        the configured variances.
-        """
-        return np.stack([self._sensitivity(int(row), 0)[row] for row in rows])
-
     def _factorise(self) -> tuple[Any, Float, Float]:
         """Factorise the Hessian [P B; B^T R] of poses (without the first) and T_p_a.
 

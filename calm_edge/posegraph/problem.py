@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -50,10 +50,6 @@ class Edges:
     def chosen(self, which: NDArray[np.bool_]) -> Edges:
         """Subset for which `which` (P,) is true."""
         return Edges(**{name: getattr(self, name)[which] for name in Edges.__slots__})
-
-    def shifted(self, rows: int) -> Edges:
-        """The same edges with `rows` added to the state rows i and j."""
-        return replace(self, i=self.i + rows, j=self.j + rows)
 
 
 def joined(edges: Sequence[Edges]) -> Edges:

@@ -8,8 +8,6 @@ import pytest
 
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
-from calm_edge.posegraph.marginals import Marginals
-from calm_edge.posegraph.noise import assumed_noise, measured_noise
 from calm_edge.posegraph.optimiser import Solved
 from calm_edge.posegraph.optimum import optimum
 from calm_edge.types import LoopClosure
@@ -195,27 +193,6 @@ def test_an_optimum_of_another_graph_is_not_taken():
     other = graph_of(curved(30), noise=0.05)
     assert not graph.apply(Solved(other.snapshot().graph, optimum(other.problem(), other.state())))
     assert np.array_equal(graph.poses(), before)
-
-
-def test_covariances_grow_from_the_first_keyframe():
-    graph = graph_of(curved(80), noise=0.02)
-    optimised(graph)
-    sigma = np.sqrt(np.diagonal(graph.covariances(np.array([0, 20, 79])), axis1=1, axis2=2))
-    assert np.abs(sigma[0]).max() < 1e-9
-    assert (sigma[2] > sigma[1]).all()
-    with pytest.raises(KeyError):
-        graph.covariances(np.array([80]))
-
-
-@pytest.mark.parametrize("ids", [(119, 109), (119, 119), (14, 4)])
-def test_relative_covariance_of_the_newest_submaps_is_that_of_the_whole_graph(ids):
-    graph = graph_of(curved(120)[: 15 if ids[0] < 15 else 120], noise=0.02)
-    optimised(graph)
-    problem = graph.problem()
-    noise = measured_noise(problem) or assumed_noise(problem)
-    whole = Marginals(problem, graph.state(), noise).covariances(np.array(ids[:1]), ids[1])[0]
-    local = graph.relative_covariance(*ids)
-    assert np.linalg.norm(local - whole) <= 0.25 * np.linalg.norm(whole) + 1e-15
 
 
 def test_optimising_needs_a_rig_prior():

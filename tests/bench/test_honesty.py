@@ -1,12 +1,14 @@
 import numpy as np
 import pytest
 
+from bench.__main__ import main
+from bench.honesty import consistent_band, pose_nees, rows
+from bench.tables import kept
 from calm_edge.geometry import se3
 from calm_edge.posegraph.marginals import Marginals
-from calm_edge.posegraph.noise import assumed_noise
+from calm_edge.posegraph.noise import measured_noise
 from tests.drives import circle, curved
 from tests.posegraph.graphs import graph_of, optimised
-from tests.posegraph.nees import consistent_band, pose_nees
 
 
 def test_errors_drawn_from_the_covariance_average_to_their_degrees_of_freedom():
@@ -31,18 +33,30 @@ def test_band_narrows_around_one_as_runs_add_up():
     [(curved(75), 0.01, 0.1), (curved(75), 0.003, 1.0), (circle(75, 12.0), 0.01, 0.05)],
 )
 def test_a_drives_covariances_are_honest_over_twenty_draws(T, noise, turn):
-    rows, after, before = np.array([14, 40, 74]), [], []
+    rows, values = np.array([14, 40, 74]), []
     truth = (se3.inverse(T[0]) @ T)[rows]
     for seed in range(20):
         graph = graph_of(T, noise=noise, turn=turn, rectified=True, seed=seed)
         optimised(graph)
         X = (se3.inverse(graph.poses()[0]) @ graph.poses())[rows]
-        after.append(pose_nees(X, truth, graph.covariances(rows)) / 6)
         problem = graph.problem()
-        raw = Marginals(problem, graph.state(), assumed_noise(problem)).graph_covariances(rows)
-        before.append(pose_nees(X, truth, raw) / 6)
-    assert (np.mean(before, 0) < 0.1).all()
+        marginals = Marginals(problem, graph.state(), measured_noise(problem))
+        values.append(pose_nees(X, truth, marginals.covariances(rows)) / 6)
     low, high = consistent_band(20)
     # the noise itself is measured, on a few dozen pairs: half as wide a band again
-    assert (np.mean(after, 0) > low / 1.5).all()
-    assert (np.mean(after, 0) < high * 1.5).all()
+    assert (np.mean(values, 0) > low / 1.5).all()
+    assert (np.mean(values, 0) < high * 1.5).all()
+
+
+def test_claims_of_a_scripted_drive_are_as_large_as_its_errors():
+    second, hectometre = rows(seeds=3, n_submaps=9)
+    assert (second[:2], hectometre[:2]) == ((10, 33), (100, 3))
+    for _, _, error, claimed, ratio, _ in (second, hectometre):
+        assert 0 < error < 3 * claimed
+        assert 0.6 < ratio < 1.6
+
+
+def test_the_command_keeps_its_table(tmp_path):
+    assert main(["honesty", "--seeds", "1", "--submaps", "4", "--out", str(tmp_path)]) == 0
+    (table,) = kept(tmp_path)
+    assert table.name == "honesty" and [row[0] for row in table.rows] == [10]

@@ -1,0 +1,134 @@
+"""Pose errors of the joint graph over their claimed covariances (NEES), on scripted drives.
+
+Views have errors of known size, and each sub-map a scale of its own. Normalised estimation error
+squared: Bar-Shalom, Li, Kirubarajan, "Estimation with applications to tracking and navigation",
+2001, 5.4. The average over independent runs of a consistent estimate lies in a chi-square band.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from bench.cost import circuit
+from bench.scripted import ScriptedBackbone, ScriptedErrors
+from bench.tables import OUT, Table, publish
+from calm_edge.config import Config, merge
+from calm_edge.estimator.atlas import Atlas
+from calm_edge.estimator.localizer import Localizer
+from calm_edge.geometry import se3
+from calm_edge.posegraph.marginals import Marginals
+from calm_edge.posegraph.noise import assumed_noise, measured_noise
+from calm_edge.posegraph.optimiser import Immediate, Snapshot
+from calm_edge.posegraph.problem import State
+from calm_edge.types import Float
+
+TRANSLATION_SIGMA_M, ROTATION_SIGMA_RAD, SCALE_LOG_SIGMA = 0.01, 0.001, 0.2
+# Keyframes between the two poses of a pair, a metre and 0.1 s each: 1 s and 100 m.
+LAGS = (10, 100)
+COLUMNS = (
+    "keyframes apart",
+    "pairs",
+    "position error rms, m",
+    "claimed sigma, m",
+    "error / sigma rms",
+    "consistent",
+)
+
+
+class _Kept(Immediate):
+    """Keeps the snapshot that it solved."""
+
+    snapshot: Snapshot
+
+    def request(self, snapshot: Snapshot) -> None:
+        self.snapshot = snapshot
+        super().request(snapshot)
+
+
+def pose_nees(T: Float, T_truth: Float, covariance: Float) -> Float:
+    """NEES (M,) of poses (M, 4, 4) with covariances (M, 6, 6) of (translation, rotation).
+
+    Both relative to the same origin, in the same unit; covariances in each pose's own axes.
+    """
+    error = se3.log(se3.inverse(T_truth) @ T)
+    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return np.asarray((error * solved).sum(-1))
+
+
+def consistent_band(n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of the mean of n independent pose NEES over 6, of that confidence.
+
+    Above it the covariances are too small, below it too large.
+    """
+    tail, dof = (1 - confidence) / 2, 6 * n
+    low, high = stats.chi2(dof).ppf([tail, 1 - tail]) / dof
+    return float(low), float(high)
+
+
+def solved(seed: int, n_submaps: int) -> tuple[Float, Float, Marginals]:
+    """Poses (N, 4, 4) of one drive at the optimum, the true ones, and the graph's marginals."""
+    spacing_m = float(np.linalg.norm(circuit.T_P_A[:3, 3]))
+    known = {"scale": {"spacing_m": spacing_m}, "loops": {"enabled": False}}
+    config = merge(Config(), known | {"correction": {"apply": "never"}})
+    scene = circuit.scene(circuit.n_keyframes(n_submaps, config.frontend))
+    errors = ScriptedErrors(
+        scale_log_sigma=SCALE_LOG_SIGMA,
+        rotation_sigma_rad=ROTATION_SIGMA_RAD,
+        translation_sigma=TRANSLATION_SIGMA_M,
+        seed=seed,
+    )
+    localizer = Localizer(config, ScriptedBackbone(scene, errors))
+    for window in circuit.windows(n_submaps, config.frontend):
+        localizer.process(window)
+    localizer.finish()
+    atlas, optimiser = Atlas(config), _Kept()
+    for submap in localizer.submaps:
+        atlas.add(submap)
+    atlas.request_optimum(optimiser)
+    atlas.settle(optimiser)
+    problem = optimiser.snapshot.problem
+    state = State(atlas.trajectory().T_w_c, atlas.T_p_a)
+    noise = measured_noise(problem) or assumed_noise(problem)
+    return state.T_w_p, scene.T_w_p, Marginals(problem, state, noise)
+
+
+def rows(seeds: int, n_submaps: int) -> tuple[tuple[float | str, ...], ...]:
+    """Of `seeds` drives: errors and claims of poses against one some keyframes earlier."""
+    found: dict[int, list[tuple[float, float, float]]] = {lag: [] for lag in LAGS}
+    for seed in range(seeds):
+        T, truth, marginals = solved(seed, n_submaps)
+        for lag in LAGS:
+            # pairs that share no keyframe, but for their ends
+            for origin in range(0, len(T) - lag, lag):
+                of_pair = [se3.inverse(X[origin]) @ X[origin + lag] for X in (T, truth)]
+                covariance = marginals.covariances(np.array([origin + lag]), origin)
+                nees = float(pose_nees(of_pair[0][None], of_pair[1][None], covariance)[0])
+                off = float(((of_pair[0] - of_pair[1])[:3, 3] ** 2).sum())
+                found[lag].append((off, float(np.trace(covariance[0, :3, :3])), nees / 6))
+    table: list[tuple[float | str, ...]] = []
+    for lag, values in found.items():
+        if values:
+            error, claimed, ratio = np.sqrt(np.mean(values, 0)).tolist()
+            low, high = np.sqrt(consistent_band(len(values)))
+            table.append((lag, len(values), error, claimed, ratio, f"{low:.2f} to {high:.2f}"))
+    return tuple(table)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
+    parser.add_argument("--seeds", type=int, default=20, help="drives")
+    parser.add_argument("--submaps", type=int, default=9, help="sub-maps of a drive")
+    parser.add_argument("--out", type=Path, default=OUT)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure, print and keep the table."""
+    title = "Relative poses of the joint graph against their covariances"
+    notes = (f"{options.seeds} drives of {options.submaps} sub-maps",)
+    measured = rows(options.seeds, options.submaps)
+    table = Table("honesty", title, options.command, COLUMNS, measured, (), notes)
+    return publish(table, options.out)
