@@ -25,9 +25,10 @@ from bench.cost.load_pictures import EPOCH_NS, RATE_HZ, SIZE, enlarged, frames
 from bench.tables import OUT, Check, Table, publish
 from calm_edge.config import Config, merge
 from calm_edge.daemon.capture import Capture
+from calm_edge.daemon.hub import Hub
+from calm_edge.daemon.outputs import RecordingOutput
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.source import replayed
-from calm_edge.daemon.switchboard import Switchboard
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import IMAGE_TOPICS
 from calm_edge.recording.writer import RecordingWriter
@@ -67,7 +68,7 @@ class Watch(NullNotifier):
     def __init__(self, kill_at_s: list[float]) -> None:
         self._kill_at_s = kill_at_s
         self._began = (0.0, 0.0)
-        self.desk: Switchboard | None = None
+        self.hub: Hub | None = None
         self.core_share = self.tracker_share = 0.0
 
     def ready(self) -> None:
@@ -75,17 +76,17 @@ class Watch(NullNotifier):
 
     def watchdog(self) -> None:
         due = self._kill_at_s and time.monotonic() - self._began[0] > self._kill_at_s[0]
-        if due and self.desk is not None:
+        if due and self.hub is not None:
             self._kill_at_s.pop(0)
-            os.kill(self.desk.estimator.child.pid, signal.SIGKILL)
+            os.kill(self.hub.estimator.child.pid, signal.SIGKILL)
 
     def stopping(self) -> None:
         wall_s, cpu_s = time.monotonic() - self._began[0], time.process_time() - self._began[1]
         self.core_share = cpu_s / wall_s
-        if self.desk is not None:
-            self.tracker_share = cpu_seconds(self.desk.tracker.child.pid) / wall_s
+        if self.hub is not None:
+            self.tracker_share = cpu_seconds(self.hub.tracker.child.pid) / wall_s
             # the windows that wait are not what is measured
-            self.desk.impatient = True
+            self.hub.impatient = True
 
 
 def granted(priority: int) -> int:
@@ -154,16 +155,15 @@ def replay(
     watch = Watch([share * seconds for share in kills])
     with tempfile.TemporaryDirectory(prefix="calm-edge-load-") as place:
         folder = Path(place) / "recording"
-        desk = Switchboard(
+        hub = Hub(
             config,
             source,
-            lambda: RecordingWriter(folder, config, now_ns=source.clock.now_ns),
-            None,
+            RecordingOutput(lambda: RecordingWriter(folder, config, now_ns=source.clock.now_ns)),
             lockstep=False,
             say=lambda text: print(f"load, {name}: {text}", file=sys.stderr, flush=True),
         )
-        watch.desk = desk
-        result = Capture(desk, watch).run()
+        watch.hub = hub
+        result = Capture(hub, watch).run()
         recording = Recording(folder)
         kept = sum(recording.count(topic) for topic in IMAGE_TOPICS.values())
     load = os.getloadavg()[0]

@@ -1,4 +1,4 @@
-"""`python -m bench cost.pipes`: bytes between the processes of `record`, and their processor time.
+"""Bytes between the processes of `record`, and their processor time.
 
 One lockstep run of a sequence folder through the real command, every pipe of the capture process
 counted by border and kind of message.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import pickle
-import sys
 import tempfile
 import time
 from collections import defaultdict
@@ -28,7 +27,6 @@ from calm_edge.daemon import estimator_link, tracker_link
 from calm_edge.daemon.child import Child
 from calm_edge.daemon.messages import FrameIn
 from calm_edge.recording.reader import Recording
-from calm_edge.types import CalmEdgeError
 from device.frame import Eye
 
 # those that carry pictures
@@ -81,7 +79,7 @@ def counted() -> Iterator[Tally]:
 
     class CountedChild(Child):
         @property
-        def _connection(self) -> CountedPipe:
+        def _connection(self) -> Any:
             return self._counted
 
         @_connection.setter
@@ -103,13 +101,7 @@ def counted() -> Iterator[Tally]:
 
 def picture_bytes(recording: Recording) -> int:
     """Of the distinct frames that some window holds."""
-    held = {
-        key
-        for record in recording.windows()
-        for key in zip(
-            record.eyes.tolist(), record.sequences.tolist(), record.t_ns.tolist(), strict=True
-        )
-    }
+    held = {key for record in recording.windows() for key in record.frame_keys}
     frames = (recording.frame(Eye(eye), sequence, t_ns) for eye, sequence, t_ns in held)
     return sum(len(f.image) for f in frames if isinstance(f.image, bytes))
 
@@ -117,7 +109,7 @@ def picture_bytes(recording: Recording) -> int:
 def table(tally: Tally, pictures: int, command: str) -> Table:
     """A row a border and kind of message, largest first, and one of the sums."""
     kinds = sorted(tally.sent, key=lambda key: (key[:2], -tally.sent[key]))
-    rows = [
+    rows: list[tuple[Any, ...]] = [
         (*key, tally.messages[key], round(tally.sent[key] / MB, 3), None)
         for key in kinds
         if tally.sent[key] > 1e3
@@ -132,37 +124,28 @@ def table(tally: Tally, pictures: int, command: str) -> Table:
         "processor time of whole processes, start included; capture's holds reading and recording",
     )
     columns = ("from", "to", "message", "count", "MB", "CPU s")
-    return Table(
-        "bench_pipes", "Bytes between processes", command, columns, tuple(rows), (), notes
-    )
+    return Table("bench_pipes", "Bytes between processes", command, columns, tuple(rows), (), notes)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run once, print and keep the table."""
-    parser = argparse.ArgumentParser(prog="bench cost.pipes", description=__doc__)
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add its arguments."""
     parser.add_argument("--sequence", type=Path, default=Path("demo") / "drive")
     parser.add_argument("--spacing-m", type=float, default=0.5)
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     parser.add_argument("--out", type=Path, default=OUT)
-    asked = parser.parse_args(argv)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Record once, print and keep the table."""
     with tempfile.TemporaryDirectory(prefix="calm-edge-pipes-") as place:
         folder = Path(place) / "recording"
-        arguments = ["record", "--sequence", str(asked.sequence), "--pace", "lockstep"]
-        arguments += ["--out", str(folder), "--spacing-m", str(asked.spacing_m)]
-        for setting in asked.set:
+        arguments = ["record", "--sequence", str(options.sequence), "--pace", "lockstep"]
+        arguments += ["--out", str(folder), "--spacing-m", str(options.spacing_m)]
+        for setting in options.set:
             arguments += ["--set", setting]
         with counted() as tally:
             code = cli.main(arguments)
         if code:
             return code
-        try:
-            pictures = picture_bytes(Recording(folder))
-        except CalmEdgeError as error:
-            print(error, file=sys.stderr)
-            return 1
-    publish(table(tally, pictures, f"python -m {parser.prog}"), asked.out)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        pictures = picture_bytes(Recording(folder))
+    return publish(table(tally, pictures, options.command), options.out)

@@ -1,1 +1,1 @@
-"""The processes of `record`: capture, tracker, estimator. Capture never runs a solver."""
+"""The processes of `record`: capture, tracker, estimator, and the outputs."""

@@ -1,4 +1,4 @@
-"""The capture process: cameras in, recording and poses out, at a fixed rate, whatever happens.
+"""The capture process: reads the cameras and drives the hub, at a fixed rate and without waiting.
 
 It never imports gtsam and never runs a solver: tracker and estimator are processes of their own.
 """
@@ -12,169 +12,170 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from calm_edge.daemon import finale
-from calm_edge.daemon.monitor import Monitor, SerialLine
+from calm_edge.daemon import finish
+from calm_edge.daemon.camera_notes import CameraNotes
+from calm_edge.daemon.hub import Hub
+from calm_edge.daemon.monitor import Monitor
 from calm_edge.daemon.result import RecordResult
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.types import CalmEdgeError
 from device import realtime
 from device.camera import Camera
 from device.camera_thread import CameraState, CameraThread
 from device.clock import RateKeeper, SystemClock
+from device.errors import DeviceError
 from device.frame import Frame
 from device.service import Notifier
 
-# a pose waits half a tick on its way in and half a tick on its way out
+# On average a pose waits half a tick on its way in and half a tick on its way out.
 TICK_HZ = 100.0
-# a thread that waits for the interpreter gets it after this long; by default 5 ms, half a tick
+# The interpreter's switch interval; its default, 5 ms, is half a tick.
 SWITCH_S = 0.0005
 
 
 class Capture:
     """Owner of one run of `record`."""
 
-    def __init__(
-        self, desk: Switchboard, notifier: Notifier, serial: SerialLine | None = None
-    ) -> None:
-        self._desk, self._notifier = desk, notifier
-        self._source, self._lockstep = desk.source, desk.lockstep
+    def __init__(self, hub: Hub, notifier: Notifier) -> None:
+        self._hub, self._notifier = hub, notifier
+        self._source, self._lockstep = hub.source, hub.lockstep
         self._cameras: tuple[Camera, ...] = ()
         self._stop_requests = 0
-        self._monitor = Monitor(desk, notifier, serial)
+        self._monitor = Monitor(hub.config, notifier, hub.outputs)
 
     def request_stop(self) -> None:
-        """From a signal handler: finish soon; a second time: at once."""
+        """From a signal handler: stop capturing and finish; the second time, do not finish."""
         self._stop_requests += 1
-        self._desk.impatient = self._stop_requests > 1
+        self._hub.impatient = self._stop_requests > 1
 
     def run(self) -> RecordResult:
-        """Until the frames end or a stop is requested; raises CalmEdgeError, after closing."""
+        """Run until the frames end or a stop is requested, then close everything.
+
+        Raises CalmEdgeError, DeviceError.
+        """
+        hub = self._hub
         try:
-            self._desk.start()
+            hub.start()
             self._cameras = self._source.open()
             if self._lockstep:
                 self._run_lockstep()
             else:
                 with prompt():
                     self._run_realtime()
-            self._monitor.stop()
+            self._monitor.stop(self._source.clock.now_ns())
             self._finish()
+        except (CalmEdgeError, DeviceError) as error:
+            hub.result.error = str(error)
+            raise
         finally:
-            self._desk.stop()
-            self._close()
-        return self._desk.result
+            hub.result.camera_drops = sum(c.stats().drops for c in self._cameras)
+            hub.result.clamped_stamps = sum(c.stats().clamped for c in self._cameras)
+            hub.stop()
+        return hub.result
 
     def _run_lockstep(self) -> None:
-        """Every frame is tracked, and every window solved, before the next frame is read."""
+        """Track every frame and solve every window before the next frame is read."""
         for camera in self._cameras:
             camera.start()
-        self._desk.open_recording()
+        self._hub.recording.open()
         self._notifier.ready()
         for frame in merged(self._cameras):
-            self._desk.frame(frame)
-            self._desk.until(self._desk.quiet, math.inf)
+            self._hub.frame(frame)
+            self._hub.until(self._hub.quiet, math.inf)
             if self._stop_requests:
                 break
         for camera in self._cameras:
             camera.stop()
 
     def _run_realtime(self) -> None:
-        priority = self._desk.config.capture.realtime_priority
+        hub, monitor = self._hub, self._monitor
+        priority = hub.config.capture.realtime_priority
         threads = [CameraThread(camera, realtime_priority=priority) for camera in self._cameras]
         for thread in threads:
             thread.start()
-        # the first frames wait in the threads for this
-        self._desk.open_recording()
-        self._monitor.watch(threads)
-        # the watchdog runs from here on, and opening a camera may take longer than it waits
+        # the first frames wait in the threads
+        hub.recording.open()
+        monitor.watch(threads)
+        notes = CameraNotes(
+            self._cameras,
+            lambda settings: hub.outputs.give(lambda output: output.cameras(settings)),
+            hub.say,
+        )
+        notes.look(self._source.clock.now_ns())
+        # starts the watchdog: opening a camera may take longer than its interval
         self._notifier.ready()
         refused = realtime.request(priority)
         if refused:
-            self._desk.say(refused)
-        said: set[str] = set()
+            hub.say(refused)
+        errors: set[str] = set()
         keeper = RateKeeper(SystemClock(), TICK_HZ)
         while not self._stop_requests:
-            # asked before draining: what a finished thread left behind is drained below
+            # before draining: what a finished thread left behind is drained below
             running = [t.state is CameraState.RUNNING for t in threads]
-            with self._monitor.timed("frames"):
+            with monitor.timed("frames"):
                 frames = self._drain(threads)
-            with self._monitor.timed("poses"):
-                poses = self._desk.pump()
+            with monitor.timed("poses"):
+                poses = hub.pump()
             if poses + frames:
                 self._notifier.watchdog()
             for thread in threads:
-                if thread.error is not None and thread.error not in said:
-                    said.add(thread.error)
+                if thread.error is not None and thread.error not in errors:
+                    errors.add(thread.error)
                     if self._source.is_replay:
-                        self._desk.result.error = thread.error
+                        hub.result.error = thread.error
                     else:
-                        self._desk.say(thread.error)
-            self._monitor.look(keeper.lagging, keeper.skipped)
-            if not any(running) or self._desk.result.error:
+                        hub.say(thread.error)
+            if monitor.due():
+                notes.look(self._source.clock.now_ns())
+                shed = monitor.look(hub.take_status(), keeper.lagging, keeper.skipped)
+                hub.leave_out(*shed)
+            if not any(running) or hub.result.error:
                 break
-            self._monitor.lateness.note(keeper.wait())
+            monitor.latency.add(keeper.wait())
         for thread in threads:
             thread.stop()
         self._drain(threads)
-        self._desk.result.overflowed = sum(t.overflow for t in threads)
-        self._desk.result.late_ticks = keeper.skipped
-        self._desk.result.tick = self._monitor.lateness.overall()
+        hub.result.overflowed = sum(t.overflow for t in threads)
+        hub.result.late_ticks = keeper.skipped
+        hub.result.tick = monitor.latency.overall()
 
     def _drain(self, threads: list[CameraThread]) -> int:
-        """Every frame that came since the last time, in order; how many."""
+        """Pass on every frame that has come since the last call, in order; their number."""
         frames = sorted((f for t in threads for f in t.drain()), key=lambda f: (f.t_ns, f.eye))
         for frame in frames:
-            self._desk.frame(frame)
+            self._hub.frame(frame)
         return len(frames)
 
     def _finish(self) -> None:
-        """The last windows, the backlog, the joint optimum."""
-        self._desk.capturing = False
+        """Wait for the last windows, the backlog and the joint optimum."""
+        hub = self._hub
+        hub.capturing = False
         if self._lockstep:
             limit_s = math.inf
         elif self._source.is_replay and not self._stop_requests:
-            limit_s = finale.REPLAY_LIMIT_S
+            limit_s = finish.REPLAY_LIMIT_S
         else:
-            limit_s = finale.LIVE_LIMIT_S
-        # one limit for all of it: whoever stopped us waits only so long before it kills
+            limit_s = finish.LIVE_LIMIT_S
+        # one limit for all of it: a service manager kills what takes longer
         end_s = time.monotonic() + limit_s
-        tracker = self._desk.tracker
-        self._desk.until(lambda: not tracker.in_flight, end_s)
+        tracker, estimator = hub.tracker, hub.estimator
+        hub.until(lambda: not tracker.in_flight, end_s)
         tracker.flush()
-        self._desk.until(lambda: tracker.flushed, end_s)
-        self._desk.until(self._desk.quiet, end_s, "finishing")
-        if self._desk.estimator.given_up or self._desk.estimator.waiting:
+        hub.until(lambda: tracker.flushed, end_s)
+        hub.until(hub.quiet, end_s, "finishing")
+        if estimator.given_up or estimator.waiting:
             return
-        self._desk.estimator.finish()
-        link = self._desk.estimator
-        self._desk.until(lambda: link.finished is not None or link.given_up, end_s, "optimising")
-        if link.finished is not None:
-            self._desk.result.trajectory = link.finished.trajectory
-            for update in finale.final_updates(link.finished, self._desk.kit):
-                self._desk.recording.write_update(update)
-
-    def _close(self) -> None:
-        result, link = self._desk.result, self._desk.estimator
-        result.lost_windows = sorted(link.lost)
-        result.windows_left_to_map = sorted(link.left_to_map)
-        result.unsolved_windows = sorted(link.unsolved)
-        result.estimator_restarts = link.restarts
-        result.tracker_restarts = self._desk.tracker.restarts
-        result.untracked += self._desk.tracker.frames_lost
-        result.camera_drops = sum(c.stats().drops for c in self._cameras)
-        result.clamped_stamps = sum(c.stats().clamped for c in self._cameras)
-        if self._desk.writer is None:
-            return
-        self._desk.writer.write_status(result.summary())
-        health = self._desk.writer.close()
-        result.unrecorded = health.dropped_images + health.dropped_others + health.unwritable
-        if health.error:
-            result.error = result.error or health.error
+        estimator.finish()
+        hub.until(lambda: estimator.finished is not None or estimator.given_up, end_s, "optimising")
+        if estimator.finished is not None:
+            hub.result.trajectory = estimator.finished.trajectory
+            for update in finish.final_updates(estimator.finished, hub.kit):
+                hub.give_update(update)
 
 
 @contextmanager
 def prompt() -> Iterator[None]:
-    """The loop need not wait for the other threads of this process longer than SWITCH_S, nor for
-    a search through all that was there before it for what could be freed: a tenth of a second.
+    """Shorten the capture loop's waits: for the interpreter lock, to SWITCH_S, and for the garbage
+    collector, by exempting all existing objects, whose traversal takes a tenth of a second.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)

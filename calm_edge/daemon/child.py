@@ -1,4 +1,4 @@
-"""A child process and its two threads: a send never blocks, what it says is queued."""
+"""A child process with a thread for each direction of its pipe: sending never blocks."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Target = Callable[..., None]
 class Child:
     """A spawned daemonic process running `target(connection, *arguments)`.
 
-    Its messages are put into `inbox` as (child, message): an answer of a child that has been
-    replaced is told apart by identity.
+    Its messages are put into `inbox` as (child, message), so that those of a process that has been
+    replaced can be discarded.
     """
 
     def __init__(
@@ -52,16 +52,16 @@ class Child:
         return self._process.exitcode
 
     def send(self, message: Any) -> None:
-        """Queues a message; a dead child's messages vanish, its death is seen by `alive`."""
+        """Queue a message. Messages to a dead process are lost; see `alive`."""
         self._outbox.put(message)
 
     def kill(self) -> None:
-        """Ends it at once; it is then no longer `alive`."""
+        """Kill the process and wait until it is gone."""
         self._process.kill()
         self._process.join()
 
     def stop(self, message: Any, timeout_s: float) -> None:
-        """Asks it to end, waits, then ends it."""
+        """Send `message`, which asks it to exit; kill it after timeout_s."""
         self.send(message)
         self._process.join(timeout_s)
         if self._process.is_alive():
@@ -88,18 +88,18 @@ def serve(
     connection: Connection,
     stop: type,
     handle: Callable[[Any], Any],
-    overhear: Callable[[Any], None] = lambda _: None,
+    on_arrival: Callable[[Any], None] = lambda _: None,
 ) -> None:
-    """A child's main loop: answers each message until `stop` comes or the parent is gone.
+    """Main loop of a child: answer each message until one of type `stop` or the end of the parent.
 
-    overhear: gets every message that is there before the first of them is handled.
+    on_arrival: called with each message as it arrives, before earlier ones have been handled.
     """
     arrived: deque[Any] = deque()
     while True:
         try:
             while not arrived or connection.poll():
                 arrived.append(connection.recv())
-                overhear(arrived[-1])
+                on_arrival(arrived[-1])
         except (EOFError, OSError):
             return
         message = arrived.popleft()

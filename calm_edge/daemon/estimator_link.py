@@ -1,4 +1,4 @@
-"""The estimator as capture sees it: a bounded inbox in front of a process that may die."""
+"""Capture's end of the estimator: a bounded queue of windows before a process that may die."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import queue
 import time
 from collections import deque
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from typing import Any
 
 from calm_edge.config import Config
 from calm_edge.daemon.child import Child
-from calm_edge.daemon.estimator_process_entry import run_estimator
 from calm_edge.daemon.messages import (
     Expect,
     Finish,
@@ -23,23 +23,32 @@ from calm_edge.daemon.messages import (
     Refused,
     Stop,
 )
+from calm_edge.daemon.received_frames import kept_frames
 from calm_edge.frontend.remembered import REMEMBERED_NS
+from calm_edge.recording.window_record import FrameKey, frame_key, of_window
 from calm_edge.types import SubmapWindow
 from device.frame import Frame
 
-# A window holds some 5 MB of JPEG. Beyond this they are left to `map`.
+# Each window adds some 4 MB of JPEG to what is held. Further ones are left to `map`.
 INBOX_WINDOWS = 32
 LAGGING_WINDOWS = 2
 MAX_DEATHS_IN_A_ROW = 3
-# the slowest models take a minute or two; a window that takes this long will never end
+# The slowest models take a minute or two for a window.
 HUNG_S = 300.0
-# A sub-map as old as what the tracker remembers cannot be followed to now; the last quarter is for
-# the way to now itself.
+# The tracker cannot localise against a sub-map older than the frames it remembers; a quarter of
+# that time is left for tracking from the sub-map to the newest frame.
 IN_TIME_S = 0.75 * REMEMBERED_NS / 1e9
 
 
+def run_estimator(connection: Connection, config: Config, lockstep: bool) -> None:
+    """Main function of the process; here, so that capture does not import a solver."""
+    from calm_edge.daemon import estimator_process
+
+    estimator_process.run(connection, config, lockstep)
+
+
 class EstimatorLink:
-    """Owner of the estimator's process, its inbox and what was lost with it.
+    """Owner of the estimator process, of the windows waiting for it and of the counts of lost ones.
 
     now_ns: the clock of the frames' stamps.
     """
@@ -59,7 +68,10 @@ class EstimatorLink:
         self._events = events
         self._say = say
         self._inbox: deque[SubmapWindow] = deque()
-        self._in_hand: SubmapWindow | None = None
+        # the id of the window being processed
+        self._in_hand: int | None = None
+        # frames the present process has
+        self._sent: set[FrameKey] = set()
         self._left_out: list[LeftOut] = []
         self._took_s = 0.0
         self._ready = self._expects_pictures = False
@@ -69,9 +81,9 @@ class EstimatorLink:
         self._handed_s = 0.0
         self._died_finishing = False
         self.refusal = ""
-        # while frames come a pose in time counts most; without one, nothing but the next one
+        # for _catch_up: whether frames still come, and whether the live pose is lost
         self.capturing, self.pose_lost = True, False
-        # windows of those left to map that newer ones went before
+        # how many windows were left to map in favour of newer ones
         self.overtaken = 0
         self.lost: list[int] = []
         self.left_to_map: list[int] = []
@@ -86,13 +98,13 @@ class EstimatorLink:
 
     @property
     def given_up(self) -> bool:
-        """It will not be started again."""
+        """It will not be restarted."""
         hopeless = self._deaths_in_a_row >= MAX_DEATHS_IN_A_ROW
         return bool(self.refusal) or hopeless or self._died_finishing
 
     @property
     def waiting(self) -> int:
-        """Windows not yet answered."""
+        """Windows not yet processed."""
         return 0 if self.given_up else len(self._inbox) + (self._in_hand is not None)
 
     @property
@@ -100,7 +112,7 @@ class EstimatorLink:
         return self.given_up or self.waiting > LAGGING_WINDOWS
 
     def offer(self, window: SubmapWindow) -> bool:
-        """Queues a window; False when there is no room: then only `map` will see it."""
+        """Queue a window; False if the queue is full and it is left to `map`."""
         if self.given_up or len(self._inbox) >= INBOX_WINDOWS:
             self.leave(window)
             return False
@@ -109,26 +121,27 @@ class EstimatorLink:
         return True
 
     def expect(self, keyframe: Frame) -> None:
-        """A primary keyframe of a window to come; while windows wait there is no time for it."""
+        """Send a primary keyframe of a later window ahead, unless windows are waiting."""
         wanted = self._ready and self._expects_pictures
         if wanted and not self.given_up and not self._inbox:
+            self._sent.add(frame_key(keyframe))
             self.child.send(Expect(keyframe))
 
     def leave(self, window: SubmapWindow) -> None:
-        """A window that only `map` will see, for the machine has no time for it now."""
+        """Leave a window to `map`."""
         self.left_to_map.append(window.submap_id)
         if not self.given_up:
             stamps = tuple(keyframe.frame.t_ns for keyframe in window.primary)
             self._left_out.append(LeftOut(window.submap_id, stamps))
 
     def make_depth(self, on: bool) -> None:
-        """Depth where the configuration asks for it, or left to `map`."""
+        """Compute the depth that the configuration asks for, or leave it to `map`."""
         if on != self._make_depth:
             self._make_depth = on
             self.child.send(MakeDepth(on))
 
     def pump(self) -> None:
-        """Restarts a dead process, ends a hung one, hands the next window to an idle one."""
+        """Restart a dead process, kill a hung one, hand the next window to an idle one."""
         if self.given_up:
             return
         hung = self._in_hand is not None and time.monotonic() - self._handed_s > HUNG_S
@@ -136,16 +149,14 @@ class EstimatorLink:
             self._say(f"estimator has not answered for {HUNG_S:.0f} s; ended")
             self.child.kill()
         if not self.child.alive:
-            self._bury()
+            self._replace()
         elif self._ready and self._in_hand is None and self._inbox:
             if not self._lockstep:
                 self._catch_up()
-            self._in_hand, self._handed_s = self._inbox.popleft(), time.monotonic()
-            self.child.send(Process(self._in_hand, tuple(self._left_out)))
-            self._left_out.clear()
+            self._hand_over(self._inbox.popleft())
 
     def accept(self, message: Any) -> None:
-        """A message of the present process."""
+        """Handle a message of the current process."""
         match message:
             case Ready():
                 self._ready, self._expects_pictures = True, message.expects_pictures
@@ -162,22 +173,32 @@ class EstimatorLink:
         self.pump()
 
     def finish(self) -> None:
-        """Asks for the joint optimum; then `finished` is set, or it has `given_up`."""
+        """Request the joint optimum; afterwards `finished` is set, or it has `given_up`."""
         self._finishing = True
         self.child.send(Finish())
 
     def stop(self, timeout_s: float = 2.0) -> None:
-        """Ends the process; windows not yet answered are lost to the live run."""
-        self.lost += [w.submap_id for w in (*self._inbox, *filter(None, [self._in_hand]))]
+        """End the process; windows not yet processed are lost."""
+        self.lost += [w.submap_id for w in self._inbox]
+        if self._in_hand is not None:
+            self.lost.append(self._in_hand)
         self._inbox.clear()
         self._in_hand = None
         self.child.stop(Stop(), timeout_s)
 
-    def _catch_up(self) -> None:
-        """All but the newest window are left to `map` where the next would give no pose any more.
+    def _hand_over(self, window: SubmapWindow) -> None:
+        record = of_window(window)
+        frames = [k.frame for k in window.keyframes() if frame_key(k.frame) not in self._sent]
+        self._sent = kept_frames(self._sent.union(record.frame_keys), record)
+        self._in_hand, self._handed_s = window.submap_id, time.monotonic()
+        self.child.send(Process(record, tuple(frames), tuple(self._left_out)))
+        self._left_out.clear()
 
-        One after the other they would all be too late: each is solved while others come. And where
-        the pose is lost it was lost on the way from an earlier window, and would be again.
+    def _catch_up(self) -> None:
+        """Leave all but the newest window to `map` if the next would be too late to give a pose.
+
+        Processed in order they would all be too late, for others arrive meanwhile. A lost pose was
+        lost while tracking from an earlier window, and would be lost again.
         """
         if not self.capturing or len(self._inbox) < 2:
             return
@@ -186,8 +207,8 @@ class EstimatorLink:
             return
         *late, newest = self._inbox
         if not self.overtaken:
-            # once: from here on the status counts them
-            self._say("windows come too late to give a pose: newer ones go first, late ones to map")
+            # only once: the status counts them
+            self._say("windows come too late to give a pose: late ones are left to map")
         self.overtaken += len(late)
         for window in late:
             self.leave(window)
@@ -196,21 +217,23 @@ class EstimatorLink:
     def _spawn(self) -> Child:
         return Child("estimator", run_estimator, (self._config, self._lockstep), self._events)
 
-    def _bury(self) -> None:
+    def _replace(self) -> None:
+        """Account for a dead process, and start the next one unless too many died in a row."""
         self._deaths_in_a_row += 1
         self._ready = False
+        self._sent.clear()
         self._died_finishing = self._finishing
         what = f"estimator died (exit {self.child.exit_code})"
         if self._in_hand is not None:
-            self.lost.append(self._in_hand.submap_id)
-            what += f", window {self._in_hand.submap_id} lost with it"
+            self.lost.append(self._in_hand)
+            what += f", window {self._in_hand} lost with it"
             self._in_hand = None
         if self.given_up:
-            self._say(f"{what}; it is not started again, recording goes on: run map later")
+            self._say(f"{what}; not restarted, recording continues: run map later")
             self.lost += [w.submap_id for w in self._inbox]
             self._inbox.clear()
             return
-        self._say(f"{what}; restarted, recording goes on")
+        self._say(f"{what}; restarted, recording continues")
         self.restarts += 1
         self.child = self._spawn()
         if not self._make_depth:

@@ -32,43 +32,47 @@ from calm_edge.daemon.messages import (
     Refused,
     Stop,
 )
+from calm_edge.daemon.received_frames import ReceivedFrames
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
 from calm_edge.recording.window_record import of_window, window_hints
 from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
 from device.frame import UnreadableImage
 
-# of -1000 (never) to 1000 (first); the capture process has that of its unit, as a rule 0
+# -1000 (never) to 1000 (first), see proc(5); the capture process keeps its unit's, as a rule 0
 OOM_SCORE_ADJ = "500"
-# the network runs beside the solver's small steps: by default each would wait 5 ms for the other
+# The interpreter's switch interval: at its default of 5 ms the network's threads and the solver
+# would wait for each other.
 SWITCH_S = 3e-4
 
 
 class EstimatorWork:
-    """A Localizer fed by messages in order."""
+    """A Localizer driven by messages in order."""
 
     def __init__(self, config: Config, optimiser: Optimiser) -> None:
         self._config = config
         self._make_depth = config.recording.log_depth
         self._backbone = open_backbone(config)
         self._localizer = Localizer(config, self._backbone, optimiser=optimiser)
+        self._received = ReceivedFrames()
 
     @property
     def expects_pictures(self) -> bool:
-        """Whether Expect is of use."""
+        """Whether the backbone makes use of Expect."""
         return isinstance(self._backbone, ExpectsPictures) and self._backbone.expects_pictures
 
     def handle(self, message: Any) -> Any:
         """The answer to one message."""
         if isinstance(message, Process):
-            for window in message.left_out:
-                self._localizer.leave_out(window.submap_id, np.array(window.t_ns, np.int64))
-            return self._process(message.window)
+            for left_out in message.left_out:
+                self._localizer.leave_out(left_out.submap_id, np.array(left_out.t_ns, np.int64))
+            return self._process(self._received.window(message))
         if isinstance(message, Finish):
             trajectory = self._localizer.finish()
             return Finished(self._localizer.submaps, trajectory)
         if isinstance(message, Expect) and isinstance(self._backbone, ExpectsPictures):
-            # a picture that cannot be read is told of with its window
+            self._received.add(message.keyframe)
+            # an unreadable picture is reported with its window
             with suppress(UnreadableImage):
                 self._backbone.expect(message.keyframe.bgr())
         if isinstance(message, MakeDepth):
@@ -81,19 +85,19 @@ class EstimatorWork:
         except CalmEdgeError as error:
             return Processed(window.submap_id, None, str(error))
         except Exception as error:
-            # one window that breaks the solver must not cost the drive; the text is for a developer
+            # a defect of the solver must cost one window only; the trace is for a developer
             traceback.print_exc()
             return Processed(window.submap_id, None, f"{type(error).__name__}: {error}")
         if update is None:
             return Processed(window.submap_id, None, self._localizer.skipped[-1].reason)
         joined = update.loop_keyframe
-        # the batch as it was believed: a window may have gained a loop keyframe or lost it
+        # the batch that was solved: a loop keyframe may have been added or dropped
         window = dataclasses.replace(window, loop_keyframe=joined)
         update = dataclasses.replace(update, loop_keyframe=None)
         if self._make_depth:
             update = self._densified(window, update)
         elif update.prediction.landmarks is not None:
-            # depth that nobody will write need not cross the pipe
+            # depth that is not recorded need not cross the pipe
             light = dataclasses.replace(update.prediction, depth=None, confidence=None)
             update = dataclasses.replace(update, prediction=light)
         record = of_window(window) if joined is not None else None
@@ -108,24 +112,24 @@ class EstimatorWork:
         return dataclasses.replace(update, prediction=prediction, stage_ms=stage_ms)
 
 
-def _offer_itself() -> None:
-    """Where memory runs out the kernel ends this process first: it is started again, while what
-    the capture process has not yet written would be gone. Children inherit it.
+def _prefer_oom_kill() -> None:
+    """Make the kernel kill this process first when memory runs out: it is restarted, while the
+    capture process would lose what it has not written. Children inherit it.
     """
-    # another system has no such file, and some containers do not let it be written
+    # the file is specific to Linux, and read-only in some containers
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(OOM_SCORE_ADJ, encoding="ascii")
 
 
-def run_estimator(connection: Connection, config: Config, lockstep: bool) -> None:
-    """The process's main function; in lockstep every window waits for the joint optimum."""
+def run(connection: Connection, config: Config, lockstep: bool) -> None:
+    """Main function of the process; in lockstep every window waits for the joint optimum."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # a window may wait, a frame and its pose may not
+    # frames and poses come before windows
     os.nice(10)
-    _offer_itself()
-    # what it skips is said by capture, once, and logged into the recording
+    _prefer_oom_kill()
+    # capture reports skipped windows
     logging.basicConfig(level=logging.ERROR)
-    # what the other processes leave of the cores; the sums stay the same, point by point
+    # all cores, at low priority; OpenCV's results do not depend on the number of threads
     cv2.setNumThreads(len(os.sched_getaffinity(0)))
     sys.setswitchinterval(SWITCH_S)
     try:

@@ -1,4 +1,4 @@
-"""What the daemon says of itself every second: a message for programs, a line for people."""
+"""The daemon's status of one second: a message for programs and a line for people."""
 
 from __future__ import annotations
 
@@ -6,24 +6,23 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from calm_edge.daemon.lateness import Lateness
 from calm_edge.daemon.state import Standing
+from calm_edge.daemon.tick_latency import TickLatency
 from calm_edge.recording.health import WriterHealth
 from device.thermal import Thermal
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """One second.
-
-    shed: what is left out, in words. tick: lateness of the capture loop. late_ticks: deadlines
-    passed so far. counts, drops: so far, drops by cause. queues: what waits where. stage_ms: the
-    newest window's stages, and the capture loop's own. pose_age_ms: the oldest pose of this second.
+    """shed: what is left out, in words. tick: latency of the capture loop. late_ticks: deadlines
+    passed since the start. counts, drops: since the start, drops by cause. queues: lengths by name.
+    stage_ms: stages of the newest window and of the capture loop. pose_age_ms: the oldest pose of
+    this second.
     """
 
     standing: Standing
     shed: str
-    tick: Lateness
+    tick: TickLatency
     late_ticks: int
     counts: dict[str, int]
     drops: dict[str, int]
@@ -34,7 +33,7 @@ class Health:
     thermal: Thermal
 
     def message(self) -> dict[str, Any]:
-        """The object on /health."""
+        """The JSON object on /health."""
         return {
             "state": self.standing.state.value,
             "reasons": list(self.standing.reasons),
@@ -59,12 +58,12 @@ class Health:
         }
 
     def line(self) -> str:
-        """One line a person understands."""
+        """The line for people."""
         frames = f"{self.counts['primary_frames']}+{self.counts['assistant_frames']} frames"
         lost = {cause: n for cause, n in self.drops.items() if n}
-        said = ", ".join(f"{n} {cause.replace('_', ' ')}" for cause, n in lost.items())
+        losses = ", ".join(f"{n} {cause.replace('_', ' ')}" for cause, n in lost.items())
         parts = [
-            f"{frames}, {said or 'none lost'}",
+            f"{frames}, {losses or 'none lost'}",
             f"{self.counts['submaps']} of {self.counts['windows']} sub-maps",
         ]
         if self.pose_age_ms is not None:
@@ -76,7 +75,7 @@ class Health:
 
 
 def time_left(writer: WriterHealth) -> str:
-    """`3 h 05 min left` to record at the present rate; empty where the disk does not say."""
+    """`3 h 05 min left` to record at the present rate; empty where that is unknown."""
     left_s = writer.space.left_s
     if writer.error or left_s is None:
         return ""

@@ -1,4 +1,4 @@
-"""What is given up, and in which order, when the machine is hot or behind. Frames never are."""
+"""Load shedding when the computer is hot or behind: what is left out, and in which order."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from enum import IntEnum
 from calm_edge.config import ConfigError, DegradeConfig
 from device.thermal import Thermal
 
-# a step back up must be earned for longer than a step down, or the two would alternate
+# hysteresis: steps of calm before work is resumed, or shedding and resuming would alternate
 CALM_STEPS = 3
 
 
 class Shed(IntEnum):
-    """Each step includes those before it. Capture, recording and the tracker are not on it."""
+    """Steps of the ladder; each includes those before it. Frames are always recorded."""
 
     NOTHING = 0
     DEPTH = 1
@@ -37,8 +37,8 @@ _WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """waiting: windows the estimator has not answered. overtaken: those left to `map` so far, for
-    newer ones were there already.
+    """waiting: windows not yet processed. overtaken: how many were left to `map` so far, newer ones
+    being there.
     """
 
     thermal: Thermal
@@ -47,7 +47,7 @@ class Load:
 
 
 def check(config: DegradeConfig) -> None:
-    """Raises ConfigError for limits that leave no way back."""
+    """Raises ConfigError for limits that would never let work resume."""
     if not config.cool_c < config.hot_c:
         raise ConfigError(
             f"degrade.cool_c = {config.cool_c:g}: must be below degrade.hot_c = {config.hot_c:g}"
@@ -60,12 +60,12 @@ def check(config: DegradeConfig) -> None:
 
 
 class Ladder:
-    """Owner of the present step.
+    """Owner of the current step.
 
-    Down one step each `step_s` in which it was always too hot or too far behind, up one after
-    CALM_STEPS times as long in which it was always cool and caught up; between the two limits it
-    stays. Being behind alone never sheds all windows: a late pose is better than none.
-    depth: False leaves DEPTH out, for depth is not made anyhow.
+    One step further after each `step_s` of being constantly too hot or too far behind, one step
+    back after CALM_STEPS times as long of being constantly cool and caught up; between the two
+    limits it stays. A backlog alone never sheds all windows: a late pose is better than none.
+    depth: False skips DEPTH, where depth is not computed anyway.
     """
 
     def __init__(self, config: DegradeConfig, *, depth: bool) -> None:
@@ -79,11 +79,11 @@ class Ladder:
 
     @property
     def shed(self) -> Shed:
-        """The present step."""
+        """The current step."""
         return self._steps[self._at]
 
     def update(self, now_s: float, load: Load) -> Shed:
-        """The step from now on; `reasons` then says what presses."""
+        """The step from now on; `reasons` then holds what is too hot or behind."""
         if load.overtaken > self._overtaken:
             self._overtaken, self._overtaken_s = load.overtaken, now_s
         hot, behind = self._heat(load.thermal), self._backlog(now_s, load.waiting)
@@ -95,7 +95,7 @@ class Ladder:
             elif now_s - self._pressed_since >= self._config.step_s:
                 self._pressed_since = now_s
                 last = len(self._steps) - (1 if hot else 2)
-                # an earlier heat may have led further than the backlog of now would
+                # heat may have led further before than the backlog would now
                 self._at = max(self._at, min(self._at + 1, last))
         elif self._cool(load.thermal) and load.waiting <= 1:
             self._pressed_since = None
@@ -109,17 +109,17 @@ class Ladder:
         return self.shed
 
     def _heat(self, thermal: Thermal) -> tuple[str, ...]:
-        said = []
+        reasons = []
         if thermal.celsius is not None and thermal.celsius >= self._config.hot_c:
-            said.append(f"{thermal.celsius:.0f} °C")
+            reasons.append(f"{thermal.celsius:.0f} °C")
         if thermal.throttled:
-            said.append("processor throttled")
-        return tuple(said)
+            reasons.append("processor throttled")
+        return tuple(reasons)
 
     def _backlog(self, now_s: float, waiting: int) -> tuple[str, ...]:
         if waiting > self._config.behind_windows:
             return (f"{waiting} windows wait",)
-        # few wait, for others were given up
+        # few wait because others were left to map
         late = now_s - self._overtaken_s < self._config.step_s
         return ("windows come faster than they are solved",) if late else ()
 

@@ -1,17 +1,21 @@
-"""What crosses the pipes between the processes. Frozen, and small but for windows and updates."""
+"""Messages between the processes of `record`, frozen.
+
+Pictures reach the tracker in shared memory (`ring`), the estimator with Expect or Process, once
+each; windows name them by key.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import Float, LocalizerUpdate, PoseSample, Submap, SubmapWindow, Trajectory
+from calm_edge.recording.window_record import FrameKey, WindowRecord
+from calm_edge.types import Float, LocalizerUpdate, PoseSample, Submap, Trajectory
 from device.frame import Eye, Frame
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The child is set up and waits for work. expects_pictures: Expect is of use to it."""
+    """The child is set up and waits for work. expects_pictures: it makes use of Expect."""
 
     expects_pictures: bool = False
 
@@ -25,25 +29,26 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """What a tracker counts on from: the next ids, and the epoch of its poses."""
+    """Where a tracker starts counting: the next ids, and the epoch of its poses."""
 
     keyframe_id: int = 0
     assistant_id: int = 0
     submap_id: int = 0
     epoch: int = 0
 
-    def after_window(self, window: SubmapWindow) -> Counters:
-        """The next ids once a window is out."""
-        keyframes = [self.keyframe_id, *(k.id + 1 for k in window.primary)]
-        assistants = [self.assistant_id, *(k.id + 1 for k in window.assistant)]
-        return Counters(max(keyframes), max(assistants), window.submap_id + 1, self.epoch)
+    def after_window(self, window: WindowRecord) -> Counters:
+        """The next ids after a completed window."""
+        primary, assistant = window.ids[: window.n_primary], window.ids[window.n_primary :]
+        keyframe_id = max(self.keyframe_id, int(primary.max()) + 1)
+        assistant_id = max(self.assistant_id, int(assistant.max(initial=-1)) + 1)
+        return Counters(keyframe_id, assistant_id, window.submap_id + 1, self.epoch)
 
     def after_epoch(self, epoch: int) -> Counters:
-        """A pose of `epoch` is out."""
+        """The counters after a pose of `epoch`."""
         return replace(self, epoch=epoch)
 
     def after_death(self) -> Counters:
-        """The next tracker's poses are in a frame of their own."""
+        """The counters of the next process, whose poses are in a new coordinate frame."""
         return replace(self, epoch=self.epoch + 1)
 
 
@@ -60,36 +65,41 @@ class FrameIn:
 
 @dataclass(frozen=True, slots=True)
 class Posed:
-    """The pose of a primary frame, ahead of all else that the frame leads to."""
+    """The pose of a primary frame; sent before the frame's Tracked."""
 
     sample: PoseSample
 
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """What a frame led to: its slot is free again.
+    """A frame was handled and its slot is free.
 
-    keyframe: the frame itself, where it became one. problem: why it could not be used, or empty.
-    late: it got no pose, for it waited too long.
+    windows: those it completed. released: frames that no later window contains. is_keyframe: it is
+    a primary keyframe. problem: why it could not be used, or empty. late: it waited too long for a
+    pose.
     """
 
     slot: int
-    windows: tuple[SubmapWindow, ...]
-    keyframe: Frame | None = None
+    windows: tuple[WindowRecord, ...]
+    released: tuple[FrameKey, ...]
+    is_keyframe: bool = False
     problem: str = ""
     late: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Attach:
-    """A sub-map for the tracker to follow from now on."""
+    """A sub-map for the tracker to localise against."""
 
     update: LocalizerUpdate
 
 
 @dataclass(frozen=True, slots=True)
 class Attached:
-    """taken: the sub-map's points reach the newest frame. T_map_odom (4, 4): map<-live poses."""
+    """Answer to Attach. taken: the sub-map's points were tracked to the newest frame.
+
+    T_map_odom: (4, 4), the tracker's odometry in the map.
+    """
 
     submap_id: int
     taken: bool
@@ -98,40 +108,40 @@ class Attached:
 
 @dataclass(frozen=True, slots=True)
 class Lagging:
-    """The estimator is behind, or no longer."""
+    """Whether the estimator is behind."""
 
     lagging: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Sparse:
-    """Half as many keyframes from now on, or all again."""
+    """Whether to choose half as many keyframes."""
 
     sparse: bool
 
 
 @dataclass(frozen=True, slots=True)
 class MakeDepth:
-    """Depth is made where the configuration asks for it, or left to `map`."""
+    """Whether to compute the depth that the configuration asks for, or to leave it to `map`."""
 
     on: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Flush:
-    """No more frames: give the windows that remain."""
+    """No more frames: complete the remaining windows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flushed:
     """The remaining windows."""
 
-    windows: tuple[SubmapWindow, ...]
+    windows: tuple[WindowRecord, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A window that only `map` will see. t_ns: stamps of its primary keyframes."""
+    """A window left to `map`. t_ns: stamps of its primary keyframes."""
 
     submap_id: int
     t_ns: tuple[int, ...]
@@ -139,24 +149,27 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Expect:
-    """A primary keyframe of a window to come: what it needs may begin."""
+    """A primary keyframe of a later window, so that its features can be computed early."""
 
     keyframe: Frame
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A window for the estimator. left_out: those since the last one that it never gets."""
+    """A window for the estimator. frames: those of its frames that the process does not have yet.
+    left_out: windows since the last one that it does not get.
+    """
 
-    window: SubmapWindow
+    window: WindowRecord
+    frames: tuple[Frame, ...]
     left_out: tuple[LeftOut, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Processed:
-    """What a window changed; update is None when it could not be solved, and problem says why.
+    """Result of a window; update is None when it could not be solved, problem is then the reason.
 
-    window: the record anew, where a loop keyframe joined it.
+    window: its record once more, where a loop keyframe was added.
     """
 
     submap_id: int
@@ -167,12 +180,12 @@ class Processed:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """No more windows: the joint optimum."""
+    """No more windows: compute the joint optimum."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """Every sub-map where it finally is, and the trajectory; None without a single sub-map."""
+    """All sub-maps in their final places, and the trajectory; None without any sub-map."""
 
     submaps: tuple[Submap, ...]
     trajectory: Trajectory | None

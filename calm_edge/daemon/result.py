@@ -1,4 +1,4 @@
-"""What one run of `record` came to."""
+"""Result of one run of `record`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.daemon.lateness import Lateness
+from calm_edge.daemon.tick_latency import TickLatency
 from calm_edge.types import Trajectory
 
 # ages kept for the percentiles: an hour at ten poses a second
@@ -20,8 +20,8 @@ class RecordResult:
     """Counts, and the final trajectory.
 
     A window is lost when the estimator died or was stopped with it, left to map when the
-    estimator was too far behind, unsolved when it cannot be solved. late_poses: frames whose pose
-    newer frames had outrun; it was not given.
+    estimator was too far behind, unsolved when it cannot be solved. late_poses: frames passed over
+    for newer ones, without a pose. output_losses: messages lost by each output but the recording.
     """
 
     frames: list[int] = field(default_factory=lambda: [0, 0])
@@ -32,7 +32,7 @@ class RecordResult:
     unreadable: int = 0
     overflowed: int = 0
     late_ticks: int = 0
-    tick: Lateness = field(default_factory=Lateness)
+    tick: TickLatency = field(default_factory=TickLatency)
     camera_drops: int = 0
     clamped_stamps: int = 0
     unrecorded: int = 0
@@ -45,14 +45,14 @@ class RecordResult:
     lost_poses: int = 0
     late_poses: int = 0
     pose_lost: bool = True
-    # the oldest pose since it was last asked for
-    worst_age_ms: float | None = None
+    output_losses: dict[str, int] = field(default_factory=dict)
     trajectory: Trajectory | None = None
     error: str = ""
+    _worst_age_ms: float | None = None
     _ages_ms: deque[float] = field(default_factory=lambda: deque(maxlen=AGES))
 
     def note_pose(self, lost: bool, age_ms: float | None) -> None:
-        """A live pose left; age_ms from its exposure, None where the clock does not run."""
+        """Count a pose; age_ms since its exposure, None in lockstep."""
         self.pose_lost = lost
         if lost:
             self.lost_poses += 1
@@ -60,20 +60,40 @@ class RecordResult:
             self.poses += 1
             if age_ms is not None:
                 self._ages_ms.append(age_ms)
-                self.worst_age_ms = max(age_ms, self.worst_age_ms or 0.0)
+                self._worst_age_ms = max(age_ms, self._worst_age_ms or 0.0)
+
+    def take_worst_age_ms(self) -> float | None:
+        """The greatest pose age since the last call; None without a pose."""
+        worst, self._worst_age_ms = self._worst_age_ms, None
+        return worst
 
     def pose_age_ms(self) -> dict[str, float] | None:
-        """{p50, p99} ms from exposure to publishing; None without a pose."""
+        """{p50, p99} of the milliseconds from exposure to publishing; None without a pose."""
         if not self._ages_ms:
             return None
         p50, p99 = np.percentile(self._ages_ms, [50, 99])
         return {"p50": float(p50), "p99": float(p99)}
 
+    def counts(self) -> dict[str, int]:
+        """Counts of what was done."""
+        return {
+            "primary_frames": self.frames[0],
+            "assistant_frames": self.frames[1],
+            "keyframes": self.keyframes,
+            "windows": self.windows,
+            "submaps": self.submaps,
+            "poses": self.poses,
+            "lost_poses": self.lost_poses,
+            "late_poses": self.late_poses,
+        }
+
     def losses(self) -> list[str]:
-        """One line for each thing that is missing from the recording or the trajectory."""
+        """A line for each kind of loss in the recording or the trajectory."""
         lines = []
         if self.estimator_restarts:
-            lines.append("the estimator was restarted and its trajectory with it; map mends it")
+            lines.append(
+                "the estimator was restarted, its trajectory is incomplete; map computes it all"
+            )
         if self.tracker_restarts:
             lines.append("the tracker was restarted, and a window or less lost with it")
         if self.lost_windows:
@@ -95,15 +115,10 @@ class RecordResult:
         return lines
 
     def summary(self) -> dict[str, Any]:
-        """Plain values for /status, once, at the end."""
+        """The message on /status at the end of a run."""
         return {
             "frames": list(self.frames),
-            "keyframes": self.keyframes,
-            "windows": self.windows,
-            "submaps": self.submaps,
-            "poses": self.poses,
-            "lost_poses": self.lost_poses,
-            "late_poses": self.late_poses,
+            **self.counts(),
             "pose_age_ms": self.pose_age_ms(),
             "untracked": self.untracked,
             "camera_drops": self.camera_drops,
@@ -116,4 +131,5 @@ class RecordResult:
             "windows_left_to_map": list(self.windows_left_to_map),
             "finished": self.trajectory is not None,
             "unsolved_windows": list(self.unsolved_windows),
+            "output_losses": dict(self.output_losses),
         }

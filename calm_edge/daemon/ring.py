@@ -1,4 +1,4 @@
-"""Frames from capture to tracker: slots of shared memory. Neither side ever waits for the other."""
+"""Shared-memory slots for frames from capture to the tracker; neither end waits for the other."""
 
 from __future__ import annotations
 
@@ -6,23 +6,21 @@ from multiprocessing.shared_memory import SharedMemory
 
 
 class FrameRing:
-    """The writer's side: owner of the memory and of the list of free slots."""
+    """The writer's end: owner of the memory and of the list of free slots."""
 
     def __init__(self, n_slots: int, slot_bytes: int) -> None:
         self.slot_bytes = slot_bytes
         self._memory = SharedMemory(create=True, size=n_slots * slot_bytes)
         self._free = list(range(n_slots))
-        self.dropped = 0
 
     @property
     def name(self) -> str:
-        """What the reader opens."""
+        """Name of the shared memory."""
         return self._memory.name
 
     def put(self, data: bytes) -> int | None:
-        """The slot that now holds `data`; None and counted when too large or all are taken."""
+        """Copy `data` into a free slot; None if it is too large or no slot is free."""
         if not self._free or len(data) > self.slot_bytes:
-            self.dropped += 1
             return None
         slot = self._free.pop(0)
         start = slot * self.slot_bytes
@@ -30,11 +28,11 @@ class FrameRing:
         return slot
 
     def release(self, slot: int) -> None:
-        """The reader has copied the slot out."""
+        """The reader is done with the slot."""
         self._free.append(slot)
 
     def close(self) -> None:
-        """Gives the memory back."""
+        """Remove the shared memory."""
         self._memory.close()
         self._memory.unlink()
 
@@ -45,7 +43,7 @@ class FrameRing:
 
 
 class RingReader:
-    """The reader's side."""
+    """The reader's end."""
 
     def __init__(self, name: str, slot_bytes: int) -> None:
         self._memory = SharedMemory(name=name)
@@ -59,5 +57,5 @@ class RingReader:
         return bytes(buffer[start : start + size])
 
     def close(self) -> None:
-        """Lets go of the memory, which its writer gives back."""
+        """Unmap the memory; the writer removes it."""
         self._memory.close()

@@ -1,23 +1,27 @@
-"""Where frames come from: two cameras on one clock, live or replayed."""
+"""Sources of frames: two cameras on one clock, live or replayed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from calm_edge.config import Config
+from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import CalmEdgeError
 from device.camera import Camera, CameraControls, CameraSpec, open_camera, parse_address
 from device.clock import Clock, SystemClock
 from device.errors import CameraError
 from device.frame import Eye, Frame
 
-# between opening a replay and its first frame, so that no frame is late from the start
+# from opening a replay to its first frame, so that none is late from the start
 LEAD_NS = 50_000_000
 
 
 class TimelineClock:
-    """Real time told in the stamps of a recording, so that a replay keeps its original stamps."""
+    """Real time, shifted so that a replay keeps its original stamps."""
 
     def __init__(self, epoch_ns: int) -> None:
         self._system = SystemClock()
@@ -25,7 +29,7 @@ class TimelineClock:
         self.restart()
 
     def restart(self) -> None:
-        """It is LEAD_NS before the epoch now."""
+        """Set the time to LEAD_NS before the epoch."""
         self._origin_ns = self._system.now_ns() + LEAD_NS
 
     def now_ns(self) -> int:
@@ -37,8 +41,8 @@ class TimelineClock:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """open: gives the primary and the assistant camera, not yet started; once, when all else is
-    ready. is_replay: the frames end by themselves.
+    """open: returns the primary and the assistant camera, not yet started; called once, when all
+    else is ready. is_replay: the frames end.
     """
 
     open: Callable[[], tuple[Camera, Camera]]
@@ -54,9 +58,9 @@ def replayed(
     config: Config,
     description: str,
 ) -> Source:
-    """Stored frames of both eyes, the first stamped epoch_ns.
+    """Stored frames of both eyes with their stamps, the first of which is epoch_ns.
 
-    Paced: in real time; not paced: as fast as asked. Stamps stay as they are.
+    paced: in real time; else as fast as they are read.
     """
     clock = TimelineClock(epoch_ns)
     stale_after_ms = config.capture.stale_after_ms
@@ -67,7 +71,7 @@ def replayed(
             open_camera(
                 CameraSpec(eye, "replay", description, stale_after_ms=stale_after_ms),
                 clock,
-                frames=_explained(frames(eye)),
+                frames=_as_camera(frames(eye)),
                 epoch_ns=epoch_ns,
                 origin_ns=epoch_ns,
                 paced=paced,
@@ -79,12 +83,29 @@ def replayed(
     return Source(cameras, clock, True, description)
 
 
-def _explained(frames: Iterable[Frame]) -> Iterator[Frame]:
-    """The frames; a file that ends them is the camera's own error, not a fault of ours."""
+def _as_camera(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """The frames; an unreadable file raises CameraError."""
     try:
         yield from frames
     except CalmEdgeError as error:
         raise CameraError(str(error)) from error
+
+
+def of_sequence(folder: Path, paced: bool, config: Config) -> Source:
+    """The images of a sequence folder; raises CalmEdgeError."""
+    sequence = SequenceFolder(folder)
+    epoch_ns = min(int(sequence.t_ns(eye)[0]) for eye in Eye)
+    return replayed(sequence.frames, epoch_ns, paced, config, str(folder))
+
+
+def of_recording(path: Path, paced: bool, config: Config) -> Source:
+    """The frames of a recording; raises RecordingError."""
+    recording = Recording(path)
+    stamps = [recording.frame_times(eye) for eye in Eye]
+    if not all(len(t) for t in stamps):
+        raise RecordingError(f"{path}: has no frames of both eyes; choose another recording")
+    epoch_ns = min(int(t.min()) for t in stamps)
+    return replayed(recording.frames, epoch_ns, paced, config, str(path))
 
 
 def live(config: Config) -> Source:

@@ -1,4 +1,4 @@
-"""What the daemon is doing, in one word with reasons: a pure state machine."""
+"""State of the daemon, with reasons: a pure state machine."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from enum import StrEnum
 
 
 class State(StrEnum):
-    """STARTING: no pose yet. LOST: none any more. DEGRADED: something is missing or was shed.
+    """STARTING: no pose yet. LOST: no pose any more. DEGRADED: something is missing or left out.
 
-    LAGGING: all is there, but late. The worst one that holds is the state.
+    LAGGING: nothing is missing, but something is late. The worst condition that holds is the state.
     """
 
     STARTING = "STARTING"
@@ -22,20 +22,20 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What was seen, each an empty text or tuple where all is well.
+    """Observations of one second, each empty when all is well.
 
-    pose: why there is no live pose. faults: what is missing or shed. lateness: what is behind.
+    pose: why there is no live pose. faults: what is missing or left out. delays: what is behind.
     """
 
     stopping: bool = False
     pose: str = ""
     faults: tuple[str, ...] = ()
-    lateness: tuple[str, ...] = ()
+    delays: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A state and why; every reason that holds is given, not only those of the state."""
+    """A state with all reasons that hold, not only those of the state."""
 
     state: State
     reasons: tuple[str, ...] = ()
@@ -45,19 +45,19 @@ class Standing:
 
 
 def advance(before: State, seen: Conditions) -> Standing:
-    """The state after `before` once `seen` is seen.
+    """The state that follows `before` under the conditions `seen`.
 
-    STOPPING is never left. STARTING lasts until the first live pose and never comes back: a pose
-    that goes later is LOST, which the user must be able to tell from one that never was.
+    STOPPING is final. STARTING lasts until the first live pose and does not return: a user must be
+    able to distinguish a lost pose from one that never was.
     """
-    reasons = (*filter(None, [seen.pose]), *seen.faults, *seen.lateness)
+    reasons = (*filter(None, [seen.pose]), *seen.faults, *seen.delays)
     if seen.stopping or before is State.STOPPING:
         state = State.STOPPING
     elif seen.pose:
         state = State.STARTING if before is State.STARTING else State.LOST
     elif seen.faults:
         state = State.DEGRADED
-    elif seen.lateness:
+    elif seen.delays:
         state = State.LAGGING
     else:
         state = State.RUNNING

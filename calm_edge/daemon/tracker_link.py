@@ -1,10 +1,11 @@
-"""The tracker as capture sees it: frames through shared memory to a process that may die."""
+"""Capture's end of the tracker: frames go out by shared memory, windows and poses come back."""
 
 from __future__ import annotations
 
 import queue
 import time
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from typing import Any
 
 from calm_edge.config import FrontendConfig
@@ -25,7 +26,7 @@ from calm_edge.daemon.messages import (
     Tracked,
 )
 from calm_edge.daemon.ring import FrameRing
-from calm_edge.daemon.tracker_process_entry import run_tracker
+from calm_edge.recording.window_record import FrameKey, WindowRecord, frame_key, rebuild
 from calm_edge.types import LocalizerUpdate, SubmapWindow
 from device.frame import Frame
 
@@ -33,15 +34,28 @@ from device.frame import Frame
 RING_SLOTS = 48
 SLOT_BYTES = 4 << 20
 MAX_DEATHS_IN_A_ROW = 3
-# a frame takes tens of milliseconds; one that takes this long will never end
+# A frame takes tens of milliseconds.
 HUNG_S = 20.0
 
 
-class TrackerLink:
-    """Owner of the tracker's process, of the ring in front of it and of what is under way in it.
+def run_tracker(
+    connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig, start: Counters
+) -> None:
+    """Main function of the process; here, so that capture does not import the tracker."""
+    from calm_edge.daemon import tracker_process
 
-    A new process goes on counting where the dead one's windows ended, so that no id comes twice;
-    its first window shares no keyframe with the last one, and its poses begin a new epoch.
+    tracker_process.run(connection, ring_name, slot_bytes, config, start)
+
+
+class TrackerLink:
+    """Owner of the tracker process, of the ring in front of it and of the frames it may still need.
+
+    The tracker names the frames of a window; their bytes wait here, from the moment a frame is
+    handed over until the tracker releases it or dies. So at most RING_SLOTS frames and those of the
+    window under construction are held.
+
+    A new process continues the numbering of the old one; its first window shares no keyframe with
+    the previous window, and its poses start a new epoch.
     """
 
     def __init__(
@@ -52,65 +66,78 @@ class TrackerLink:
         self._deaths_in_a_row = 0
         self._flushing = self._lagging = self._sparse = False
         self._heard_s = time.monotonic()
+        # in the ring, by slot; and handled, but not yet released
+        self._in_ring: dict[int, Frame] = {}
+        self._held: dict[FrameKey, Frame] = {}
         self.ready = self.flushed = False
         self.refusal = ""
         self.restarts = 0
         self.frames_lost = 0
-        self.in_flight = self.attaching = 0
+        self.attaching = 0
         self._ring, self.child = self._spawn()
 
     @property
     def given_up(self) -> bool:
-        """It will not be started again."""
+        """It will not be restarted."""
         return bool(self.refusal) or self._deaths_in_a_row >= MAX_DEATHS_IN_A_ROW
 
+    @property
+    def in_flight(self) -> int:
+        """Frames handed over and not yet handled."""
+        return len(self._in_ring)
+
+    @property
+    def frames_held(self) -> int:
+        """Frames whose bytes are kept for the tracker."""
+        return len(self._in_ring) + len(self._held)
+
     def offer(self, frame: Frame) -> bool:
-        """Hands over a frame of JPEG bytes; False when it is too large or the tracker is behind."""
+        """Hand over a frame of JPEG bytes; False if it is too large or the tracker is behind."""
         assert isinstance(frame.image, bytes)
         slot = self._ring.put(frame.image) if self.child.alive else None
         if slot is None:
             return False
-        if not self.in_flight:
+        if not self._in_ring:
             self._heard_s = time.monotonic()
-        self.in_flight += 1
+        self._in_ring[slot] = frame
         size = len(frame.image)
         self.child.send(FrameIn(frame.eye, frame.sequence, frame.t_ns, slot, size))
         return True
 
     def attach(self, update: LocalizerUpdate) -> None:
-        """Hands over a sub-map."""
+        """Hand over a sub-map."""
         if not self.given_up:
             self.attaching += 1
             self.child.send(Attach(update))
 
-    def lag(self, lagging: bool) -> None:
-        """Says whether the estimator is behind."""
+    def set_lagging(self, lagging: bool) -> None:
+        """Tell the tracker whether the estimator is behind."""
         self._lagging = lagging
         self.child.send(Lagging(lagging))
 
-    def thin_out(self, sparse: bool) -> None:
-        """Half as many keyframes from now on, or all again."""
+    def set_sparse(self, sparse: bool) -> None:
+        """Choose half as many keyframes from now on, or all again."""
         if sparse != self._sparse:
             self._sparse = sparse
             self.child.send(Sparse(sparse))
 
     def flush(self) -> None:
-        """No more frames; `flushed` once the last windows are here."""
+        """No more frames; `flushed` is set after the last windows."""
         self._flushing = True
         self.child.send(Flush())
         self.flushed |= self.given_up
 
     def pump(self) -> None:
-        """Restarts a dead process, ends a hung one."""
-        if self.in_flight and time.monotonic() - self._heard_s > HUNG_S:
-            self._say(f"tracker has said nothing for {HUNG_S:.0f} s; ended")
+        """Restart a dead process, kill a hung one."""
+        if self._in_ring and time.monotonic() - self._heard_s > HUNG_S:
+            self._say(f"tracker has not answered for {HUNG_S:.0f} s; ended")
             self._heard_s = time.monotonic()
             self.child.kill()
         if not self.given_up and not self.child.alive:
-            self._bury()
+            self._replace()
 
-    def accept(self, message: Any) -> tuple[SubmapWindow, ...]:
-        """A message of the present process; the windows in it."""
+    def accept(self, message: Any) -> tuple[tuple[SubmapWindow, ...], Frame | None]:
+        """Handle a message of the current process; the windows and the keyframe in it."""
         self._heard_s = time.monotonic()
         match message:
             case Ready():
@@ -122,46 +149,53 @@ class TrackerLink:
             case Posed():
                 self._counters = self._counters.after_epoch(message.sample.epoch)
             case Tracked():
+                frame = self._in_ring.pop(message.slot)
+                self._held[frame_key(frame)] = frame
                 self._ring.release(message.slot)
-                self.in_flight -= 1
-                return self._counted(message.windows)
+                windows = self._windows(message.windows)
+                for key in message.released:
+                    del self._held[key]
+                return windows, frame if message.is_keyframe else None
             case Flushed():
                 self.flushed = True
-                return self._counted(message.windows)
-        return ()
+                return self._windows(message.windows), None
+        return (), None
 
     def stop(self) -> None:
-        """Ends the process."""
+        """End the process."""
         self.child.stop(Stop(), 2.0)
         self._ring.close()
 
-    def _counted(self, windows: tuple[SubmapWindow, ...]) -> tuple[SubmapWindow, ...]:
-        for window in windows:
-            self._counters = self._counters.after_window(window)
+    def _windows(self, records: tuple[WindowRecord, ...]) -> tuple[SubmapWindow, ...]:
+        for record in records:
+            self._counters = self._counters.after_window(record)
             self._deaths_in_a_row = 0
-        return windows
+        return tuple(rebuild(record, lambda *key: self._held[key]) for record in records)
 
     def _spawn(self) -> tuple[FrameRing, Child]:
         ring = FrameRing(RING_SLOTS, SLOT_BYTES)
         arguments = (ring.name, SLOT_BYTES, self._config, self._counters)
         return ring, Child("tracker", run_tracker, arguments, self._events)
 
-    def _bury(self) -> None:
+    def _replace(self) -> None:
+        """Account for a dead process, and start the next one unless too many died in a row."""
         self._deaths_in_a_row += 1
-        self.frames_lost += self.in_flight
-        self.in_flight = self.attaching = 0
-        # what it had not yet given out is gone with it
+        self.frames_lost += len(self._in_ring)
+        self._in_ring.clear()
+        self._held.clear()
+        self.attaching = 0
+        # windows it had not sent yet are lost
         self.flushed |= self._flushing
         what = f"tracker died (exit {self.child.exit_code})"
         if self.given_up:
             self.flushed = True
-            self._say(f"{what}; it is not started again: no more poses or windows, but recording")
+            self._say(f"{what}; not restarted: recording continues without poses and windows")
             return
-        self._say(f"{what}; restarted, recording goes on")
+        self._say(f"{what}; restarted, recording continues")
         self.restarts += 1
         self._ring.close()
         self._counters = self._counters.after_death()
         self._ring, self.child = self._spawn()
-        self.lag(self._lagging)
+        self.set_lagging(self._lagging)
         if self._sparse:
             self.child.send(Sparse(True))

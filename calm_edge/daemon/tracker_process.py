@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import signal
 from collections.abc import Callable
@@ -32,16 +33,20 @@ from calm_edge.frontend.association import WindowBuilder, WindowError
 from calm_edge.frontend.half_size import MOST_PIXELS, halved
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.frontend.tracker import CATCH_UP_NS, Tracker
+from calm_edge.recording.window_record import FrameKey, frame_key, of_window
 from calm_edge.types import Bytes, SubmapWindow
 from device.frame import Eye, Frame, UnreadableImage
 
-# A frame that newer ones have outrun by this much has no pose to give any more: at ten frames a
-# second one newer frame is enough.
+# A frame older than the newest one by more than this gets no pose: at ten frames a second it is
+# passed over as soon as one newer frame has come.
 LATE_NS = 80_000_000
 
 
 class TrackerWork:
-    """Selector, window builder and tracker, fed by messages in order; `overhear` comes first."""
+    """Keyframe selector, window builder and tracker, driven by messages in order.
+
+    Keyframes and windows are built of frames without their bytes: capture holds these.
+    """
 
     def __init__(
         self,
@@ -58,9 +63,10 @@ class TrackerWork:
         self._reduction = 1
         self._lost_after_ns = round(1e6 * config.lost_after_ms)
         self._newest_ns = self._tracked_ns = 0
+        self._held: set[FrameKey] = set()
 
-    def overhear(self, message: Any) -> None:
-        """A message has come, and others may be handled before it."""
+    def on_arrival(self, message: Any) -> None:
+        """Note a message that has arrived; earlier ones may be handled before it."""
         if isinstance(message, FrameIn) and message.eye is Eye.PRIMARY:
             self._newest_ns = message.t_ns
 
@@ -68,17 +74,7 @@ class TrackerWork:
         """The answer to one message, None where there is none."""
         match message:
             case FrameIn():
-                late = self._is_late(message)
-                if late and self._can_wait(message.t_ns):
-                    return Tracked(message.slot, self._builder.advance(message.t_ns), late=True)
-                data = self._ring.read(message.slot, message.size)
-                frame = Frame(message.eye, message.sequence, message.t_ns, data)
-                try:
-                    windows, is_keyframe = self._frame(frame, late)
-                except UnreadableImage as error:
-                    return Tracked(message.slot, (), problem=str(error))
-                keyframe = frame if is_keyframe else None
-                return Tracked(message.slot, windows, keyframe, late=late)
+                return self._handle_frame(message)
             case Attach():
                 update = halved(message.update) if self._reduction == 2 else message.update
                 taken = self._tracker.attach(update)
@@ -88,19 +84,42 @@ class TrackerWork:
             case Sparse():
                 self._selector.sparse = message.sparse
             case Flush():
-                return Flushed(self._builder.flush())
+                return Flushed(tuple(map(of_window, self._builder.flush())))
         return None
+
+    def _handle_frame(self, message: FrameIn) -> Tracked:
+        late, is_keyframe, problem = self._is_late(message), False, ""
+        frame = Frame(message.eye, message.sequence, message.t_ns, b"")
+        windows: tuple[SubmapWindow, ...] = ()
+        if late and self._can_wait(message.t_ns):
+            windows = self._builder.advance(message.t_ns)
+        else:
+            image = self._ring.read(message.slot, message.size)
+            try:
+                windows, is_keyframe = self._track(frame, image, late)
+            except UnreadableImage as error:
+                problem, late = str(error), False
+        records = tuple(map(of_window, windows))
+        return Tracked(message.slot, records, self._released(frame), is_keyframe, problem, late)
+
+    def _released(self, frame: Frame) -> tuple[FrameKey, ...]:
+        """The frames up to this one that the builder has dropped since the last call."""
+        self._held.add(frame_key(frame))
+        still = {frame_key(f) for f in self._builder.held()}
+        released = self._held - still
+        self._held &= still
+        return tuple(sorted(released))
 
     def _is_late(self, message: FrameIn) -> bool:
         return message.eye is Eye.PRIMARY and self._newest_ns - message.t_ns > LATE_NS
 
     def _can_wait(self, t_ns: int) -> bool:
-        """Whether a newer frame than the one of t_ns can be tracked from the last one that was."""
+        """Whether the track survives without the frame of t_ns, continuing with a newer one."""
         near = self._newest_ns - self._tracked_ns <= self._lost_after_ns
         return near or t_ns - self._tracked_ns < CATCH_UP_NS
 
     def _gray(self, frame: Frame) -> Bytes:
-        """The picture at the size it is tracked at; a camera that changes its size begins anew."""
+        """The picture at the size it is tracked at; large ones are halved."""
         gray = frame.gray(self._reduction)
         reduction = 2 if gray.size * self._reduction**2 > MOST_PIXELS else 1
         if reduction != self._reduction:
@@ -108,17 +127,23 @@ class TrackerWork:
             gray = frame.gray(reduction)
         return gray
 
-    def _frame(self, frame: Frame, late: bool) -> tuple[tuple[SubmapWindow, ...], bool]:
-        """The windows it completes, and whether it became a primary keyframe."""
+    def _track(
+        self, frame: Frame, image: bytes, late: bool
+    ) -> tuple[tuple[SubmapWindow, ...], bool]:
+        """The windows that a frame completes, and whether it is a primary keyframe.
+
+        Raises UnreadableImage.
+        """
+        picture = dataclasses.replace(frame, image=image)
         if frame.eye is Eye.ASSISTANT:
-            # nothing is done with its pixels here but to see that there are any
-            frame.gray(8)
+            # its pixels are not used here: only check that they can be decoded
+            picture.gray(8)
             return self._builder.add_assistant(frame), False
-        gray = self._gray(frame)
+        gray = self._gray(picture)
         self._tracked_ns = frame.t_ns
         sample = self._tracker.track(frame.t_ns, gray)
         if not late:
-            # the pose leaves first: whoever steers by it waits for nothing else
+            # first of all: a controller waits for it
             self._send(Posed(sample))
         keyframe = self._selector.consider(frame, gray)
         self._tracker.prepare(keyframe.id if keyframe else None, in_haste=late)
@@ -128,11 +153,11 @@ class TrackerWork:
         return windows, keyframe is not None
 
 
-def run_tracker(
+def run(
     connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig, start: Counters
 ) -> None:
-    """The process's main function."""
-    # the terminal's Ctrl-C goes to every process; only capture acts on it
+    """Main function of the process."""
+    # Ctrl-C reaches every process of the terminal; only capture acts on it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # a late pose is better than a late frame
     os.nice(2)
@@ -144,5 +169,5 @@ def run_tracker(
         connection.send(Refused(str(error)))
         return
     connection.send(Ready())
-    serve(connection, Stop, work.handle, work.overhear)
+    serve(connection, Stop, work.handle, work.on_arrival)
     ring.close()

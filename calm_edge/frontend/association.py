@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
+from collections.abc import Iterator
 
 from calm_edge.config import FrontendConfig
 from calm_edge.types import CalmEdgeError, Keyframe, SubmapWindow
@@ -66,6 +68,12 @@ class WindowBuilder:
     def advance(self, t_ns: int) -> tuple[SubmapWindow, ...]:
         """The primary stream reached t_ns; the windows that now wait no longer."""
         return self._settle(t_ns)
+
+    def held(self) -> Iterator[Frame]:
+        """The frames that a later window may contain, some of them twice."""
+        yield from self._seen
+        paired = itertools.chain(self._open, *self._paired)
+        yield from (keyframe.frame for keyframe in paired if keyframe is not None)
 
     def flush(self) -> tuple[SubmapWindow, ...]:
         """The stream ended: every keyframe gets its window.

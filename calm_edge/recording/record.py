@@ -86,6 +86,11 @@ def flatten(value: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
     return header, arrays
 
 
+def array_bytes(value: Any) -> int:
+    """Return the size of the arrays in a dataclass."""
+    return sum(array.nbytes for array in flatten(value)[1].values())
+
+
 def unflatten(kind: type[T], header: dict[str, Any], arrays: Arrays, prefix: str = "") -> T:
     """Build a dataclass from the output of `flatten`; absent fields take their defaults.
 

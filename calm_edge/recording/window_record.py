@@ -11,6 +11,14 @@ from calm_edge.config import Config
 from calm_edge.types import Hints, Int, Keyframe, LocalizerUpdate, SubmapWindow
 from device.frame import Eye, Frame
 
+# (eye, sequence, t_ns) of a frame
+FrameKey = tuple[int, int, int]
+
+
+def frame_key(frame: Frame) -> FrameKey:
+    """The key by which records name a frame."""
+    return int(frame.eye), frame.sequence, frame.t_ns
+
 
 @dataclass(frozen=True, slots=True)
 class WindowRecord:
@@ -27,6 +35,12 @@ class WindowRecord:
     eyes: Int
     sequences: Int
     t_ns: Int
+
+    @property
+    def frame_keys(self) -> tuple[FrameKey, ...]:
+        """The key of each frame, in batch order."""
+        columns = (self.eyes.tolist(), self.sequences.tolist(), self.t_ns.tolist())
+        return tuple(zip(*columns, strict=True))
 
 
 def of_window(window: SubmapWindow) -> WindowRecord:
@@ -47,10 +61,8 @@ def of_window(window: SubmapWindow) -> WindowRecord:
 def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> SubmapWindow:
     """Rebuild a window; `frame(eye, sequence, t_ns)` reads its images, and its errors pass."""
     keyframes = [
-        Keyframe(int(i), frame(Eye(int(eye)), int(sequence), int(t_ns)))
-        for i, eye, sequence, t_ns in zip(
-            record.ids, record.eyes, record.sequences, record.t_ns, strict=True
-        )
+        Keyframe(i, frame(Eye(eye), sequence, t_ns))
+        for i, (eye, sequence, t_ns) in zip(record.ids.tolist(), record.frame_keys, strict=True)
     ]
     loop = keyframes.pop() if record.has_loop else None
     return SubmapWindow(

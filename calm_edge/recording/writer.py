@@ -22,7 +22,7 @@ from calm_edge.recording.chain import SegmentChain
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.health import WriterHealth, boot_id
 from calm_edge.recording.mailbox import Mailbox
-from calm_edge.recording.record import flatten
+from calm_edge.recording.record import array_bytes
 from calm_edge.recording.schema import LogMessage
 from calm_edge.recording.segment import Write, segment_files
 from calm_edge.recording.window_record import WindowRecord
@@ -125,7 +125,7 @@ class RecordingWriter:
     def write_update(self, update: LocalizerUpdate) -> None:
         """Record a placed sub-map and the poses it changed; depth only with recording.log_depth."""
         log_depth = self._config.recording.log_depth
-        size = sum(a.nbytes for a in flatten(update)[1].values())
+        size = array_bytes(update)
         self._mailbox.put(lambda: schema.update_messages(update, log_depth), size, False)
 
     def write_window(self, record: WindowRecord) -> None:

@@ -9,7 +9,7 @@ from calm_edge.daemon.child import serve
 from calm_edge.daemon.messages import Stop
 
 
-def test_what_has_come_is_overheard_before_the_first_of_it_is_handled() -> None:
+def test_arrived_messages_are_noted_before_the_first_of_them_is_handled() -> None:
     ours, theirs = Pipe()
     for message in (1, 2, 3, Stop()):
         ours.send(message)
@@ -19,8 +19,8 @@ def test_what_has_come_is_overheard_before_the_first_of_it_is_handled() -> None:
         met.append(f"handle {message}")
         return 10 * message
 
-    serve(theirs, Stop, handle, lambda m: met.append(f"hear {m}") if m != Stop() else None)
-    assert met == [*(f"hear {i}" for i in (1, 2, 3)), *(f"handle {i}" for i in (1, 2, 3))]
+    serve(theirs, Stop, handle, lambda m: met.append(f"note {m}") if m != Stop() else None)
+    assert met == [*(f"note {i}" for i in (1, 2, 3)), *(f"handle {i}" for i in (1, 2, 3))]
     assert [ours.recv() for _ in range(3)] == [10, 20, 30]
 
 

@@ -1,4 +1,4 @@
-"""Which windows the estimator is given when it cannot keep up."""
+"""Which windows and which pictures the estimator is sent."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ S = 1_000_000_000
 
 
 class IdleChild:
-    """A process that takes everything and says nothing."""
+    """A process that takes everything and answers nothing."""
 
     def __init__(self, *_: object) -> None:
         self.alive, self.exit_code = True, None
@@ -96,9 +96,7 @@ def test_the_newest_window_goes_first_when_the_next_would_be_too_late(
     assert bench.link.overtaken == 5
     bench.windows(7)
     assert bench.answer() == 13 and bench.link.overtaken == 11
-    assert bench.said == [
-        "windows come too late to give a pose: newer ones go first, late ones to map"
-    ]
+    assert bench.said == ["windows come too late to give a pose: late ones are left to map"]
 
 
 def test_without_a_pose_it_goes_first_at_once(make_bench: MakeBench) -> None:
@@ -109,15 +107,15 @@ def test_without_a_pose_it_goes_first_at_once(make_bench: MakeBench) -> None:
     assert bench.link.left_to_map == [1]
 
 
-def test_the_estimator_learns_when_the_car_moved_in_windows_it_never_gets(
+def test_the_stamps_of_left_out_windows_are_sent(
     make_bench: MakeBench,
 ) -> None:
     bench = make_bench()
     bench.windows(7)
     bench.answer()
-    told = bench.handed[-1].left_out
-    assert [w.submap_id for w in told] == [1, 2, 3, 4, 5]
-    assert told[0] == LeftOut(1, (101 * S, 102 * S))
+    left_out = bench.handed[-1].left_out
+    assert [w.submap_id for w in left_out] == [1, 2, 3, 4, 5]
+    assert left_out[0] == LeftOut(1, (101 * S, 102 * S))
     bench.windows(1)
     bench.answer()
     assert bench.handed[-1].left_out == ()
@@ -160,7 +158,7 @@ def test_in_lockstep_every_window_is_solved(make_bench: MakeBench) -> None:
     assert [bench.answer() for _ in range(8)] == list(range(1, 9))
 
 
-def test_keyframes_to_come_are_told_unless_windows_wait(make_bench: MakeBench) -> None:
+def test_keyframes_are_sent_ahead_unless_windows_wait(make_bench: MakeBench) -> None:
     bench = make_bench()
     keyframe = window(0, 100.0).primary[0].frame
     bench.link.expect(keyframe)
@@ -172,7 +170,9 @@ def test_keyframes_to_come_are_told_unless_windows_wait(make_bench: MakeBench) -
     assert sent == [Expect, Process, Expect]
 
 
-def test_keyframes_are_not_told_to_whom_they_are_of_no_use(make_bench: MakeBench) -> None:
+def test_keyframes_are_not_sent_ahead_where_they_are_of_no_use(
+    make_bench: MakeBench,
+) -> None:
     bench = make_bench()
     bench.link.accept(Ready())
     bench.link.expect(window(0, 100.0).primary[0].frame)
@@ -187,7 +187,7 @@ def test_when_frames_have_ended_every_window_is_solved(make_bench: MakeBench) ->
     assert bench.link.left_to_map == []
 
 
-def test_windows_beyond_the_inbox_are_told_to_the_estimator_too(make_bench: MakeBench) -> None:
+def test_the_stamps_of_windows_beyond_the_queue_are_sent(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.windows(INBOX_WINDOWS + 3)
     assert bench.link.left_to_map == [INBOX_WINDOWS + 1, INBOX_WINDOWS + 2]

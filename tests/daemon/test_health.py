@@ -8,8 +8,8 @@ import json
 import pytest
 
 from calm_edge.daemon.health import Health, time_left
-from calm_edge.daemon.lateness import Lateness
 from calm_edge.daemon.state import Standing, State
+from calm_edge.daemon.tick_latency import TickLatency
 from calm_edge.recording.health import WriterHealth
 from calm_edge.recording.space import Space
 from device.thermal import Thermal
@@ -19,7 +19,7 @@ WRITER = WriterHealth("", 10, 0, 0, 0, 0.01, 2.0, Space(62 * GIB, 2 * GIB, 6e6))
 HEALTH = Health(
     standing=Standing(State.RUNNING),
     shed="nothing left out",
-    tick=Lateness(100, 0.1, 1.23456, 4.0),
+    tick=TickLatency(100, 0.1, 1.23456, 4.0),
     late_ticks=0,
     counts={"primary_frames": 600, "assistant_frames": 598, "windows": 16, "submaps": 15},
     drops={"missed_by_the_cameras": 0, "not_tracked": 0},

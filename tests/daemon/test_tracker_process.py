@@ -39,7 +39,7 @@ class Bench:
             slot = self.ring.put(jpeg)
             assert slot is not None
             frames.append(FrameIn(Eye.PRIMARY, i, START_NS + i * EVERY_NS, slot, len(jpeg)))
-            self.work.overhear(frames[-1])
+            self.work.on_arrival(frames[-1])
         self._frames += count
         return frames
 
@@ -100,9 +100,9 @@ def test_without_a_wait_every_frame_has_its_pose(bench: Bench) -> None:
     assert len(bench.posed) == 20
 
 
-def test_a_keyframe_is_told_at_once(bench: Bench) -> None:
-    answers = [bench.work.handle(bench.come(1)[0]) for _ in range(12)]
-    told = [answer.keyframe.t_ns for answer in answers if answer.keyframe is not None]
+def test_keyframes_are_named_at_once(bench: Bench) -> None:
+    frames = bench.come(12)
+    named = [frame.t_ns for frame in frames if bench.work.handle(frame).is_keyframe]
     past = list(bench.work._tracker._past)[10:]
-    assert told == [frame.t_ns for frame in past if frame.keyframe_id is not None]
-    assert 0 < len(told) < 12
+    assert named == [frame.t_ns for frame in past if frame.keyframe_id is not None]
+    assert 0 < len(named) < 12

@@ -7,7 +7,7 @@ import re
 import socket
 from pathlib import Path
 
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.daemon.hub import Hub
 from tests.replay.daemon_run import record
 from tests.replay.small_drive import write_drive
 
@@ -43,9 +43,9 @@ def test_a_running_record_has_no_socket_that_a_network_could_reach(
 ) -> None:
     seen: dict[int, set[str]] = {}
 
-    def look(desk: Switchboard, _: str) -> None:
-        if desk.result.submaps and not seen:
-            children = [desk.tracker.child, desk.estimator.child]
+    def look(hub: Hub, _: str) -> None:
+        if hub.result.submaps and not seen:
+            children = [hub.tracker.child, hub.estimator.child]
             seen.update(network_sockets([os.getpid(), *(c.pid for c in children if c)]))
 
     before = network_sockets([os.getpid()])[os.getpid()]

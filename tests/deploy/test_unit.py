@@ -11,7 +11,7 @@ import pytest
 
 from calm_edge.commands.exit_codes import LOSS
 from calm_edge.config import CaptureConfig, load
-from calm_edge.daemon import finale
+from calm_edge.daemon import finish
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 UNIT = DEPLOY / "calm-edge.service"
@@ -74,7 +74,7 @@ def test_a_device_class_is_only_allowed_with_its_driver_loaded_before() -> None:
 
 def test_a_stop_has_the_time_that_the_last_windows_may_take() -> None:
     # after that the recording is closed, and the trajectory written
-    assert seconds("TimeoutStopSec") >= 2 * finale.LIVE_LIMIT_S
+    assert seconds("TimeoutStopSec") >= 2 * finish.LIVE_LIMIT_S
     assert settings()["KillMode"] == ["mixed"]
     assert settings()["SuccessExitStatus"] == [str(LOSS)]
 

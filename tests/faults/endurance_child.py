@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 
 from calm_edge.config import Config, merge
+from calm_edge.daemon.hub import Hub
 from calm_edge.daemon.source import Source, TimelineClock
-from calm_edge.daemon.switchboard import Switchboard
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.retention import new_drive, set_kept
 from device.camera import Camera, CameraSpec, open_camera
@@ -117,20 +117,20 @@ class Sampler:
 
     def __init__(self) -> None:
         self.samples: dict[str, list[int]] = {"capture": [], "tracker": [], "estimator": []}
-        self._desk: Switchboard | None = None
+        self._hub: Hub | None = None
         self._end = threading.Event()
         threading.Thread(target=self._run, daemon=True).start()
 
-    def __call__(self, desk: Switchboard, _: str) -> None:
-        self._desk = desk
+    def __call__(self, hub: Hub, _: str) -> None:
+        self._hub = hub
 
     def end(self) -> None:
         self._end.set()
 
     def _run(self) -> None:
         while not self._end.wait(SAMPLE_S):
-            if (desk := self._desk) is not None:
-                pids = (None, desk.tracker.child.pid, desk.estimator.child.pid)
+            if (hub := self._hub) is not None:
+                pids = (None, hub.tracker.child.pid, hub.estimator.child.pid)
                 for name, pid in zip(self.samples, pids, strict=True):
                     self.samples[name].append(resident_bytes(pid))
 

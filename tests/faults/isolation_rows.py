@@ -10,12 +10,13 @@ from pathlib import Path
 
 from calm_edge.config import PoseOutputConfig
 from calm_edge.daemon.estimator_link import INBOX_WINDOWS
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.daemon.hub import Hub
+from calm_edge.daemon.outputs import SerialOutput
 from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.reader import Recording
 from device.frame import Eye
 from device.serial_port import SerialPort
-from tests.faults.row import AfterFrames, Row, all_frames, health, sequences
+from tests.faults.row import AfterFrames, Row, all_frames, health, loop_figures, sequences
 from tests.faults.slow_estimator import FIRST_S, LATER_S, slow_estimator
 from tests.replay.daemon_run import config_for, record
 
@@ -28,7 +29,7 @@ class StandingDisk:
         self._go.set()
         self.stood_s = 0.0
 
-    def stand(self, _: Switchboard) -> None:
+    def stand(self, _: Hub) -> None:
         self._go.clear()
 
     def go(self, _: object = None) -> None:
@@ -39,11 +40,6 @@ class StandingDisk:
         assert self._go.wait(120)
         self.stood_s += time.monotonic() - started
         return os.write(fd, data)
-
-
-def loop_figures(folder: Path) -> str:
-    """How long the capture loop took at worst; told, not judged: other work may share the cores."""
-    return f"worst tick {max(m['tick']['max_ms'] for m in health(folder)):.0f} ms late"
 
 
 def standing_disk(drive: Path, n: int, folder: Path) -> Row:
@@ -65,12 +61,12 @@ def endless_disk(drive: Path, n: int, folder: Path) -> Row:
     """The disk stands until the end, and the queue is too small for it."""
     disk = StandingDisk()
     queue_bytes = 100_000
-    desks: list[Switchboard] = []
+    hubs: list[Hub] = []
     fills: list[float] = []
 
-    def watch(desk: Switchboard) -> None:
-        desks.append(desk)
-        fills.append(desk.recording.health.queue_fill)
+    def watch(hub: Hub) -> None:
+        hubs.append(hub)
+        fills.append(hub.recording.health.queue_fill)
 
     during = AfterFrames((n // 4, disk.stand), *((k, watch) for k in range(n // 4 + 1, n)))
     threading.Timer(n / 10 + 4, disk.go).start()
@@ -79,7 +75,7 @@ def endless_disk(drive: Path, n: int, folder: Path) -> Row:
     )
     recording = Recording(folder / "rec")
     lost = 2 * n - sum(len(sequences(recording, eye)) for eye in Eye)
-    counted = desks[0].recording.health.dropped_images
+    counted = hubs[0].recording.health.dropped_images
     return Row(
         "disk stands still, queue full",
         f"queue {max(fills):.0%} of its {queue_bytes // 1000} kB, {lost} images lost, "
@@ -93,12 +89,12 @@ def standing_estimator(drive: Path, n: int, folder: Path) -> Row:
     """The estimator stops over its first window and goes on after the last frame."""
     waiting: list[int] = []
 
-    def stop(desk: Switchboard) -> None:
-        os.kill(desk.estimator.child.pid, signal.SIGSTOP)
+    def stop(hub: Hub) -> None:
+        os.kill(hub.estimator.child.pid, signal.SIGSTOP)
 
-    def go(desk: Switchboard) -> None:
-        waiting.append(desk.estimator.waiting)
-        os.kill(desk.estimator.child.pid, signal.SIGCONT)
+    def go(hub: Hub) -> None:
+        waiting.append(hub.estimator.waiting)
+        os.kill(hub.estimator.child.pid, signal.SIGCONT)
 
     during = AfterFrames((5, stop), (n - 1, go))
     result, _ = record(drive, folder / "rec", lockstep=False, during=during)
@@ -116,9 +112,9 @@ def slow_from_the_start(drive: Path, n: int, folder: Path) -> Row:
     """The first sub-map comes too late to follow, and windows come faster than they are solved."""
     first: list[float] = []
 
-    def watch(desk: Switchboard, _: str) -> None:
-        if desk.result.poses and not first:
-            first.append(desk.result.frames[0] / 10)
+    def watch(hub: Hub, _: str) -> None:
+        if hub.result.poses and not first:
+            first.append(hub.result.frames[0] / 10)
 
     with slow_estimator():
         result, _ = record(drive, folder / "rec", lockstep=False, during=watch)
@@ -138,11 +134,11 @@ def slow_from_the_start(drive: Path, n: int, folder: Path) -> Row:
 def standing_tracker(drive: Path, n: int, folder: Path) -> Row:
     """The tracker stops for half of the drive: its ring fills, frames are recorded all the same."""
 
-    def stop(desk: Switchboard) -> None:
-        os.kill(desk.tracker.child.pid, signal.SIGSTOP)
+    def stop(hub: Hub) -> None:
+        os.kill(hub.tracker.child.pid, signal.SIGSTOP)
 
-    def go(desk: Switchboard) -> None:
-        os.kill(desk.tracker.child.pid, signal.SIGCONT)
+    def go(hub: Hub) -> None:
+        os.kill(hub.tracker.child.pid, signal.SIGCONT)
 
     during = AfterFrames((n // 4, stop), (3 * n // 4, go))
     result, _ = record(drive, folder / "rec", lockstep=False, during=during)
@@ -160,8 +156,8 @@ def stalled_serial(drive: Path, n: int, folder: Path) -> Row:
     far, near = os.openpty()
     config = config_for(drive)
     port = SerialPort(os.ttyname(near), 115_200)
-    line = PosePublisher(port, PoseOutputConfig(port=port.path), spacing_known=True)
-    port.start()
+    publisher = PosePublisher(port, PoseOutputConfig(port=port.path), spacing_known=True)
+    line = SerialOutput(port, publisher, time.monotonic_ns)
     # the kernel's own buffer would take some seconds of poses
     for _ in range(400):
         port.write(b"x" * 250)
@@ -172,8 +168,7 @@ def stalled_serial(drive: Path, n: int, folder: Path) -> Row:
             folder / "rec",
             lockstep=False,
             config=config,
-            publisher=line,
-            serial=port,
+            outputs=[line],
         )
         dropped = port.stats().dropped
     finally:
@@ -181,11 +176,11 @@ def stalled_serial(drive: Path, n: int, folder: Path) -> Row:
         os.close(near)
         os.close(far)
     kept = result.frames == [n, n] and result.unrecorded == 0 and all_frames(folder / "rec", n)
-    told = health(folder / "rec")[-1]["drops"]["serial_messages"]
+    reported = health(folder / "rec")[-1]["drops"]["serial_messages"]
     return Row(
         "serial reader stalled",
         f"{dropped} messages dropped, {result.poses} poses recorded, "
         f"{loop_figures(folder / 'rec')}",
         "no frame lost; what the line did not take is counted",
-        kept and 0 < told <= dropped and result.poses > 0,
+        kept and 0 < reported <= dropped == result.output_losses["serial"] and result.poses > 0,
     )

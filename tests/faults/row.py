@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.daemon.hub import Hub
 from calm_edge.recording import schema
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.recovery import Outcome, validate
@@ -45,6 +45,11 @@ def health(folder: Path) -> list[dict[str, Any]]:
     return list(Recording(folder).json_messages(schema.HEALTH))
 
 
+def loop_figures(folder: Path) -> str:
+    """The capture loop's worst latency; reported, not judged: other work may share the cores."""
+    return f"worst tick {max(m['tick']['max_ms'] for m in health(folder)):.0f} ms late"
+
+
 def states(folder: Path) -> list[str]:
     """The states met, in order, each change once."""
     met: list[str] = []
@@ -69,6 +74,6 @@ class AfterFrames:
     def __init__(self, *harms: tuple[int, Any]) -> None:
         self._harms = list(harms)
 
-    def __call__(self, desk: Switchboard, _: str) -> None:
-        while self._harms and desk.result.frames[0] >= self._harms[0][0]:
-            self._harms.pop(0)[1](desk)
+    def __call__(self, hub: Hub, _: str) -> None:
+        while self._harms and hub.result.frames[0] >= self._harms[0][0]:
+            self._harms.pop(0)[1](hub)

@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 from calm_edge.config import Config
 from calm_edge.daemon import estimator_link
-from calm_edge.daemon.estimator_process import EstimatorWork, run_estimator
+from calm_edge.daemon.estimator_process import EstimatorWork, run
 from calm_edge.daemon.messages import Processed
 from calm_edge.frontend.remembered import REMEMBERED_NS
 from calm_edge.types import SubmapWindow
@@ -37,4 +37,4 @@ def run_slowly(connection: Connection, config: Config, lockstep: bool) -> None:
         return solve(work, window)
 
     with patch.object(EstimatorWork, "_process", slowly):
-        run_estimator(connection, config, lockstep)
+        run(connection, config, lockstep)

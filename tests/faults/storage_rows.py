@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from calm_edge.config import merge
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.daemon.hub import Hub
 from calm_edge.recording import writer
 from calm_edge.recording.recovery import Outcome, validate
 from tests.faults.row import AfterFrames, Row, all_frames, states
@@ -49,8 +49,8 @@ class Poses:
     def __init__(self) -> None:
         self._at: list[int] = []
 
-    def mark(self, desk: Switchboard) -> None:
-        self._at.append(desk.result.poses + desk.result.lost_poses)
+    def mark(self, hub: Hub) -> None:
+        self._at.append(hub.result.poses + hub.result.lost_poses)
 
     @property
     def meanwhile(self) -> int:
@@ -66,14 +66,14 @@ def full_disk(drive: Path, n: int, folder: Path) -> Row:
         ballast, poses = disk / "ballast", Poses()
         wrong: list[str] = []
 
-        def fill(desk: Switchboard) -> None:
+        def fill(hub: Hub) -> None:
             room = os.statvfs(disk)
             ballast.write_bytes(b"\0" * (room.f_bavail * room.f_frsize - (9 << 20)))
-            poses.mark(desk)
+            poses.mark(hub)
 
-        def free(desk: Switchboard) -> None:
-            wrong.append(desk.recording.health.error)
-            poses.mark(desk)
+        def free(hub: Hub) -> None:
+            wrong.append(hub.recording.health.error)
+            poses.mark(hub)
             ballast.unlink()
 
         changes = {"recording": {"keep_free_gib": 0.0, "keep_free_percent": 0.0, "flush_s": 0.2}}
@@ -103,10 +103,10 @@ class FailingDisk:
     def __init__(self, code: int) -> None:
         self._code, self._fails = code, False
 
-    def fail(self, _: Switchboard) -> None:
+    def fail(self, _: Hub) -> None:
         self._fails = True
 
-    def mend(self, _: Switchboard) -> None:
+    def mend(self, _: Hub) -> None:
         self._fails = False
 
     def __call__(self, fd: int, data: bytes) -> int:
@@ -120,10 +120,10 @@ def failing_disk(drive: Path, n: int, folder: Path, code: int = errno.EIO) -> Ro
     disk, poses = FailingDisk(code), Poses()
     wrong: list[str] = []
 
-    def mend(desk: Switchboard) -> None:
-        wrong.append(desk.recording.health.error)
-        poses.mark(desk)
-        disk.mend(desk)
+    def mend(hub: Hub) -> None:
+        wrong.append(hub.recording.health.error)
+        poses.mark(hub)
+        disk.mend(hub)
 
     during = AfterFrames((n // 4, disk.fail), (n // 4 + 1, poses.mark), (3 * n // 4, mend))
     config = merge(config_for(drive), {"recording": {"flush_s": 0.2}})

@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.faults import isolation_rows, process_rows, storage_rows, time_rows
+from tests.faults import isolation_rows, output_rows, process_rows, storage_rows, time_rows
 from tests.faults.endurance_rows import endurance
 from tests.faults.independent_reader import build_rust
 from tests.faults.malformed_rows import malformed
@@ -54,6 +54,7 @@ def table(short: Path, long: Path) -> dict[str, Callable[[Path], Row]]:
         "estimator-slow": lambda folder: isolation_rows.slow_from_the_start(long, LONG, folder),
         "tracker-stands": on_short(isolation_rows.standing_tracker),
         "serial-stalled": on_short(isolation_rows.stalled_serial),
+        "outputs-fail": on_short(output_rows.bad_outputs),
         "stamps-future": lying("from the future"),
         "stamps-backwards": lying("backwards"),
         "stamps-none": lying("without a clock"),

@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 from calm_edge.cli import main
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.daemon.hub import Hub
 from calm_edge.recording.reader import Recording
 from device.frame import Eye
 from tests.replay.daemon_run import record
@@ -24,9 +24,9 @@ class Killer:
         self.killed = 0
         self.first_to_go = 0
 
-    def __call__(self, desk: Switchboard, _: str) -> None:
-        if not self.killed and desk.result.submaps >= self.after:
-            self.killed = desk.estimator.child.pid
+    def __call__(self, hub: Hub, _: str) -> None:
+        if not self.killed and hub.result.submaps >= self.after:
+            self.killed = hub.estimator.child.pid
             adjusted = Path(f"/proc/{self.killed}/oom_score_adj")
             self.first_to_go = int(adjusted.read_text(encoding="ascii"))
             # as if it died over a window that it had in hand
@@ -41,9 +41,9 @@ def test_a_killed_estimator_costs_no_frame_and_map_makes_it_good(tmp_path: Path)
     assert killer.killed and result.estimator_restarts == 1
     own = int(Path("/proc/self/oom_score_adj").read_text(encoding="ascii"))
     assert killer.first_to_go == 500 > own
-    assert any("estimator died" in line and "recording goes on" in line for line in said)
+    assert any("estimator died" in line and "recording continues" in line for line in said)
     assert result.frames == [N, N] and result.unrecorded == 0
-    assert any("map mends it" in line for line in result.losses())
+    assert any("map computes it all" in line for line in result.losses())
     recording = Recording(out)
     assert not recording.losses
     assert [recording.count(f"/{e.name.lower()}/image") for e in Eye] == [N, N]
@@ -56,14 +56,14 @@ def test_a_killed_estimator_costs_no_frame_and_map_makes_it_good(tmp_path: Path)
 def test_an_estimator_that_always_dies_is_given_up_and_recording_goes_on(tmp_path: Path) -> None:
     drive = write_drive(tmp_path / "drive", N)
 
-    def kill_each(desk: Switchboard, _: str) -> None:
-        if desk.result.frames[0] > 2 and desk.estimator.child.alive:
-            os.kill(desk.estimator.child.pid, signal.SIGKILL)
+    def kill_each(hub: Hub, _: str) -> None:
+        if hub.result.frames[0] > 2 and hub.estimator.child.alive:
+            os.kill(hub.estimator.child.pid, signal.SIGKILL)
 
     out = tmp_path / "rec"
     result, said = record(drive, out, lockstep=False, during=kill_each)
     assert result.frames == [N, N] and result.submaps == 0
-    assert any("not started again" in line for line in said)
+    assert any("not restarted" in line for line in said)
     assert result.losses()
     recording = Recording(out)
     assert recording.count("/primary/image") == N and not recording.losses

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from calm_edge.daemon import estimator_link, tracker_link
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.daemon.hub import Hub
 from tests.replay.daemon_run import record
 from tests.replay.small_drive import write_drive
 
@@ -21,14 +21,14 @@ def test_a_hung_tracker_is_ended_and_started_again(
     drive = write_drive(tmp_path / "drive", 40)
     hung: list[int] = []
 
-    def hang_once(desk: Switchboard, _: str) -> None:
-        if not hung and desk.result.frames[0] > 5:
-            hung.append(desk.tracker.child.pid)
+    def hang_once(hub: Hub, _: str) -> None:
+        if not hung and hub.result.frames[0] > 5:
+            hung.append(hub.tracker.child.pid)
             os.kill(hung[0], signal.SIGSTOP)
 
     result, said = record(drive, tmp_path / "rec", lockstep=False, during=hang_once)
     assert hung and result.tracker_restarts == 1
-    assert any("has said nothing for 1 s" in line for line in said)
+    assert any("has not answered for 1 s" in line for line in said)
     assert result.frames == [40, 40] and result.unrecorded == 0
 
 
@@ -40,9 +40,9 @@ def test_a_hung_estimator_is_ended_and_started_again(
     drive = write_drive(tmp_path / "drive", 40)
     hung: list[int] = []
 
-    def hang_once(desk: Switchboard, _: str) -> None:
-        if not hung and desk.result.frames[0] > 5:
-            hung.append(desk.estimator.child.pid)
+    def hang_once(hub: Hub, _: str) -> None:
+        if not hung and hub.result.frames[0] > 5:
+            hung.append(hub.estimator.child.pid)
             os.kill(hung[0], signal.SIGSTOP)
 
     result, said = record(drive, tmp_path / "rec", lockstep=False, during=hang_once)

@@ -9,6 +9,7 @@ import pytest
 
 from calm_edge.daemon import tracker_link
 from tests.faults import isolation_rows as rows
+from tests.faults.output_rows import bad_outputs
 from tests.faults.row import Row
 from tests.replay.small_drive import write_drive
 
@@ -27,6 +28,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         rows.standing_estimator,
         rows.standing_tracker,
         rows.stalled_serial,
+        bad_outputs,
     ],
 )
 def test_capture_goes_on(

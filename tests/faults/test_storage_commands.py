@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from calm_edge.cli import main
-from calm_edge.daemon.source import Source
+from calm_edge.daemon.source import Source, of_sequence
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.retention import KEEP_FLAG
 from device.camera import Camera, CameraSpec
 from device.drivers.replay import ReplayCamera
 from device.errors import CameraError
 from device.frame import Eye
-from tests.replay.daemon_run import config_for, record, source_of
+from tests.replay.daemon_run import config_for, record
 from tests.replay.small_drive import write_drive
 
 
@@ -73,7 +73,7 @@ def test_recover_has_a_target_of_its_own(
 
 def test_a_camera_that_does_not_open_leaves_no_empty_drive(drive: Path, tmp_path: Path) -> None:
     config = config_for(drive)
-    source = source_of(drive, config, paced=True)
+    source = of_sequence(drive, True, config)
 
     class Absent(ReplayCamera):
         def start(self) -> None:

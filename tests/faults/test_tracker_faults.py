@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 from calm_edge.cli import main
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.daemon.hub import Hub
 from calm_edge.recording.reader import Recording
 from calm_edge.types import PoseStatus
 from device.frame import Eye
@@ -21,9 +21,9 @@ def test_a_killed_tracker_is_started_again_and_costs_no_frame(tmp_path: Path) ->
     drive = write_drive(tmp_path / "drive", N)
     killed: list[int] = []
 
-    def kill_once(desk: Switchboard, _: str) -> None:
-        if not killed and desk.result.poses >= 3 and desk.result.submaps:
-            killed.append(desk.tracker.child.pid)
+    def kill_once(hub: Hub, _: str) -> None:
+        if not killed and hub.result.poses >= 3 and hub.result.submaps:
+            killed.append(hub.tracker.child.pid)
             os.kill(killed[0], signal.SIGKILL)
 
     out = tmp_path / "rec"
@@ -50,13 +50,13 @@ def test_a_killed_tracker_is_started_again_and_costs_no_frame(tmp_path: Path) ->
 def test_a_tracker_that_always_dies_is_given_up_and_recording_goes_on(tmp_path: Path) -> None:
     drive = write_drive(tmp_path / "drive", 30)
 
-    def kill_each(desk: Switchboard, _: str) -> None:
-        if desk.result.frames[0] > 2 and desk.tracker.child.alive:
-            os.kill(desk.tracker.child.pid, signal.SIGKILL)
+    def kill_each(hub: Hub, _: str) -> None:
+        if hub.result.frames[0] > 2 and hub.tracker.child.alive:
+            os.kill(hub.tracker.child.pid, signal.SIGKILL)
 
     out = tmp_path / "rec"
     result, said = record(drive, out, lockstep=False, during=kill_each)
-    assert any("tracker died" in line and "not started again" in line for line in said)
+    assert any("tracker died" in line and "not restarted" in line for line in said)
     assert result.frames == [30, 30] and result.unrecorded == 0 and result.untracked > 0
     assert result.losses()
     assert Recording(out).count("/primary/image") == 30

@@ -12,9 +12,9 @@ from unittest import mock
 import numpy as np
 
 from calm_edge.config import merge
+from calm_edge.daemon.hub import Hub
 from calm_edge.daemon.ladder import Shed
-from calm_edge.daemon.source import Source
-from calm_edge.daemon.switchboard import Switchboard
+from calm_edge.daemon.source import Source, of_sequence
 from calm_edge.recording import schema
 from calm_edge.recording.reader import Recording
 from device.camera import Camera, CameraStats
@@ -22,7 +22,7 @@ from device.clock import Clock
 from device.frame import Eye, Frame
 from device.stream import Stream
 from tests.faults.row import AfterFrames, Row, all_frames, health, states
-from tests.replay.daemon_run import config_for, record, source_of
+from tests.replay.daemon_run import config_for, record
 
 HOUR_NS = 3600 * 10**9
 
@@ -31,7 +31,7 @@ def wall_clock(drive: Path, n: int, folder: Path) -> Row:
     """The wall clock is set back two hours in the middle of the drive."""
     real, offset_ns = time.time_ns, [0]
 
-    def set_back(_: Switchboard) -> None:
+    def set_back(_: Hub) -> None:
         offset_ns[0] = -2 * HOUR_NS
 
     with mock.patch("time.time_ns", lambda: real() + offset_ns[0]):
@@ -107,7 +107,7 @@ class LyingCamera:
 def lying_stamps(drive: Path, n: int, folder: Path, kind: str) -> Row:
     """kind: `from the future`, `backwards` or `without a clock`."""
     config = config_for(drive)
-    source = source_of(drive, config, paced=True)
+    source = of_sequence(drive, True, config)
 
     def cameras() -> tuple[Camera, Camera]:
         primary, assistant = source.open()

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from calm_edge.config import Config, merge
 from calm_edge.daemon.capture import Capture
-from calm_edge.daemon.monitor import SerialLine
+from calm_edge.daemon.fan_out import Output
+from calm_edge.daemon.hub import Hub
+from calm_edge.daemon.outputs import RecordingOutput
 from calm_edge.daemon.result import RecordResult
-from calm_edge.daemon.source import Source, replayed
-from calm_edge.daemon.switchboard import Switchboard
-from calm_edge.pose_output.publisher import PosePublisher
+from calm_edge.daemon.source import Source, of_sequence
 from calm_edge.recording.segment import Write
-from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.recording.writer import RecordingWriter
-from device.frame import Eye
 from device.service import NullNotifier
 
 
@@ -31,36 +29,27 @@ def config_for(folder: Path, **frontend: int) -> Config:
     )
 
 
-def source_of(folder: Path, config: Config, *, paced: bool) -> Source:
-    sequence = SequenceFolder(folder)
-    epoch_ns = min(int(sequence.t_ns(eye)[0]) for eye in Eye)
-    return replayed(sequence.frames, epoch_ns, paced, config, str(folder))
-
-
 def record(
     folder: Path,
     out: Path,
     *,
     lockstep: bool,
     config: Config | None = None,
-    during: Callable[[Switchboard, str], None] | None = None,
-    publisher: PosePublisher | None = None,
-    serial: SerialLine | None = None,
+    during: Callable[[Hub, str], None] | None = None,
+    outputs: Sequence[Output] = (),
     source: Source | None = None,
     root: Path | None = None,
     queue_bytes: int = 128 << 20,
     write: Write = os.write,
 ) -> tuple[RecordResult, list[str]]:
-    """The result and what was said. `during` sees every status, and every tick that had a frame or
-    a pose as "watchdog", and may do harm.
+    """The result and the lines for the user. `during` is called with every status, and with
+    "watchdog" at every tick that had a frame or a pose, and may do harm.
     """
     config = config or config_for(folder)
-    source = source or source_of(folder, config, paced=not lockstep)
+    source = source or of_sequence(folder, not lockstep, config)
     now_ns = source.clock.now_ns
-    said: list[str] = []
-    desk = Switchboard(
-        config,
-        source,
+    lines: list[str] = []
+    recording = RecordingOutput(
         lambda: RecordingWriter(
             out,
             config,
@@ -69,24 +58,21 @@ def record(
             queue_bytes=queue_bytes,
             now_ns=now_ns,
             write=write,
-        ),
-        publisher,
-        lockstep=lockstep,
-        say=said.append,
+        )
     )
-    notifier = HarmfulNotifier(desk, during) if during else NullNotifier()
-    capture = Capture(desk, notifier, serial)
-    return capture.run(), said
+    hub = Hub(config, source, recording, outputs, lockstep=lockstep, say=lines.append)
+    notifier = HarmfulNotifier(hub, during) if during else NullNotifier()
+    return Capture(hub, notifier).run(), lines
 
 
 class HarmfulNotifier(NullNotifier):
-    """Calls `during` whenever the daemon says that it is alive."""
+    """Calls `during` with each message to the service manager."""
 
-    def __init__(self, desk: Switchboard, during: Callable[[Switchboard, str], None]) -> None:
-        self._desk, self._during = desk, during
+    def __init__(self, hub: Hub, during: Callable[[Hub, str], None]) -> None:
+        self._hub, self._during = hub, during
 
     def watchdog(self) -> None:
-        self._during(self._desk, "watchdog")
+        self._during(self._hub, "watchdog")
 
     def status(self, text: str, state: str = "") -> None:
-        self._during(self._desk, text)
+        self._during(self._hub, text)

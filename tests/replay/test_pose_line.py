@@ -16,15 +16,14 @@ from pymavlink.dialects.v20 import common as peer
 
 from calm_edge.cli import main
 from calm_edge.config import merge
+from calm_edge.daemon.outputs import configured
 from calm_edge.daemon.source import Source
-from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import PoseStatus
 from device.camera import Camera, CameraSpec, open_camera
 from device.clock import ManualClock
 from device.frame import Eye, Frame
-from device.serial_port import SerialPort
 from tests.replay.daemon_run import config_for, record
 from tests.replay.small_drive import write_drive
 
@@ -111,16 +110,12 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recordin
         )
         return primary, assistant
 
-    port = SerialPort(listener.port, config.pose_output.baud)
-    publisher = PosePublisher(port, config.pose_output, spacing_known=True, now_ns=clock.now_ns)
-    port.start(publisher.receive)
     source = Source(cameras, clock, True, "drive")
+    serial = configured(config, clock.now_ns)
     out = folder / "rec"
-    result, _ = record(drive, out, lockstep=True, config=config, source=source, publisher=publisher)
-    publisher.last_words((), clock.now_ns())
-    port.stop()
+    result, _ = record(drive, out, lockstep=True, config=config, source=source, outputs=serial)
     listener.close()
-    assert not result.error and result.frames == [N, N] and port.stats().dropped == 0
+    assert not result.error and result.frames == [N, N] and result.output_losses == {"serial": 0}
     return listener.messages, Recording(out)
 
 

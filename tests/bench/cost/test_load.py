@@ -13,8 +13,8 @@ from bench.cost import joint_optimum, length
 from bench.cost.load import PRIORITY, Run, cpu_seconds, granted, table
 from bench.cost.load_pictures import SIZE, enlarged, frames
 from calm_edge.config import load
-from calm_edge.daemon.lateness import Lateness
 from calm_edge.daemon.result import RecordResult
+from calm_edge.daemon.tick_latency import TickLatency
 from calm_edge.geometry.flow import corners, follow
 from device.frame import Eye, Frame
 from tests.replay.small_drive import write_drive
@@ -67,7 +67,7 @@ def test_the_graph_is_the_whole_drive_with_its_loops() -> None:
 def test_each_promise_is_judged(
     lost: int, late_ms: float, age_ms: float | None, share: float, kept: list[bool]
 ) -> None:
-    result = RecordResult(frames=[30, 30], tick=Lateness(100, 0.1, late_ms, 9.0))
+    result = RecordResult(frames=[30, 30], tick=TickLatency(100, 0.1, late_ms, 9.0))
     if age_ms is not None:
         result.note_pose(False, age_ms)
     made = table([Run("inference", 60, lost, share, 0.5, 1.0, result)], "command")

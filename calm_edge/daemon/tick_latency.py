@@ -1,4 +1,4 @@
-"""How late ticks came: of the last second, and of the whole run in bounded memory."""
+"""Wake-up latency of the capture loop's ticks: of a second, and of the whole run."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ _BINS = 40_000
 
 
 @dataclass(frozen=True, slots=True)
-class Lateness:
-    """Milliseconds behind the deadline; zeros where there was no tick."""
+class TickLatency:
+    """Milliseconds after the deadline; zeros without a tick."""
 
     ticks: int = 0
     p50_ms: float = 0.0
@@ -20,36 +20,36 @@ class Lateness:
     max_ms: float = 0.0
 
 
-class LatenessMeter:
-    """Owner of the ticks since the last `take`, and of a histogram of all: 2 s."""
+class TickLatencyMeter:
+    """Owner of the latencies since the last `take`, and of a histogram of all, of 2 s."""
 
     def __init__(self) -> None:
         self._recent: list[float] = []
         self._histogram = np.zeros(_BINS, np.int64)
         self._max_ms = 0.0
 
-    def note(self, lateness_ns: int) -> None:
-        """One tick came so late; early is zero."""
-        self._recent.append(max(lateness_ns, 0) / 1e6)
+    def add(self, latency_ns: int) -> None:
+        """Add a tick; early counts as zero."""
+        self._recent.append(max(latency_ns, 0) / 1e6)
 
-    def take(self) -> Lateness:
-        """Of the ticks since the last call."""
+    def take(self) -> TickLatency:
+        """The ticks since the last call."""
         recent, self._recent = np.array(self._recent), []
         if not len(recent):
-            return Lateness()
+            return TickLatency()
         at = np.minimum((recent / _BIN_MS).astype(np.int64), _BINS - 1)
         np.add.at(self._histogram, at, 1)
         self._max_ms = max(self._max_ms, float(recent.max()))
         p50, p99 = np.percentile(recent, [50, 99])
-        return Lateness(len(recent), float(p50), float(p99), float(recent.max()))
+        return TickLatency(len(recent), float(p50), float(p99), float(recent.max()))
 
-    def overall(self) -> Lateness:
-        """Of every tick that was taken; percentiles rounded up to the histogram's step."""
+    def overall(self) -> TickLatency:
+        """All ticks taken so far; percentiles rounded up to the histogram's bins."""
         cumulated = np.cumsum(self._histogram)
         total = int(cumulated[-1])
         if not total:
-            return Lateness()
+            return TickLatency()
         p50, p99 = (
             float(_BIN_MS * (np.searchsorted(cumulated, q * total) + 1)) for q in (0.5, 0.99)
         )
-        return Lateness(total, min(p50, self._max_ms), min(p99, self._max_ms), self._max_ms)
+        return TickLatency(total, min(p50, self._max_ms), min(p99, self._max_ms), self._max_ms)

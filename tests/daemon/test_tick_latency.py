@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from calm_edge.daemon.lateness import Lateness, LatenessMeter
+from calm_edge.daemon.tick_latency import TickLatency, TickLatencyMeter
 
 
 def test_a_second_and_the_whole_run() -> None:
-    meter = LatenessMeter()
-    assert meter.take() == meter.overall() == Lateness()
+    meter = TickLatencyMeter()
+    assert meter.take() == meter.overall() == TickLatency()
     late_ms = np.random.default_rng(0).exponential(1.0, (50, 100))
     for second in late_ms:
         for value in second:
-            meter.note(int(value * 1e6))
+            meter.add(int(value * 1e6))
         taken = meter.take()
         assert taken.ticks == 100
         np.testing.assert_allclose(
@@ -29,8 +29,8 @@ def test_a_second_and_the_whole_run() -> None:
 
 
 def test_early_is_zero_and_a_stall_of_minutes_still_has_its_maximum() -> None:
-    meter = LatenessMeter()
-    meter.note(-5)
-    meter.note(90 * 10**9)
+    meter = TickLatencyMeter()
+    meter.add(-5)
+    meter.add(90 * 10**9)
     assert meter.take().max_ms == meter.overall().max_ms == 90_000
     assert meter.overall().p50_ms == 0.05

@@ -1,4 +1,4 @@
-"""The end of a run: how long to wait, and the sub-maps where they finally are."""
+"""End of a run: how long it may take, and the sub-maps in their final places."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ LIVE_LIMIT_S = 20.0
 
 
 def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[LocalizerUpdate]:
-    """An update a sub-map, poses only, as it is after the joint optimum.
+    """One update for each sub-map after the joint optimum, with poses only.
 
-    Only the last one carries the whole trajectory: with it in each, a long drive would cost more
-    than its images. `map` takes the landmarks from the sub-map's first update.
+    Only the last one has the whole trajectory: in each, it would take more room than the images of
+    a long drive. `map` takes the landmarks from the sub-map's first update.
     """
     trajectory = finished.trajectory
     if trajectory is None:

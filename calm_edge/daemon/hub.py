@@ -1,0 +1,256 @@
+"""Passes frames to tracker and estimator, and what comes back to the outputs, in order."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from calm_edge.config import Config
+from calm_edge.daemon.child import Child
+from calm_edge.daemon.estimator_link import EstimatorLink
+from calm_edge.daemon.fan_out import FanOut, Output
+from calm_edge.daemon.hub_status import HubStatus, take_status
+from calm_edge.daemon.ladder import Shed
+from calm_edge.daemon.messages import Attached, Posed, Processed, Tracked
+from calm_edge.daemon.outputs import RecordingOutput
+from calm_edge.daemon.result import RecordResult
+from calm_edge.daemon.source import Source
+from calm_edge.daemon.tracker_link import TrackerLink
+from calm_edge.frontend.association import is_thin
+from calm_edge.recording.record import array_bytes
+from calm_edge.recording.window_record import of_window
+from calm_edge.types import (
+    CalmEdgeError,
+    KitBelief,
+    LocalizerUpdate,
+    PoseSample,
+    PoseStatus,
+    SubmapWindow,
+)
+from device.frame import Frame
+
+# a cold start from a slow card takes its time; the unit allows 120 s in all
+START_LIMIT_S = 100.0
+
+
+class DaemonError(CalmEdgeError):
+    """The daemon cannot start, or a replay cannot go on."""
+
+
+class Hub:
+    """Owner of the links to both children, and of the outputs, the recording first.
+
+    The recording is opened once both children are ready and the cameras are open, so that neither a
+    refused configuration nor an absent camera leaves an empty one behind. Nothing here waits, but
+    for `until`. say: prints a line for the user.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        source: Source,
+        recording: RecordingOutput,
+        outputs: Sequence[Output] = (),
+        *,
+        lockstep: bool,
+        say: Callable[[str], None],
+    ) -> None:
+        self.config, self.source, self.lockstep = config, source, lockstep
+        self.result = RecordResult()
+        self.recording, self.outputs = recording, FanOut([recording, *outputs])
+        self.kit: KitBelief | None = None
+        self.impatient = False
+        self.capturing = True
+        self._lagging = False
+        self._shed = Shed.NOTHING
+        self._stage_ms: dict[str, float] = {}
+        now_ns = source.clock.now_ns()
+        # when each eye last gave a frame, and the tracker a live pose
+        self._frame_ns, self._pose_ns = [now_ns, now_ns], now_ns
+        self._say_to_user = say
+        self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
+        self.tracker = TrackerLink(config.frontend, self._events, self.say)
+        self.estimator = EstimatorLink(
+            config, self._events, self.say, lockstep=lockstep, now_ns=source.clock.now_ns
+        )
+
+    def start(self) -> None:
+        """Wait for both children; raises CalmEdgeError."""
+        self.until(
+            lambda: (
+                (self.tracker.ready and self.estimator.ready)
+                or self.estimator.given_up
+                or self.tracker.given_up
+            ),
+            time.monotonic() + START_LIMIT_S,
+        )
+        if not (self.tracker.ready and self.estimator.ready):
+            raise DaemonError("the tracker or the estimator did not start; see the lines above")
+
+    def stop(self) -> None:
+        """End both children, count what was lost and close the outputs."""
+        self.estimator.stop()
+        self.tracker.stop()
+        result, estimator = self.result, self.estimator
+        result.lost_windows = sorted(estimator.lost)
+        result.windows_left_to_map = sorted(estimator.left_to_map)
+        result.unsolved_windows = sorted(estimator.unsolved)
+        result.estimator_restarts = estimator.restarts
+        result.tracker_restarts = self.tracker.restarts
+        result.untracked += self.tracker.frames_lost
+        self.outputs.close(result)
+
+    def frame(self, frame: Frame) -> None:
+        """Pass one frame to the outputs and to the tracker, as the same bytes."""
+        frame = frame.encoded(self.config.recording.jpeg_quality)
+        self.outputs.give(lambda output: output.frame(frame), len(frame.image))
+        self.result.frames[frame.eye] += 1
+        self._frame_ns[frame.eye] = self.source.clock.now_ns()
+        if not self.tracker.offer(frame):
+            self.result.untracked += 1
+
+    def leave_out(self, shed: Shed, why: str) -> None:
+        """Do no more work than this step of the ladder allows; frames are always recorded."""
+        if shed is self._shed:
+            return
+        self._shed = shed
+        self.estimator.make_depth(shed < Shed.DEPTH)
+        self.tracker.set_sparse(shed >= Shed.HALF_THE_WINDOWS)
+        self.say(f"{shed.words}: {why}; every frame is recorded")
+
+    def pump(self, wait_s: float = 0.0) -> int:
+        """Handle the messages of the children; the number of poses among them."""
+        poses = 0
+        while True:
+            try:
+                child, message = (
+                    self._events.get(timeout=wait_s) if wait_s else self._events.get_nowait()
+                )
+            except queue.Empty:
+                break
+            wait_s = 0.0
+            if child is self.estimator.child:
+                self._from_estimator(message)
+            elif child is self.tracker.child:
+                poses += self._from_tracker(message)
+        silent_ms = (self.source.clock.now_ns() - self._pose_ns) / 1e6
+        self.estimator.capturing = self.capturing
+        self.estimator.pose_lost = silent_ms > self.config.frontend.lost_after_ms
+        # after their messages: a capture process that was suspended must not take them for hung
+        self.estimator.pump()
+        self.tracker.pump()
+        if self.estimator.lagging != self._lagging:
+            self._lagging = self.estimator.lagging
+            self.tracker.set_lagging(self._lagging and not self.lockstep)
+        if not poses:
+            self.outputs.tick(self.source.clock.now_ns())
+        return poses
+
+    def quiet(self) -> bool:
+        """Whether neither child has work left."""
+        return not (self.tracker.in_flight or self.tracker.attaching or self.estimator.waiting)
+
+    def until(self, done: Callable[[], bool], end_s: float, progress: str = "") -> bool:
+        """Handle messages until done; False if end_s (of time.monotonic) or an impatient user came
+        first.
+        """
+        reported_s = time.monotonic()
+        while not done():
+            self.pump(0.05)
+            now_s = time.monotonic()
+            if now_s > end_s or self.impatient:
+                return False
+            if progress and now_s - reported_s > 5.0:
+                reported_s = now_s
+                self._say_to_user(f"{progress}: {self.estimator.waiting} windows to go")
+        return True
+
+    def say(self, text: str) -> None:
+        """A warning for the user and the outputs."""
+        self._say_to_user(text)
+        self.outputs.give(lambda output: output.say(logging.WARNING, text, "daemon"))
+
+    def give_update(self, update: LocalizerUpdate) -> None:
+        """Pass a sub-map to the outputs."""
+        self.outputs.give(lambda output: output.update(update), array_bytes(update))
+
+    def take_status(self) -> HubStatus:
+        """The figures so far, and the oldest pose since the last call."""
+        return take_status(
+            self.result,
+            self.tracker,
+            self.estimator,
+            self.outputs,
+            self.recording.health,
+            now_ns=self.source.clock.now_ns(),
+            frame_ns=(self._frame_ns[0], self._frame_ns[1]),
+            pose_ns=self._pose_ns,
+            stage_ms=self._stage_ms,
+        )
+
+    def _from_tracker(self, message: Any) -> int:
+        windows, keyframe = self.tracker.accept(message)
+        if self.tracker.refusal:
+            raise DaemonError(self.tracker.refusal)
+        for window in windows:
+            self._window(window)
+        if keyframe is not None and self._shed < Shed.ALL_WINDOWS:
+            self.estimator.expect(keyframe)
+        match message:
+            case Attached():
+                self.outputs.give(lambda output: output.attached(message))
+            case Tracked():
+                self.result.late_poses += message.late
+                if message.problem:
+                    self._unreadable(message.problem)
+            case Posed():
+                self._pose(message.sample)
+                return 1
+        return 0
+
+    def _pose(self, sample: PoseSample) -> None:
+        now_ns = self.source.clock.now_ns()
+        self.outputs.give(lambda output: output.pose(sample, now_ns))
+        age_ms = None if self.lockstep else (now_ns - sample.t_ns) / 1e6
+        self.result.note_pose(sample.status is PoseStatus.LOST, age_ms)
+        if sample.status is not PoseStatus.LOST:
+            self._pose_ns = now_ns
+
+    def _from_estimator(self, message: Any) -> None:
+        self.estimator.accept(message)
+        if self.estimator.refusal:
+            raise DaemonError(self.estimator.refusal)
+        if not isinstance(message, Processed):
+            return
+        if message.problem:
+            self.say(f"window {message.submap_id}: {message.problem}")
+        if (update := message.update) is not None:
+            self.kit, self._stage_ms = update.kit, update.stage_ms
+            for notice in update.notices:
+                self.say(notice)
+            if (record := message.window) is not None:
+                self.outputs.give(lambda output: output.window(record))
+            self.give_update(update)
+            self.result.submaps += 1
+            self.tracker.attach(update)
+
+    def _window(self, window: SubmapWindow) -> None:
+        self.result.windows += 1
+        self.result.keyframes += len(window.primary) - window.n_overlap
+        record = of_window(window)
+        self.outputs.give(lambda output: output.window(record))
+        if is_thin(window):
+            self.say(f"window {window.submap_id}: only {len(window.assistant)} assistant frames")
+        if self._shed >= Shed.ALL_WINDOWS:
+            self.estimator.leave(window)
+        elif not self.estimator.offer(window):
+            self.say(f"window {window.submap_id}: estimator too far behind; left to map")
+
+    def _unreadable(self, problem: str) -> None:
+        if self.source.is_replay:
+            raise DaemonError(f"{self.source.description}: {problem}; replace or remove it")
+        self.result.unreadable += 1
+        self.say(problem)

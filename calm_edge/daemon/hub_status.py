@@ -1,0 +1,81 @@
+"""Figures of the hub, as the monitor reads them once a second."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from calm_edge.daemon.estimator_link import EstimatorLink
+from calm_edge.daemon.fan_out import FanOut
+from calm_edge.daemon.result import RecordResult
+from calm_edge.daemon.tracker_link import TrackerLink
+from calm_edge.recording.health import WriterHealth
+
+
+@dataclass(frozen=True, slots=True)
+class HubStatus:
+    """now_ns, and when each eye gave its last frame and the tracker its last live pose, all on the
+    clock of the frames.
+
+    pose_lost: the newest pose is a lost one. pose_age_ms: the oldest pose of this second.
+    faults: what does not work. counts, drops, queues, stage_ms: see `Health`.
+    """
+
+    now_ns: int
+    frame_ns: tuple[int, int]
+    pose_ns: int
+    pose_lost: bool
+    pose_age_ms: float | None
+    windows_waiting: int
+    windows_overtaken: int
+    faults: tuple[str, ...]
+    counts: dict[str, int]
+    drops: dict[str, int]
+    queues: dict[str, float]
+    stage_ms: dict[str, float]
+    writer: WriterHealth
+
+
+def take_status(
+    result: RecordResult,
+    tracker: TrackerLink,
+    estimator: EstimatorLink,
+    outputs: FanOut,
+    writer: WriterHealth,
+    *,
+    now_ns: int,
+    frame_ns: tuple[int, int],
+    pose_ns: int,
+    stage_ms: dict[str, float],
+) -> HubStatus:
+    """The status at now_ns; the pose age in `result` starts anew."""
+    links = {"estimator": estimator.given_up, "tracker": tracker.given_up}
+    given_up = [f"{name} given up" for name, gone in links.items() if gone]
+    return HubStatus(
+        now_ns,
+        frame_ns,
+        pose_ns,
+        result.pose_lost,
+        result.take_worst_age_ms(),
+        estimator.waiting,
+        estimator.overtaken,
+        (*outputs.faults(), *given_up),
+        result.counts(),
+        {
+            "images_not_recorded": writer.dropped_images,
+            "others_not_recorded": writer.dropped_others + writer.unwritable,
+            "not_tracked": result.untracked + tracker.frames_lost,
+            "unreadable": result.unreadable,
+            "windows_left_to_map": len(estimator.left_to_map),
+            "windows_lost": len(estimator.lost),
+            "windows_unsolved": len(estimator.unsolved),
+            **{f"{name}_messages": lost for name, lost in outputs.lost().items()},
+        },
+        {
+            "tracker_frames": tracker.in_flight,
+            "tracker_submaps": tracker.attaching,
+            "estimator_windows": estimator.waiting,
+            "recording_fill": writer.queue_fill,
+        },
+        stage_ms,
+        writer,
+    )

@@ -1,0 +1,144 @@
+"""The consumers of live results: the recording, the serial line, and what else is added here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from calm_edge.config import Config
+from calm_edge.daemon.fan_out import Output
+from calm_edge.daemon.health import Health
+from calm_edge.daemon.messages import Attached
+from calm_edge.daemon.result import RecordResult
+from calm_edge.daemon.state import Standing
+from calm_edge.pose_output.publisher import PosePublisher
+from calm_edge.recording.health import WriterHealth
+from calm_edge.recording.schema import CAMERAS_METADATA, HEALTH
+from calm_edge.recording.window_record import WindowRecord
+from calm_edge.recording.writer import RecordingWriter
+from calm_edge.types import LocalizerUpdate, PoseSample
+from device.frame import Frame
+from device.serial_port import SerialPort
+
+
+class RecordingOutput(Output):
+    """The recording; its writer has a queue and a thread."""
+
+    name = "recording"
+    immediate = required = True
+
+    def __init__(self, open_writer: Callable[[], RecordingWriter]) -> None:
+        self._open_writer = open_writer
+        self._writer: RecordingWriter | None = None
+
+    def open(self) -> None:
+        """Open the files; lines of the log before that are not recorded. Raises RecordingError."""
+        self._writer = self._open_writer()
+
+    @property
+    def health(self) -> WriterHealth:
+        """What was written and dropped."""
+        return self.writer.health
+
+    @property
+    def writer(self) -> RecordingWriter:
+        assert self._writer is not None
+        return self._writer
+
+    @property
+    def fault(self) -> str:
+        return self.health.error
+
+    def frame(self, frame: Frame) -> None:
+        self.writer.write_frame(frame)
+
+    def window(self, window: WindowRecord) -> None:
+        self.writer.write_window(window)
+
+    def pose(self, sample: PoseSample, now_ns: int) -> None:
+        self.writer.write_pose(sample)
+
+    def update(self, update: LocalizerUpdate) -> None:
+        self.writer.write_update(update)
+
+    def attached(self, attached: Attached) -> None:
+        T_map_odom = attached.T_map_odom.ravel().tolist()
+        self.writer.write_status(
+            {
+                "submap_id": attached.submap_id,
+                "tracked": attached.taken,
+                "T_map_odom": T_map_odom,
+            }
+        )
+
+    def cameras(self, settings: Mapping[str, str]) -> None:
+        self.writer.write_metadata(CAMERAS_METADATA, settings)
+
+    def status(self, standing: Standing, health: Health | None) -> None:
+        if health is not None:
+            self.writer.write_status(health.message(), HEALTH)
+
+    def say(self, level: int, text: str, name: str) -> None:
+        if self._writer is not None:
+            self._writer.write_log(level, text, name)
+
+    def close(self, result: RecordResult) -> None:
+        if self._writer is None:
+            return
+        self._writer.write_status(result.summary())
+        health = self._writer.close()
+        result.unrecorded = health.dropped_images + health.dropped_others + health.unwritable
+        result.error = result.error or health.error
+
+
+class SerialOutput(Output):
+    """Poses and state as MAVLink on a serial port, which has a queue and a thread."""
+
+    name = "serial"
+    immediate = True
+
+    def __init__(
+        self, port: SerialPort, publisher: PosePublisher, now_ns: Callable[[], int]
+    ) -> None:
+        self._port, self._publisher, self._now_ns = port, publisher, now_ns
+        port.start(publisher.receive)
+
+    @property
+    def lost(self) -> int:
+        return self._port.stats().dropped
+
+    @property
+    def fault(self) -> str:
+        return self._port.error or ""
+
+    def pose(self, sample: PoseSample, now_ns: int) -> None:
+        self._publisher.publish(sample, now_ns)
+
+    def tick(self, now_ns: int) -> None:
+        self._publisher.publish(None, now_ns)
+
+    def status(self, standing: Standing, health: Health | None) -> None:
+        self._publisher.report(standing.state.value, standing.reasons)
+
+    def close(self, result: RecordResult) -> None:
+        reasons = (result.error,) if result.error else ()
+        self._publisher.last_words(reasons, self._now_ns())
+        self._port.stop()
+
+
+def configured(config: Config, now_ns: Callable[[], int]) -> list[Output]:
+    """The outputs that the configuration asks for besides the recording; raises ConfigError.
+
+    now_ns: the clock of the frames' stamps.
+    """
+    outputs: list[Output] = []
+    if config.pose_output.port:
+        port = SerialPort(config.pose_output.port, config.pose_output.baud)
+        publisher = PosePublisher(
+            port,
+            config.pose_output,
+            spacing_known=config.scale.spacing_m > 0,
+            lost_after_ms=config.frontend.lost_after_ms,
+            now_ns=now_ns,
+        )
+        outputs.append(SerialOutput(port, publisher, now_ns))
+    return outputs

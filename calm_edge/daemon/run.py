@@ -1,0 +1,107 @@
+"""One run of `record`, from the check of its target to the trajectory file."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from calm_edge.config import Config
+from calm_edge.daemon import ladder, outputs
+from calm_edge.daemon.capture import Capture
+from calm_edge.daemon.hub import Hub
+from calm_edge.daemon.result import RecordResult
+from calm_edge.daemon.source import Source
+from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.retention import TRAJECTORY_FILE, new_drive
+from calm_edge.recording.room import check_room
+from calm_edge.recording.segment import segment_files
+from calm_edge.recording.writer import RecordingWriter
+from calm_edge.trajectories import write_tum
+from calm_edge.types import CalmEdgeError
+from device.errors import DeviceError
+from device.service import Notifier
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """The folder to record into; or, with is_root, the folder of all drives: a new one is made in
+    it, and the oldest are removed when the disk is full.
+    """
+
+    folder: Path
+    is_root: bool = False
+
+    @property
+    def root(self) -> Path | None:
+        """The folder of all drives."""
+        return self.folder if self.is_root else None
+
+    def check(self, config: Config) -> None:
+        """Raises ConfigError or RecordingError if nothing could be recorded there."""
+        used = self.folder.exists() and (not self.folder.is_dir() or segment_files(self.folder))
+        if used and not self.is_root:
+            raise RecordingError(
+                f"{self.folder}: already holds a recording; choose another output folder"
+            )
+        ladder.check(config.degrade)
+        check_room(self.folder, config.recording, self.root)
+
+
+def record(
+    config: Config,
+    source: Source,
+    target: Target,
+    notifier: Notifier,
+    *,
+    lockstep: bool,
+    say: Callable[[str], None],
+) -> tuple[Path, RecordResult]:
+    """Record until the frames end or SIGINT or SIGTERM; the folder and the result.
+
+    say: prints a line for the user. Raises CalmEdgeError, DeviceError.
+    """
+    target.check(config)
+    folder: Path | None = None
+
+    def open_writer() -> RecordingWriter:
+        nonlocal folder
+        folder = new_drive(target.folder) if target.is_root else target.folder
+        return RecordingWriter(
+            folder,
+            config,
+            {"source": source.description, "pace": "lockstep" if lockstep else "realtime"},
+            lossless=lockstep,
+            root=target.root,
+            now_ns=source.clock.now_ns,
+        )
+
+    consumers = outputs.configured(config, source.clock.now_ns)
+    recording = outputs.RecordingOutput(open_writer)
+    hub = Hub(config, source, recording, consumers, lockstep=lockstep, say=say)
+    capture = Capture(hub, notifier)
+    before = {
+        number: signal.signal(number, lambda *_: capture.request_stop())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        result = capture.run()
+    except (CalmEdgeError, DeviceError):
+        if folder is not None and target.is_root and not any(hub.result.frames):
+            # the service is restarted every few seconds without cameras: no empty drive each time
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert folder is not None
+    if result.trajectory is not None:
+        file = folder / TRAJECTORY_FILE
+        try:
+            write_tum(file, result.trajectory.t_ns, result.trajectory.T_w_c)
+        except OSError as error:
+            # a full disk; the recording has the trajectory too, as far as it was written
+            say(f"{file}: cannot be written ({error.strerror})")
+    return folder, result

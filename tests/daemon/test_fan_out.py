@@ -1,0 +1,162 @@
+"""A slow or failing output loses its own messages, all of them counted, and delays nobody."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from calm_edge.daemon import fan_out
+from calm_edge.daemon.fan_out import FanOut, Output
+from calm_edge.daemon.result import RecordResult
+
+
+class Kept(Output):
+    """Takes every line."""
+
+    name, immediate = "kept", True
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.ticks: list[int] = []
+        self.closed: RecordResult | None = None
+
+    def say(self, level: int, text: str, name: str) -> None:
+        self.lines.append(text)
+
+    def tick(self, now_ns: int) -> None:
+        self.ticks.append(now_ns)
+
+    def close(self, result: RecordResult) -> None:
+        self.closed = result
+        # those of the others are counted before
+        self.losses_when_closed = dict(result.output_losses)
+
+
+class Queued(Kept):
+    """The same on a thread of its own."""
+
+    name, immediate = "queued", False
+
+
+class Standing(Queued):
+    """Stands still over its first line until it is let go."""
+
+    name, queue_bytes = "standing", 4 * fan_out.MESSAGE_BYTES
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.busy, self.go = threading.Event(), threading.Event()
+
+    def say(self, level: int, text: str, name: str) -> None:
+        self.busy.set()
+        self.go.wait(60)
+        super().say(level, text, name)
+
+
+class Raising(Kept):
+    """Raises over every other line."""
+
+    name = "raising"
+
+    def say(self, level: int, text: str, name: str) -> None:
+        if int(text) % 2:
+            raise ValueError(text)
+        super().say(level, text, name)
+
+
+class RaisingQueued(Raising):
+    name, immediate = "raising queued", False
+
+
+def say(outputs: FanOut, count: int, start: int = 0) -> list[str]:
+    texts = [str(i) for i in range(start, start + count)]
+    for text in texts:
+        outputs.give(lambda output, text=text: output.say(0, text, ""))  # type: ignore[misc]
+    return texts
+
+
+def test_every_output_gets_every_message_in_order() -> None:
+    first, second = Kept(), Queued()
+    outputs = FanOut([first, second])
+    texts, result = say(outputs, 50), RecordResult()
+    outputs.close(result)
+    assert first.lines == second.lines == texts
+    assert first.closed is second.closed is result
+    assert result.output_losses == {"kept": 0, "queued": 0}
+    assert not list(outputs.faults())
+
+
+def test_a_standing_output_delays_nobody_and_loses_the_oldest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(fan_out, "CLOSE_S", 10.0)
+    other, standing = Kept(), Standing()
+    outputs = FanOut([other, standing])
+    texts = say(outputs, 1)
+    assert standing.busy.wait(10)
+    start_s = time.monotonic()
+    texts += say(outputs, 1000, 1)
+    assert time.monotonic() - start_s < 1.0
+    assert other.lines == texts
+    # one in hand, four in the queue
+    assert outputs.lost() == {"kept": 0, "standing": 996}
+    standing.go.set()
+    outputs.close(RecordResult())
+    assert standing.lines == [texts[0], *texts[-4:]]
+    assert standing.closed is not None and outputs.lost()["standing"] == 996
+
+
+def test_an_output_that_stands_to_the_end_is_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fan_out, "CLOSE_S", 0.2)
+    other, standing = Kept(), Standing()
+    outputs = FanOut([other, standing])
+    texts, result = say(outputs, 1), RecordResult()
+    assert standing.busy.wait(10)
+    texts += say(outputs, 3, 1)
+    start_s = time.monotonic()
+    outputs.close(result)
+    assert time.monotonic() - start_s < 2.0
+    assert other.lines == texts and other.closed is result
+    # four lines and the close; the first output is closed last and has the count
+    assert result.output_losses["standing"] == 5
+    assert other.losses_when_closed["standing"] == 5
+    standing.go.set()
+
+
+@pytest.mark.parametrize("make", [Raising, RaisingQueued])
+def test_an_exception_costs_the_message_and_is_a_fault_until_the_next_succeeds(
+    make: Callable[[], Raising],
+) -> None:
+    raising, other = make(), Kept()
+    outputs = FanOut([raising, other])
+    texts = say(outputs, 10)
+    end_s = time.monotonic() + 10
+    while outputs.lost()[raising.name] < 5 and time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert list(outputs.faults()) == [f"{raising.name}: ValueError('9')"]
+    texts += say(outputs, 1, 10)
+    outputs.close(RecordResult())
+    assert raising.lines == [*texts[:10:2], "10"] and other.lines == texts
+    assert outputs.lost() == {raising.name: 5, "kept": 0}
+    assert not list(outputs.faults())
+
+
+def test_an_exception_of_a_required_output_ends_the_run() -> None:
+    class Required(Raising):
+        required = True
+
+    outputs = FanOut([Required()])
+    with pytest.raises(ValueError, match="1"):
+        say(outputs, 2)
+    assert outputs.lost() == {}
+
+
+def test_ticks_go_to_immediate_outputs_alone() -> None:
+    first, second = Kept(), Queued()
+    outputs = FanOut([first, second])
+    outputs.tick(7)
+    outputs.close(RecordResult())
+    assert first.ticks == [7] and second.ticks == []
