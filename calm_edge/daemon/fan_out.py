@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from calm_edge.daemon.health import Health
@@ -21,6 +23,8 @@ log = logging.getLogger(__name__)
 MESSAGE_BYTES = 1024
 # for an output to take what is left in its queue
 CLOSE_S = 1.0
+# how long an exception is reported as a fault
+FAULT_S = 10.0
 
 Call = Callable[["Output"], object]
 
@@ -117,7 +121,7 @@ class Guard:
 
     def __init__(self, output: Output) -> None:
         self.output = output
-        self._failed = 0
+        self._failed, self._failed_s = 0, -math.inf
         self._error = ""
 
     @property
@@ -126,7 +130,8 @@ class Guard:
 
     @property
     def fault(self) -> str:
-        return self._error or self.output.fault
+        recent = time.monotonic() - self._failed_s < FAULT_S
+        return self._error if recent else self.output.fault
 
     def give(self, call: Call, size: int) -> None:
         """Make the call."""
@@ -142,12 +147,11 @@ class Guard:
         except Exception as error:
             if self.output.required:
                 raise
-            if not self._error:
-                log.exception("%s", self.output.name)
+            if not self._failed:
+                log.exception("%s; further exceptions are only counted", self.output.name)
             self._failed += 1
+            self._failed_s = time.monotonic()
             self._error = f"{self.output.name}: {error!r}"
-        else:
-            self._error = ""
 
 
 class QueuedGuard(Guard):

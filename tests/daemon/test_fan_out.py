@@ -127,8 +127,8 @@ def test_an_output_that_stands_to_the_end_is_left_behind(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("make", [Raising, RaisingQueued])
-def test_an_exception_costs_the_message_and_is_a_fault_until_the_next_succeeds(
-    make: Callable[[], Raising],
+def test_an_exception_costs_the_message_and_is_a_fault_for_a_while(
+    make: Callable[[], Raising], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     raising, other = make(), Kept()
     outputs = FanOut([raising, other])
@@ -141,6 +141,7 @@ def test_an_exception_costs_the_message_and_is_a_fault_until_the_next_succeeds(
     outputs.close(RecordResult())
     assert raising.lines == [*texts[:10:2], "10"] and other.lines == texts
     assert outputs.lost() == {raising.name: 5, "kept": 0}
+    monkeypatch.setattr(fan_out, "FAULT_S", 0.0)
     assert not list(outputs.faults())
 
 
