@@ -1,5 +1,6 @@
-"""Draws frames.svg: `.venv/bin/python docs/frames.py`. The axes come from the code that turns poses
-into ODOMETRY, so that the picture shows what is sent.
+"""Draw frames.svg, the frames of ODOMETRY: `.venv/bin/python docs/frames.py`.
+
+The axes are computed by the code that converts poses to messages.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ INK, CAR, ROAD = "#222", "#e8eaed", "#9aa0a6"
 
 
 class View:
-    """A picture of body or local coordinates, seen along one of them."""
+    """A drawing in body or local coordinates, projected along one axis."""
 
     def __init__(self, origin_px: tuple[float, float], right: int, up: int, up_sign: float) -> None:
         self._origin = np.array(origin_px)
@@ -28,12 +29,12 @@ class View:
         self.parts: list[str] = []
 
     def px(self, p: Float, dx: float = 0.0, dy: float = 0.0) -> Float:
-        """(3,) metres -> (2,) pixels of the page, and so many beside."""
+        """Page position (2,) px of a point (3,) m, shifted by (dx, dy) px."""
         flat = np.array([p[self._right], -self._sign * p[self._up]])
         return np.asarray(self._origin + PX_PER_M * flat + np.array([dx, dy]))
 
     def axes(self, T: Float, names: str, label: str, at: tuple[float, float], size: float) -> None:
-        """The axes of a frame T (4, 4) in the view's coordinates; those seen end on are dots."""
+        """Draw the axes of frame T (4, 4); axes along the line of sight are dots."""
         start = self.px(T[:3, 3])
         for k, name in enumerate("xyz"):
             end = self.px(T[:3, 3] + size * T[:3, k])
@@ -86,7 +87,7 @@ def text(at: Float, words: str, color: str = INK, size: int = 13, anchor: str = 
 
 
 def side(T_b_c: Float) -> list[str]:
-    """The car from its right: forward is to the right of the page, z down."""
+    """The car from its right: x to the right of the page, z down."""
     view = View((230, 210), right=0, up=2, up_sign=-1.0)
     road = 0.75
     view.parts.append(text(np.array([24, 34]), "From the side", INK, 17))
@@ -107,7 +108,7 @@ def side(T_b_c: Float) -> list[str]:
 
 
 def top(T_b_c: Float) -> list[str]:
-    """The car from above: forward is up the page, y to the right."""
+    """The car from above: x up the page, y to the right."""
     view = View((700, 300), right=1, up=0, up_sign=1.0)
     view.parts.append(text(np.array([520, 34]), "From above", INK, 17))
     view.box(np.array([-1.1, -0.85, 0]), np.array([3.0, 0.85, 0]), CAR, 16)
@@ -126,11 +127,11 @@ def lever(view: View, T_b_c: Float) -> None:
 
 
 def drive(T_b_c: Float) -> list[str]:
-    """LOCAL_FRD stays where the body was at the first pose; the body drives on."""
+    """LOCAL_FRD at the first pose of the body, and the body frame later in the drive."""
     view = View((90, 490), right=0, up=1, up_sign=-1.0)
     view.parts.append(text(np.array([24, 424]), "LOCAL_FRD, from above", INK, 17))
     turn = np.radians(40.0)
-    # what the map has of it is the camera's pose
+    # the trajectory contains the camera's pose
     T_l_b = se3.compose(se3.so3_exp(np.array([0, 0, turn])), np.array([6.4, 0.62, 0]))
     T_w_c = se3.inverse(T_b_c) @ T_l_b @ T_b_c
     T_l_b = body_pose(T_b_c, T_w_c)
@@ -147,7 +148,7 @@ def drive(T_b_c: Float) -> list[str]:
 
 
 def page() -> str:
-    """The whole picture."""
+    """The complete SVG."""
     T_b_c = mounting(RPY_DEG, XYZ_M)
     legend = [
         text(np.array([600, 464]), "x red, y green, z blue; a dot: towards or away from you"),
