@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.geometry.camera import Camera
 from device.frame import Frame
 
 Float = NDArray[np.float64]
@@ -105,7 +106,7 @@ class Landmarks:
 class Prediction:
     """What a backbone says of N images: the paper's (K, T, D, C), section III.
 
-    K: (N, 3, 3) px of the full image. T_s_c: (N, 4, 4) camera->sub-map, OpenCV axes.
+    cameras: N, of the full image. T_s_c: (N, 4, 4) camera->sub-map, OpenCV axes.
     depth: (N, h, w) z-depth in the sub-map's own unit, 0 unknown; h, w may be smaller
     than the image, pixel centres scale as cv2.resize does. None until densified.
     confidence: (N, h, w) in [0, 1], larger is better; None with depth.
@@ -117,7 +118,7 @@ class Prediction:
     notices: lines for the user, the same for every such batch.
     """
 
-    K: Float
+    cameras: tuple[Camera, ...]
     T_s_c: Float
     depth: Float32 | None = None
     confidence: Float32 | None = None
@@ -135,8 +136,8 @@ class Submap:
     """A placed sub-map. Pixels and depth live in the log, not here.
 
     primary_ids / assistant_ids: keyframe ids in batch order. t_ns: (N,) of that order.
-    T_s_c_raw: (N, 4, 4), K_raw: (N, 3, 3) as the backbone gave them, kept so that a later
-    K can re-rectify them. T_s_c: (N, 4, 4) rectified, in world units. K: (N, 3, 3) rectified px.
+    T_s_c_raw: (N, 4, 4), cameras_raw: N, as the backbone gave them, kept so that they can be
+    rectified again. T_s_c: (N, 4, 4) rectified, in world units. cameras: N, rectified.
     scale: world units a raw unit; depth is multiplied by it. T_w_s: (4, 4).
     focal_log_sigma: (2,) an eye, as believed when the sub-map was placed.
     assistant_late_ns, stamps_off_ns: see Prediction.assistant_late_s, stamps_off_s.
@@ -148,9 +149,9 @@ class Submap:
     n_overlap: int
     t_ns: Int
     T_s_c_raw: Float
-    K_raw: Float
+    cameras_raw: tuple[Camera, ...]
     T_s_c: Float
-    K: Float
+    cameras: tuple[Camera, ...]
     scale: float
     T_w_s: Float
     focal_log_sigma: Float
@@ -188,13 +189,18 @@ class LoopClosure:
 class GlobalIntrinsics:
     """What the online search holds true of each eye (V-A): K_global and how far to trust it.
 
-    K: (2, 3, 3) px. damping: (2,) multiples of 0.1 in [0, 1] (V-C). focal_log_sigma: (2,) one
+    cameras: one an eye. damping: (2,) multiples of 0.1 in [0, 1] (V-C). focal_log_sigma: (2,) one
     sigma of log focal, inf where no matrix could tell.
     """
 
-    K: Float
+    cameras: tuple[Camera, Camera]
     damping: Float
     focal_log_sigma: Float
+
+    @property
+    def focals(self) -> Float:
+        """(2,) fx [px] of each eye."""
+        return np.array([camera.fx for camera in self.cameras])
 
 
 @dataclass(frozen=True, slots=True)

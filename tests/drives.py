@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bench.scripted import ScriptedScene
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Float, Keyframe, SubmapWindow
 from device.frame import Eye, Frame
 
@@ -52,8 +53,7 @@ def scene(T_w_p: Float, T_p_a: Float = T_P_A) -> ScriptedScene:
         t_ns=START_NS + PERIOD_NS * np.arange(len(T_w_p)),
         T_w_p=T_w_p,
         T_p_a=T_p_a,
-        K=np.stack([pinhole.from_hfov(80, 320, 160), pinhole.from_hfov(60, 240, 180)]),
-        size=np.array([[320, 160], [240, 180]]),
+        cameras=(Perspective.from_hfov(80, 320, 160), Perspective.from_hfov(60, 240, 180)),
     )
 
 

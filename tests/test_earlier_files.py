@@ -15,6 +15,7 @@ import pytest
 from calm_edge.backbones.registry import open_backbone
 from calm_edge.cli import main
 from calm_edge.estimator.localizer import Localizer
+from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import file, layout
 from calm_edge.offline.submaps import gather
 from calm_edge.recording.reader import Recording
@@ -33,16 +34,17 @@ def recording(monkeypatch: pytest.MonkeyPatch) -> Recording:
 
 def test_sub_maps_are_those_that_were_logged(recording: Recording) -> None:
     drive = gather(recording, recording.config, lambda _: None)
-    assert not recording.losses and not drive.losses and not drive.recomputed
+    assert not recording.losses and not drive.losses
     assert [update.submap.id for update in drive.updates] == [0, 1]
     t_ns, T_w_c = read_tum(DATA / "map_trajectory.tum")
     assert drive.trajectory is not None
     np.testing.assert_array_equal(drive.trajectory.t_ns, t_ns)
     np.testing.assert_allclose(drive.trajectory.T_w_c, T_w_c, atol=1e-8)
-    row = np.loadtxt(DATA / "drive" / "calib.txt")[0]
+    *optics, width, height = np.loadtxt(DATA / "drive" / "calib.txt")[0].tolist()
+    camera = Perspective(*optics, int(width), int(height))
     for update in drive.updates:
-        for K in (*update.submap.K, *update.submap.K_raw, *update.prediction.K):
-            np.testing.assert_allclose(K[[0, 1, 0, 1], [0, 1, 2, 2]], row[:4])
+        assert update.submap.cameras == update.submap.cameras_raw == (camera,) * 6
+        assert update.prediction.cameras == (camera,) * 6
 
 
 def test_windows_solved_again_are_the_same_sub_maps(recording: Recording) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
 from calm_edge.types import CalmEdgeError, Float, Int, Landmarks, Prediction, Submap
 
 STRIDE = 2
@@ -93,7 +93,7 @@ def from_depth(
     size: Int,
     stride: int = STRIDE,
 ) -> Correspondences:
-    """Every `stride`-th depth pixel of the common pictures, lifted by each sub-map's own K.
+    """Every `stride`-th depth pixel of the common pictures, lifted by each sub-map's own cameras.
 
     A pixel that one of them has no depth of, or that either trusts less than CONFIDENCE_SHARE of
     the lower median, is left out. Depth maps of different sizes meet at the nearest pixel.
@@ -148,7 +148,7 @@ def _lifted(
     z = depth[view, row, column].astype(np.float64)
     known = np.isfinite(z) & (z > 0)
     z = np.where(known, z, 1.0)
-    points = se3.transform(prediction.T_s_c[view], pinhole.back_project(prediction.K[view], uv, z))
+    points = se3.transform(prediction.T_s_c[view], prediction.cameras[view].back_project(uv, z))
     return points, np.where(known, confidence[view, row, column], 0.0).astype(np.float64)
 
 

@@ -58,7 +58,7 @@ def poses(T_w_s: Float, submap: Submap) -> Float:
     with np.errstate(all="ignore"):
         try:
             T_c_w = np.linalg.inv(T_w_s @ submap.T_s_c_raw)
-            P = submap.K_raw @ T_c_w[:, :3]
+            P = np.stack([camera.matrix for camera in submap.cameras_raw]) @ T_c_w[:, :3]
             M = P[:, :, :3]
             centre = -np.linalg.solve(M, P[:, :, 3:])[..., 0]
             R_c_w = _rotation(M * np.sign(np.linalg.det(M))[:, None, None])

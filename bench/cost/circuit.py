@@ -9,7 +9,8 @@ import numpy as np
 
 from bench.scripted import ScriptedScene
 from calm_edge.config import FrontendConfig
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Bytes, Float, Keyframe, LoopClosure, SubmapWindow
 from device.frame import Eye, Frame
 
@@ -46,8 +47,7 @@ def scene(n: int) -> ScriptedScene:
         t_ns=START_NS + PERIOD_NS * np.arange(n),
         T_w_p=T_w_p,
         T_p_a=T_P_A,
-        K=np.stack([pinhole.from_hfov(hfov, *SIZE) for hfov in (78.0, 70.0)]),
-        size=np.array([SIZE, SIZE]),
+        cameras=(Perspective.from_hfov(78.0, *SIZE), Perspective.from_hfov(70.0, *SIZE)),
     )
 
 

@@ -13,15 +13,14 @@ from time import process_time
 
 import numpy as np
 
-from bench.scripted.motions import SIZE, K, group
+from bench.scripted.motions import CAMERA, SIZE, group
 from bench.tables import OUT, Table, publish
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import bank_focal
 from calm_edge.correction.spectral import PRINCIPAL_POINT_SHARE
 from calm_edge.correction.test_bank import TestBank
-from calm_edge.geometry import pinhole
 
-GUESS = pinhole.matrix(1.1 * K[0, 0], 1.1 * K[1, 1], K[0, 2], K[1, 2])
+GUESS = CAMERA.with_focal(1.1 * CAMERA.fx)
 # Motions of the groups of one bank, see `bench.scripted.motions.motion`.
 BANKS = (
     ("general",),
@@ -47,12 +46,12 @@ def row(kinds: Sequence[str], seeds: int) -> tuple[str | float | None, ...]:
         dx, dy = (rng.normal(size=2) * PRINCIPAL_POINT_SHARE * SIZE[0]).tolist()
         bank = TestBank(CorrectionConfig())
         for n, kind in enumerate(kinds):
-            made = group(kind, seed * 10 + n, guess=GUESS[0, 0], off_px=(dx, dy))
-            bank.add(made, np.log(GUESS[0, 0]))
+            made = group(kind, seed * 10 + n, guess=GUESS.fx, off_px=(dx, dy))
+            bank.add(made, np.log(GUESS.fx))
         start = process_time()
-        found.append(bank_focal.minimise(bank, GUESS, GUESS[0, 0], weighted=True))
+        found.append(bank_focal.minimise(bank, GUESS, GUESS.fx, weighted=True))
         milliseconds.append(1e3 * (process_time() - start))
-    error = np.array([one.log_focal for one in found]) - np.log(K[0, 0])
+    error = np.array([one.log_focal for one in found]) - np.log(CAMERA.fx)
     sigma = np.array([one.log_sigma for one in found])
     informative = np.isfinite(sigma)
     error, sigma = error[informative], sigma[informative]

@@ -109,7 +109,9 @@ def snapshot(course: Course) -> Snapshot:
 
 def _uncorrected(course: Course) -> list[Submap]:
     """In world units. What the uncoupled model says of poses is right as it is."""
-    plain = [replace(s, T_s_c=s.T_s_c_raw, K=s.K_raw, scale=1.0) for s in course.submaps]
+    plain = [
+        replace(s, T_s_c=s.T_s_c_raw, cameras=s.cameras_raw, scale=1.0) for s in course.submaps
+    ]
     return [scale.rectify(submap, course.config.scale.spacing) for submap in plain]
 
 

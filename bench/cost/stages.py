@@ -87,7 +87,7 @@ def banks(
             builder = GroupBuilder(matches, views, ids, config)
             while not builder.done:
                 share.run(builder.advance)
-            group = builder.finish(piece.submap.K_raw[views[0]])
+            group = builder.finish(piece.submap.cameras_raw[views[0]])
             whole.add(time.process_time() - cpu, time.perf_counter() - wall)
             if group is not None:
                 made[eye].append(group)
@@ -109,15 +109,15 @@ def search(
         held = EyeSearch(config)
         views, _ = views_of(pieces[0].submap, eye)
         for piece in pieces:
-            held.add_candidate(piece.submap.K_raw[views[0]])
+            held.add_candidate(piece.submap.cameras_raw[views[0]])
         for k, group in enumerate(groups[eye]):
             if k < config.n_group - 1:
                 held.add_group(group)
             else:
                 judged.run(partial(held.add_group, group))
         for k in range(REPEATS):
-            K = pieces[k % len(pieces)].submap.K_raw[views[0]]
-            guess.run(partial(held.add_candidate, K))
+            camera = pieces[k % len(pieces)].submap.cameras_raw[views[0]]
+            guess.run(partial(held.add_candidate, camera))
     eyes = len(Eye)
     return [
         guess.measured("intrinsic search, a guess, an eye", 0.02, 0.005, share=eyes),
@@ -132,9 +132,10 @@ def rectification(pieces: Sequence[Piece], config: Config) -> Measured:
     clock = Clock()
     for k in range(REPEATS):
         submap = pieces[k % len(pieces)].submap
-        raw = replace(submap, T_s_c=submap.T_s_c_raw, K=submap.K_raw, scale=1.0)
-        K = raw.K[[0, raw.n_primary]] * np.array([_OFF, _OFF, 1.0])[:, None]
-        held = GlobalIntrinsics(K, np.ones(2), np.full(2, 0.01))
+        raw = replace(submap, T_s_c=submap.T_s_c_raw, cameras=submap.cameras_raw, scale=1.0)
+        primary, assistant = raw.cameras[0], raw.cameras[raw.n_primary]
+        cameras = primary.with_focal(_OFF * primary.fx), assistant.with_focal(_OFF * assistant.fx)
+        held = GlobalIntrinsics(cameras, np.ones(2), np.full(2, 0.01))
 
         def work(raw: Submap = raw, held: GlobalIntrinsics = held) -> Submap:
             return scale.rectify(rectified(raw, held, config.correction), config.scale.spacing)
@@ -173,7 +174,7 @@ def look_up(pieces: Sequence[Piece], config: Config) -> list[Measured]:
     """The look-up of a window without a candidate, and of its return, with one that is verified."""
     atlas = Atlas(config)
     first = atlas.add(pieces[0].submap)
-    kit = KnownKit(first.K[[0, first.n_primary]], atlas.T_p_a)
+    kit = KnownKit((first.cameras[0], first.cameras[first.n_primary]), atlas.T_p_a)
     # no candidate is allowed: pictures are described and compared with every place, no more
     blind, finder = PlaceLoops(replace(config.loops, top_k=0)), PlaceLoops(config.loops)
     none, verified = Clock(), Clock()

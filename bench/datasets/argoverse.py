@@ -17,7 +17,7 @@ import numpy as np
 
 from bench.datasets.drive import Dataset, DatasetError, Drive, first, folder
 from bench.datasets.point_file import read_points
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
 from calm_edge.trajectories import rotations
 from calm_edge.types import Float, Int
 
@@ -93,12 +93,9 @@ def _camera(path: Path, calibration: Any, name: str) -> tuple[Float, Float]:
         (value,) = [
             c["value"] for c in calibration["camera_data_"] if c["key"] == f"image_raw_{name}"
         ]
-        K = pinhole.matrix(
-            float(value["focal_length_x_px_"]),
-            float(value["focal_length_y_px_"]),
-            float(value["focal_center_x_px_"]),
-            float(value["focal_center_y_px_"]),
-        )
+        fx, fy = (float(value[f"focal_length_{axis}_px_"]) for axis in "xy")
+        cx, cy = (float(value[f"focal_center_{axis}_px_"]) for axis in "xy")
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
         mounted = value["vehicle_SE3_camera_"]
         rotation, translation = mounted["rotation"]["coefficients"], mounted["translation"]
     except (KeyError, TypeError, ValueError):

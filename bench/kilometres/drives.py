@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +10,11 @@ import numpy as np
 from bench.drives import DATA
 from bench.kilometres.streams import Streams
 from bench.scripted import ScriptedScene, Street
-from bench.scripted.scene import read_poses, read_rows
+from bench.scripted.scene import read_cameras, read_poses
 from calm_edge.config import Config
 from calm_edge.frontend.association import WindowBuilder
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.recording import sequence_folder
 from calm_edge.types import Bytes, CalmEdgeError, Float, Int, Keyframe, SubmapWindow
 from device.frame import Eye, Frame
@@ -74,14 +75,15 @@ def kitti(
     T_w_p, t_ns = T_w_p[: frames or None], t_ns[: frames or None]
     rng = np.random.default_rng([seed, *name.encode()])
     width, height = KITTI_SIZE
-    primary = pinhole.matrix(KITTI_FOCAL_PX, KITTI_FOCAL_PX, (width - 1) / 2, (height - 1) / 2)
-    assistant = pinhole.from_hfov(rng.uniform(70.0, 95.0), 1280, 400)
+    primary = Perspective(
+        KITTI_FOCAL_PX, KITTI_FOCAL_PX, (width - 1) / 2, (height - 1) / 2, width, height
+    )
+    assistant = Perspective.from_hfov(rng.uniform(70.0, 95.0), 1280, 400)
     scene = ScriptedScene(
         t_ns=t_ns,
         T_w_p=T_w_p,
         T_p_a=rig(rng, KITTI_SPACING_M),
-        K=np.stack([primary, assistant]),
-        size=np.array([[width, height], [1280, 400]]),
+        cameras=(primary, assistant),
         street=Street.along(T_w_p),
     )
     return cut(f"kitti_{name}", scene, config, streams or Streams(), seed)
@@ -96,13 +98,11 @@ def rendered(folder: Path, config: Config, seed: int = 0, streams: Streams | Non
     T_w_p, T_w_a = se3.inverse(T_w_p[0]) @ T_w_p, se3.inverse(T_w_p[0]) @ T_w_a
     t_ns, t_a = (sequence_folder.read_times(folder / f"times{eye}.txt") for eye in (0, 1))
     T_w_ref = se3.interpolate_at(t_ns - t_ns[0], T_w_p, (t_a - t_ns[0]).astype(np.float64))
-    calib = read_rows(folder / "calib.txt", 6)
     scene = ScriptedScene(
         t_ns=t_ns,
         T_w_p=T_w_p,
         T_p_a=se3.mean(se3.inverse(T_w_ref) @ T_w_a),
-        K=np.stack([pinhole.matrix(*row[:4]) for row in calib]),
-        size=calib[:, 4:].astype(np.int64),
+        cameras=read_cameras(folder / "calib.txt"),
         street=Street.along(T_w_p),
     )
     return cut(folder.name, scene, config, streams or Streams(), seed)
@@ -118,15 +118,7 @@ def rig(rng: np.random.Generator, spacing_m: float) -> Float:
 def cut(name: str, scene: ScriptedScene, config: Config, streams: Streams, seed: int) -> Drive:
     """The keyframes and windows of a scene as the front end forms them (paper IV-A)."""
     exposures = streams.exposures(scene.t_ns, seed)
-    scene = ScriptedScene(
-        t_ns=scene.t_ns,
-        T_w_p=scene.T_w_p,
-        T_p_a=scene.T_p_a,
-        K=scene.K,
-        size=scene.size,
-        street=scene.street,
-        exposures=exposures,
-    )
+    scene = replace(scene, exposures=exposures)
     of_primary = exposures[Eye.PRIMARY]
     T_w_p = scene.T_w_c(np.zeros(len(of_primary.t_ns), np.int64), of_primary.t_ns)
     chosen = _keyframes(of_primary.t_ns, T_w_p, config.frontend.max_keyframe_gap_s)

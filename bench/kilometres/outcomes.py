@@ -179,17 +179,19 @@ def focals_of(drive: Drive, localizer: Localizer) -> Focals | None:
     if held is None:
         return None
     of_submaps = [s for s in localizer.submaps if s.assistant_ids]
-    raw = np.array([np.median(s.K_raw[: s.n_primary, 0, 0]) for s in of_submaps])
+    raw = np.array([np.median([c.fx for c in s.cameras_raw[: s.n_primary]]) for s in of_submaps])
     ends = [s.n_primary + len(s.assistant_ids) for s in of_submaps]
     pairs = zip(of_submaps, ends, strict=True)
-    other = np.array([np.median(s.K_raw[s.n_primary : end, 0, 0]) for s, end in pairs])
-    both, true = np.stack([raw, other], 1), drive.scene.K[:, 0, 0]
+    other = np.array(
+        [np.median([c.fx for c in s.cameras_raw[s.n_primary : end]]) for s, end in pairs]
+    )
+    both, true = np.stack([raw, other], 1), np.array([c.fx for c in drive.scene.cameras])
     sigma = [float(s) if np.isfinite(s) else None for s in held.focal_log_sigma]
     return Focals(
         true=tuple(true.tolist()),
         raw=tuple(np.abs(both - true).mean(0).tolist()),
         mean=tuple(both.mean(0).tolist()),
-        held=tuple(held.K[:, 0, 0].tolist()),
+        held=tuple(held.focals.tolist()),
         log_sigma=tuple(sigma),
         damping=tuple(held.damping.tolist()),
     )

@@ -15,6 +15,7 @@ from bench.drives import ROOT
 from bench.kilometres.drives import Drive
 from bench.kilometres.sources import digest
 from bench.scripted import ScriptedBackbone, ScriptedErrors
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Float32, Hints, Int, Landmarks, Prediction
 
 CACHE = ROOT / "build" / "kilometres"
@@ -57,7 +58,8 @@ def cached(drive: Drive, dials: ScriptedErrors, folder: Path = CACHE) -> CachedB
     """The drive seen through the dials. Predictions of other code, drives or dials are not read."""
     made_by = hashlib.sha256(f"{_CODE}{dials}".encode())
     scene = drive.scene
-    for array in (scene.t_ns, scene.T_w_p, scene.T_p_a, scene.K, scene.size):
+    made_by.update(repr(scene.cameras).encode())
+    for array in (scene.t_ns, scene.T_w_p, scene.T_p_a):
         made_by.update(array.tobytes())
     for eye in scene.exposures or ():
         made_by.update(eye.stamp_ns.tobytes() + eye.t_ns.tobytes())
@@ -71,7 +73,8 @@ def _key(hints: Hints) -> str:
 
 def _write(file: Path, prediction: Prediction) -> None:
     """Whole or not at all: several runs may share the folder."""
-    arrays: dict[str, Any] = {"K": prediction.K, "T_s_c": prediction.T_s_c}
+    optics = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in prediction.cameras]
+    arrays: dict[str, Any] = {"optics": np.array(optics), "T_s_c": prediction.T_s_c}
     arrays["loop_found"] = np.array(prediction.loop_found)
     if prediction.focal_log_sigma is not None:
         arrays["focal_log_sigma"] = prediction.focal_log_sigma
@@ -100,7 +103,9 @@ def _read(file: Path) -> Prediction:
             arrays["uv"],
         )
     return Prediction(
-        K=arrays["K"],
+        cameras=tuple(
+            Perspective(*row[:4], *map(int, row[4:])) for row in arrays["optics"].tolist()
+        ),
         T_s_c=arrays["T_s_c"],
         focal_log_sigma=arrays.get("focal_log_sigma"),
         landmarks=landmarks,

@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.baselines.overlap import Correspondences, common_views, correspondences
 from calm_edge.config import Config, MappingConfig
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
 from calm_edge.mapping.cloud import submap_points
 from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.spool import Spool
@@ -60,7 +60,7 @@ def build(
         submap, (depth, confidence) = update.submap, dense
         depth = warped(submap, depth, images[0].shape[1::-1], warp, spacing)
         mapper.add(submap, depth, confidence, images)
-        new = Prediction(submap.K_raw, submap.T_s_c_raw, depth, confidence)
+        new = Prediction(submap.cameras_raw, submap.T_s_c_raw, depth, confidence)
         if last is not None:
             size = np.array(images[0].shape[1::-1])
             views = common_views(submaps[-1], submap)
@@ -87,9 +87,9 @@ def warped(
     xy = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(np.float64)
     rate = 2 * np.pi / (WAVE * spacing / submap.scale)
     out = np.empty_like(depth)
-    for view, (K, T) in enumerate(zip(submap.K_raw, submap.T_s_c_raw, strict=True)):
-        small = pinhole.resized(K, width / size[0], height / size[1])
-        p_s = se3.transform(T, pinhole.back_project(small, xy, depth[view].astype(np.float64)))
+    for view, (camera, T) in enumerate(zip(submap.cameras_raw, submap.T_s_c_raw, strict=True)):
+        small = camera.scaled(width / size[0], height / size[1])
+        p_s = se3.transform(T, small.back_project(xy, depth[view].astype(np.float64)))
         wave = np.sin(rate * p_s[..., 2] + phase[0]) * np.cos(rate * p_s[..., 0] + phase[1])
         out[view] = depth[view] * (1 + amplitude * wave)
     return out
@@ -104,7 +104,7 @@ def raw_points(built: Built, k: int, config: MappingConfig, spacing: float) -> F
     spooled = built.spool.depth(submap.id)
     unit = spacing / submap.scale
     views = prepare(
-        replace(submap, T_s_c=submap.T_s_c_raw, K=submap.K_raw, scale=1.0),
+        replace(submap, T_s_c=submap.T_s_c_raw, cameras=submap.cameras_raw, scale=1.0),
         spooled.depth,
         spooled.confidence,
         spooled.image_size,

@@ -1,4 +1,4 @@
-"""Depth of the learned model and of classical methods from the same pictures, K and poses."""
+"""Depth of the learned model and of classical methods from the same pictures, cameras and poses."""
 
 from __future__ import annotations
 
@@ -59,13 +59,13 @@ def measure_place(
     frames = drive.keyframes(frame)[:KEYFRAMES]
     sides = [drive.side(eye, k) for eye in (0, 1) for k in frames]
     reference = len(frames) // 2
-    K, T_w_c = (np.stack([getattr(s.truth, key) for s in sides]) for key in ("K", "T_w_c"))
+    cameras, T_w_c = [s.truth.camera for s in sides], np.stack([s.truth.T_w_c for s in sides])
     eyes = np.repeat([0, 1], len(frames))
     true_z = sides[reference].truth.z
     in_range = (true_z > NEAREST_M) & (true_z < FARTHEST_M)
     made = {}
     for label, maker in makers.items():
-        z, confidence = maker.depth([s.image for s in sides], K, T_w_c, eyes, reference)
+        z, confidence = maker.depth([s.image for s in sides], cameras, T_w_c, eyes, reference)
         size = true_z.shape[1], true_z.shape[0]
         full = [cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (z, confidence)]
         made[label] = (_pixels(full[0], in_range), _pixels(full[1], in_range))
@@ -123,7 +123,7 @@ def table(scored: Sequence[Scored], notes: Sequence[str], held_out: bool) -> Tab
     suffix = " --held-out" if held_out else ""
     return Table(
         f"51_model_depth{'_held_out' if held_out else ''}",
-        f"Depth under true K and poses{' on held-out drives' if held_out else ''}",
+        f"Depth under true cameras and poses{' on held-out drives' if held_out else ''}",
         f"python -m bench model.depth{suffix}",
         COLUMNS, tuple(rows), tuple(checks),
         (

@@ -10,7 +10,8 @@ import numpy as np
 from bench.model.described import gray_of
 from bench.model.protocols import DepthMaker
 from calm_edge.backbones.bundle.depth import sweep_window
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 
 # Nearest depth searched, in camera distances; the disparity range is rounded up to 16 px.
@@ -28,23 +29,28 @@ def partner(T_w_c: Float, eyes: Int, reference: int) -> int:
 
 
 class SgbmDepth:
-    """OpenCV's StereoSGBM on a pair of both eyes, rectified by the given K and poses.
+    """OpenCV's StereoSGBM on a pair of both eyes, rectified by the given cameras and poses.
 
     Confidence falls with the left-right difference of disparity; beyond CONSISTENT_PX depth is 0.
     """
 
     def depth(
-        self, images: Sequence[Bytes], K: Float, T_w_c: Float, eyes: Int, reference: int
+        self,
+        images: Sequence[Bytes],
+        cameras: Sequence[Camera],
+        T_w_c: Float,
+        eyes: Int,
+        reference: int,
     ) -> tuple[Float32, Float32]:
         """See DepthMaker. Depth is 0 where the cameras are above each other, not side by side."""
         other = partner(T_w_c, eyes, reference)
         a, b = gray_of(images[reference]), gray_of(images[other])
         size = (a.shape[1], a.shape[0])
         T = se3.inverse(T_w_c[other]) @ T_w_c[reference]
-        none = np.zeros(5)
+        none, (K_a, K_b) = np.zeros(5), (cameras[i].matrix for i in (reference, other))
         T_columns = T[:3, 3].reshape(3, 1)
         found = cv2.stereoRectify(
-            K[reference], none, K[other], none, size, T[:3, :3], T_columns,
+            K_a, none, K_b, none, size, T[:3, :3], T_columns,
             flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1,
         )  # fmt: skip
         R_a, R_b, P_a, P_b = (np.asarray(m, np.float64) for m in found[:4])
@@ -52,8 +58,7 @@ class SgbmDepth:
         if abs(P_b[1, 3]) > abs(shift):
             return np.zeros(a.shape, np.float32), np.zeros(a.shape, np.float32)
         flat_a, flat_b = (
-            _rectified(g, k, R, P, size)
-            for g, k, R, P in ((a, K[reference], R_a, P_a), (b, K[other], R_b, P_b))
+            _rectified(g, k, R, P, size) for g, k, R, P in ((a, K_a, R_a, P_a), (b, K_b, R_b, P_b))
         )
         nearest = NEAREST_SPACINGS * float(np.linalg.norm(T[:3, 3]))
         most = max(16, int(np.ceil(abs(shift) / nearest / 16)) * 16)
@@ -63,7 +68,7 @@ class SgbmDepth:
         if shift > 0:
             disparity, off = disparity[:, ::-1], off[:, ::-1]
         z = np.where(disparity > 0, abs(shift) / np.maximum(disparity, 1e-6), 0)
-        return _brought_back(z, off, np.asarray(K[reference], np.float64), R_a, P_a)
+        return _brought_back(z, off, cameras[reference], R_a, Perspective.from_matrix(P_a, *size))
 
 
 def _rectified(gray: Bytes, K: Float, R: Float, P: Float, size: tuple[int, int]) -> Bytes:
@@ -99,13 +104,15 @@ def _disparity(left: Bytes, right: Bytes, most: int) -> Float32:
     return np.asarray(matcher.compute(*pad)[:, most:] / 16, np.float32)
 
 
-def _brought_back(z: Float, off: Float32, K: Float, R: Float, P: Float) -> tuple[Float32, Float32]:
+def _brought_back(
+    z: Float, off: Float32, camera: Camera, R: Float, rectified: Camera
+) -> tuple[Float32, Float32]:
     """z-depth and confidence (h, w) of the camera from depth (h, w) of its rectified camera."""
     height, width = z.shape
     v, u = np.mgrid[:height, :width]
     uv = np.stack([u, v], -1).astype(np.float64)
-    ray = pinhole.back_project(K, uv, np.ones((height, width))) @ R.T
-    at = pinhole.project(P[:, :3], ray).astype(np.float32)
+    ray = camera.back_project(uv, np.ones((height, width))) @ R.T
+    at = rectified.project(ray).astype(np.float32)
     here, apart = (
         cv2.remap(
             np.ascontiguousarray(m, np.float32), at[..., 0], at[..., 1], cv2.INTER_NEAREST,
@@ -118,10 +125,15 @@ def _brought_back(z: Float, off: Float32, K: Float, R: Float, P: Float) -> tuple
 
 
 class SweepDepth:
-    """Bundle's plane sweep under the given K and poses."""
+    """Bundle's plane sweep under the given cameras and poses."""
 
     def depth(
-        self, images: Sequence[Bytes], K: Float, T_w_c: Float, eyes: Int, reference: int
+        self,
+        images: Sequence[Bytes],
+        cameras: Sequence[Camera],
+        T_w_c: Float,
+        eyes: Int,
+        reference: int,
     ) -> tuple[Float32, Float32]:
         """See DepthMaker."""
         other = partner(T_w_c, eyes, reference)
@@ -130,7 +142,7 @@ class SweepDepth:
         T_s_c[:, :3, 3] /= spacing
         count = np.array([int((eyes[:k] == eyes[k]).sum()) for k in range(len(eyes))])
         hints = Hints(np.asarray(eyes, np.int64), count * STEP_NS)
-        depth, confidence = sweep_window(images, hints, Prediction(K, T_s_c))
+        depth, confidence = sweep_window(images, hints, Prediction(tuple(cameras), T_s_c))
         return depth[reference] * np.float32(spacing), confidence[reference]
 
 

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32, Int
 
 
@@ -37,11 +38,16 @@ class DepthMaker(Protocol):
     """Computes the depth of one of several posed pictures."""
 
     def depth(
-        self, images: Sequence[Bytes], K: Float, T_w_c: Float, eyes: Int, reference: int
+        self,
+        images: Sequence[Bytes],
+        cameras: Sequence[Camera],
+        T_w_c: Float,
+        eyes: Int,
+        reference: int,
     ) -> tuple[Float32, Float32]:
         """z-depth (h, w), 0 unknown, in the poses' unit, and confidence (h, w), larger is better.
 
-        images: N of (H, W, 3) BGR, of one eye in order of time, then of the other. K: (N, 3, 3) px.
+        images: N of (H, W, 3) BGR, of one eye in order of time, then of the other. cameras: N.
         T_w_c: (N, 4, 4). eyes: (N,). reference: index of the picture. h, w may be smaller than
         the picture; pixel centres scale as in cv2.resize.
         """

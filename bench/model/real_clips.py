@@ -96,11 +96,11 @@ def line_distances(F: Float, uv_a: Float, uv_b: Float) -> Float:
 def pairs(clip: Clip, folder: Path) -> Iterator[RealPair]:
     """Yield pairs of both eyes, and of keyframes if the clip is posed; raises CalmEdgeError."""
     truth, sequence = read_truth(folder), SequenceFolder(folder)
-    if truth.K is None:
+    if truth.cameras is None:
         raise EvaluationError(f"{folder}: no calib.txt")
     T_p_a = np.eye(4)
     T_p_a[0, 3] = clip.spacing_m
-    F_eyes = epipolar.from_motion(truth.K[0], truth.K[1], se3.inverse(T_p_a))
+    F_eyes = epipolar.from_motion(*truth.cameras, se3.inverse(T_p_a))
     files = [pictures(folder, eye) for eye in (0, 1)]
     for place, frame in enumerate(places(min(map(len, files)), PLACES)):
         a, b = (read_picture(files[eye][frame]) for eye in (0, 1))
@@ -108,7 +108,7 @@ def pairs(clip: Clip, folder: Path) -> Iterator[RealPair]:
         chosen = keyframes(sequence, files[0], frame) if clip.posed else []
         for gap in (g for g in GAPS if g < len(chosen)):
             T_b_a = se3.inverse(truth.T_w_c[chosen[gap]]) @ truth.T_w_c[frame]
-            F = epipolar.from_motion(truth.K[0], truth.K[0], T_b_a)
+            F = epipolar.from_motion(truth.cameras[0], truth.cameras[0], T_b_a)
             yield RealPair(f"{gap} on", clip.name, place, a, read_picture(files[0][chosen[gap]]), F)
 
 

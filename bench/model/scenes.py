@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from bench.drives import HELD_OUT, Prepare, pictures, read_picture, simulated
-from bench.model.simulator import DriveWorld, true_intrinsics
+from bench.model.simulator import DriveWorld, true_cameras
 from bench.model.truth import PosedDepth
 from calm_edge.config import FrontendConfig
 from calm_edge.frontend.keyframes import KeyframeSelector
@@ -112,14 +112,14 @@ class Pictures:
     def __init__(self, folder: Path) -> None:
         self.sequence = SequenceFolder(folder)
         self._world = DriveWorld(folder)
-        self._K = true_intrinsics(folder)
+        self._cameras = true_cameras(folder)
         self._files = [pictures(folder, int(eye)) for eye in Eye]
 
     def side(self, eye: int, frame: int) -> Side:
         """The picture of an eye and its truth."""
         image = read_picture(self._files[eye][frame])
         z = self._world.z_depth(eye, frame)
-        truth = PosedDepth(self._K[eye], self._world.T_w_c[eye][frame], z)
+        truth = PosedDepth(self._cameras[eye], self._world.T_w_c[eye][frame], z)
         return Side(image, truth, 2 * frame + eye)
 
     def keyframes(self, start: int) -> list[int]:

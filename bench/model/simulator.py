@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.drives import SIMULATOR
 from calm_edge.evaluation.errors import EvaluationError
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.trajectories import read_kitti
 from calm_edge.types import Float, Float32
 from device.frame import Eye
@@ -29,14 +29,17 @@ CLOSED_M = 150.0
 SAME_M = 1e-3
 
 
-def true_intrinsics(folder: Path) -> Float:
-    """K (2, 3, 3) px of a rendered drive, one per eye, with pixel centres at integers.
+def true_cameras(folder: Path) -> tuple[Camera, ...]:
+    """Cameras of a rendered drive, one per eye, with pixel centres at integers.
 
     The simulator counts the principal point from the picture's corner, half a pixel before the
     centre of the first pixel.
     """
     rows = np.loadtxt(folder / "calib.txt", ndmin=2)
-    return np.stack([pinhole.matrix(fx, fy, cx - 0.5, cy - 0.5) for fx, fy, cx, cy in rows[:, :4]])
+    return tuple(
+        Perspective(fx, fy, cx - 0.5, cy - 0.5, int(width), int(height))
+        for fx, fy, cx, cy, width, height in rows.tolist()
+    )
 
 
 class DriveWorld:

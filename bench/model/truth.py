@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Float32
 
 Bool = NDArray[np.bool_]
@@ -22,9 +23,9 @@ MARGIN_PX = 4.0
 
 @dataclass(frozen=True, slots=True)
 class PosedDepth:
-    """K (3, 3) px, T_w_c (4, 4) m and z-depth (H, W) m of one picture, 0 for sky."""
+    """camera, T_w_c (4, 4) m and z-depth (H, W) m of one picture, 0 for sky."""
 
-    K: Float
+    camera: Camera
     T_w_c: Float
     z: Float32
 
@@ -36,10 +37,10 @@ def transfer(a: PosedDepth, b: PosedDepth, uv: Float) -> tuple[Float, Bool]:
     """
     zeta, safe = _inverse_depth(a.z, uv)
     known = safe & (zeta > 0)
-    p_a = pinhole.back_project(a.K, uv, 1 / np.where(known, zeta, 1.0))
+    p_a = a.camera.back_project(uv, 1 / np.where(known, zeta, 1.0))
     p_b = se3.transform(se3.inverse(b.T_w_c) @ a.T_w_c, p_a)
     known &= p_b[:, 2] > 1e-3
-    there = pinhole.project(b.K, np.where(known[:, None], p_b, 1.0))
+    there = b.camera.project(np.where(known[:, None], p_b, 1.0))
     height, width = b.z.shape
     last = np.array([width, height]) - 1 - MARGIN_PX
     inside = known & (there >= MARGIN_PX).all(1) & (there <= last).all(1)

@@ -10,6 +10,7 @@ import numpy as np
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.trajectories import read_kitti
 from calm_edge.types import Float, Int
@@ -18,18 +19,16 @@ from device.frame import Eye
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """K: (2, 3, 3) px, an eye. T_p_a: (4, 4) assistant->primary, metres. size: (w, h) px."""
+    """cameras: one an eye. T_p_a: (4, 4) assistant->primary, metres. size: (w, h) px."""
 
-    K: Float
+    cameras: tuple[Camera, Camera]
     T_p_a: Float
     size: tuple[int, int]
 
     def with_focal(self, factor: float) -> Calibration:
         """Both focals multiplied, principal points kept."""
-        K = self.K.copy()
-        K[:, 0, 0] *= factor
-        K[:, 1, 1] *= factor
-        return replace(self, K=K)
+        primary, assistant = (replace(c, fx=c.fx * factor, fy=c.fy * factor) for c in self.cameras)
+        return replace(self, cameras=(primary, assistant))
 
     def with_yaw(self, degrees: float) -> Calibration:
         """The assistant believed to look this much further to the right."""
@@ -46,7 +45,7 @@ def true_calibration(folder: Path, spacing_m: float | None = None) -> Calibratio
     apart along x. Raises EvaluationError when neither tells.
     """
     truth, sequence = read_truth(folder), SequenceFolder(folder)
-    if truth.K is None:
+    if truth.cameras is None:
         raise EvaluationError(f"{folder / 'calib.txt'}: missing; a rival needs the calibration")
     size = sequence.size(Eye.PRIMARY)
     if sequence.size(Eye.ASSISTANT) != size:
@@ -57,12 +56,12 @@ def true_calibration(folder: Path, spacing_m: float | None = None) -> Calibratio
         inside = (t >= truth.t_ns[0]) & (t <= truth.t_ns[-1])
         seconds = (truth.t_ns - truth.t_ns[0]) / 1e9
         T_w_p = se3.interpolate_at(seconds, truth.T_w_c, (t[inside] - truth.t_ns[0]) / 1e9)
-        return Calibration(truth.K, se3.mean(se3.inverse(T_w_p) @ T_w_a[inside]), size)
+        return Calibration(truth.cameras, se3.mean(se3.inverse(T_w_p) @ T_w_a[inside]), size)
     if spacing_m is None:
         raise EvaluationError(f"{folder}: no poses1.txt and no spacing given: the rig is unknown")
     T_p_a = np.eye(4)
     T_p_a[0, 3] = spacing_m
-    return Calibration(truth.K, T_p_a, size)
+    return Calibration(truth.cameras, T_p_a, size)
 
 
 def nearest_pairs(t_primary: Int, t_assistant: Int, shift: int = 0) -> Int:

@@ -48,8 +48,8 @@ def settings(calibration: Calibration, rate_hz: float) -> str:
     """Its settings file: two pinhole cameras and the rig; it rectifies by itself. No loops."""
     width, height = calibration.size
     lines = ["%YAML:1.0", 'File.version: "1.0"', 'Camera.type: "PinHole"']
-    for eye, K in enumerate(calibration.K, 1):
-        values = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+    for eye, camera in enumerate(calibration.cameras, 1):
+        values = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
         values |= dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0)
         lines += [f"Camera{eye}.{name}: {float(value):.9f}" for name, value in values.items()]
     lines += [f"Camera.width: {width}", f"Camera.height: {height}"]

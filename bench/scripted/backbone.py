@@ -40,7 +40,7 @@ class ScriptedBackbone:
         return cls(scene, ScriptedErrors(seed=config.backbone.seed))
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """Poses, K and landmarks, without depth; raises BackboneError."""
+        """Poses, cameras and landmarks, without depth; raises BackboneError."""
         return Batch(self._scene, self._errors, hints).prediction()
 
     def densify(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bench.scripted import coupled, landmarks
 from bench.scripted import depth as model_depth
 from bench.scripted.errors import Errors
 from bench.scripted.landmarks import Bool, Sightings
-from bench.scripted.scene import ScriptedScene
+from bench.scripted.scene import ScriptedScene, rays
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
 
@@ -45,9 +47,11 @@ class Batch:
         self._draw = errors.draw(hints, self._T_w_c)
         self._false_loop = self._mistake_the_loop()
         self._size = scene.size[hints.eyes]
-        self._K_true = scene.K[hints.eyes]
-        self._K = self._K_true.copy()
-        self._K[:, :2, :2] *= np.exp(self._draw.focal)[:, None, None]
+        self._true = [scene.cameras[eye] for eye in hints.eyes]
+        self._cameras = tuple(
+            replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+            for camera, factor in zip(self._true, np.exp(self._draw.focal).tolist(), strict=True)
+        )
         self._sightings = self._sight()
         self._loop_found = True
         self._T = self._poses()
@@ -61,7 +65,7 @@ class Batch:
         if not self._dials.coupled:
             sigma = np.abs(np.array(self._dials.focal_log_error))[self._eyes] + 1e-3
         return Prediction(
-            K=self._K,
+            cameras=self._cameras,
             T_s_c=T_s_c,
             landmarks=self._landmarks(),
             focal_log_sigma=sigma,
@@ -92,21 +96,21 @@ class Batch:
     def _depth_at(self, view: int, uv: Float) -> tuple[Float, Float]:
         """z (P,) of pixels (P, 2) in true length units, 0 unknown, and confidence (P,)."""
         one = slice(view, view + 1)
-        (true,), (p_w,) = self._scene.surface(self._K_true[one], self._T_w_c[one], uv[None])
+        (true,), (p_w,) = self._scene.surface(self._true[one], self._T_w_c[one], uv[None])
         known = np.isfinite(true)
         true, p_w = np.where(known, true, 0.0), np.where(known[:, None], p_w, 0.0)
         if not self._dials.coupled:
             return true, known.astype(np.float64)
         others = model_depth.partners(self._t_ns)[view]
-        at, z = landmarks.project_all(self._K_true[others], self._T_w_c[others], p_w)
+        at, z = landmarks.project_all([self._true[i] for i in others], self._T_w_c[others], p_w)
         seen = known & (z > 0.1) & landmarks.inside(at, self._size[others])
         return model_depth.triangulated(
             self._T[view],
-            model_depth.rays(self._K[view], uv),
+            rays(self._cameras[one], uv[None])[0],
             self._T[others],
-            model_depth.rays(self._K[others][:, None], at),
+            rays([self._cameras[i] for i in others], at),
             seen.astype(np.float64),
-            self._K[view, 0, 0],
+            self._cameras[view].fx,
         )
 
     def _mistake_the_loop(self) -> bool:
@@ -134,18 +138,18 @@ class Batch:
             jitter = np.random.default_rng(seed) if street else None
             width, height = scene.size[eye]
             uv[view] = landmarks.grid_pixels(width, height, grid, jitter)
-        z, p_w = scene.surface(self._K_true, self._T_w_c, uv)
+        z, p_w = scene.surface(self._true, self._T_w_c, uv)
         seeded_by, place = np.nonzero(np.isfinite(z))
         p_w = p_w[seeded_by, place]
         zoom = landmarks.MAX_ZOOM if street else np.inf
-        return landmarks.sightings(p_w, seeded_by, self._K_true, self._T_w_c, self._size, zoom)
+        return landmarks.sightings(p_w, seeded_by, self._true, self._T_w_c, self._size, zoom)
 
     def _poses(self) -> Float:
         """T_s_c (N, 4, 4) in true length, before the model's own noise."""
         if not self._dials.coupled:
             return np.asarray(se3.inverse(self._T_w_c[0]) @ self._T_w_c)
-        rays = model_depth.rays(self._K[:, None], self._sightings.uv)
-        focals = self._K[:, [0, 1], [0, 1]]
+        seen = rays(self._cameras, self._sightings.uv)
+        focals = np.array([(camera.fx, camera.fy) for camera in self._cameras])
         n = len(self._eyes)
         if self._loop:
             shared = (self._sightings.seen[: self._n_primary] & self._sightings.seen[-1]).sum(1)
@@ -153,7 +157,7 @@ class Batch:
                 self._loop_found = False
                 n -= 1
         T = coupled.poses(
-            rays[:n],
+            seen[:n],
             focals[:n],
             self._sightings,
             self._T_w_c[:n],
@@ -185,21 +189,23 @@ class Batch:
             points = se3.transform(se3.inverse(self._T_w_c[0]), sightings.p_w)
             return points, np.ones(len(points), bool)
         points = np.zeros_like(sightings.p_w)
-        rays = model_depth.rays(self._K[:, None], sightings.uv)
+        directions = rays(self._cameras, sightings.uv)
         for view in np.unique(sightings.seeded_by):
             own = sightings.seeded_by == view
             z, _ = model_depth.triangulated(
                 self._T[view],
-                rays[view, own],
+                directions[view, own],
                 self._T,
-                rays[:, own],
+                directions[:, own],
                 sightings.seen[:, own].astype(np.float64),
-                self._K[view, 0, 0],
+                self._cameras[view].fx,
             )
             at = sightings.uv[view, own] / self._size[view]
             warp = self._dials.depth_warp * model_depth.warp(at, draw.phases[view])
             z *= (1 + warp) * np.exp(draw.depth[view])
             points[own] = np.where(
-                z[:, None] > 0, se3.transform(self._T[view], rays[view, own] * z[:, None]), np.nan
+                z[:, None] > 0,
+                se3.transform(self._T[view], directions[view, own] * z[:, None]),
+                np.nan,
             )
         return points, np.asarray(np.isfinite(points).all(1))

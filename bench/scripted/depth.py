@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.scripted import epipolar
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
 # How many views, nearest in time, each picture is compared with.
@@ -20,11 +20,6 @@ def partners(t_ns: Int) -> Int:
     apart = np.abs(t_ns[:, None] - t_ns).astype(np.float64)
     np.fill_diagonal(apart, np.inf)
     return np.argsort(apart, axis=1, kind="stable")[:, : min(_PARTNERS, len(t_ns) - 1)]
-
-
-def rays(K: Float, uv: Float) -> Float:
-    """Pixels (..., 2) under K (..., 3, 3) -> (..., 3) with z = 1."""
-    return pinhole.back_project(K, uv, np.ones(uv.shape[:-1]))
 
 
 def triangulated(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Int
 
 Bool = NDArray[np.bool_]
@@ -31,11 +33,12 @@ class Sightings:
     seen: Bool
 
 
-def project_all(K: Float, T_w_c: Float, p_w: Float) -> tuple[Float, Float]:
-    """Pixels (N, M, 2), depths (N, M) of points (M, 3) in views K (N, 3, 3), T_w_c (N, 4, 4)."""
+def project_all(cameras: Sequence[Camera], T_w_c: Float, p_w: Float) -> tuple[Float, Float]:
+    """Pixels (N, M, 2), depths (N, M) of points (M, 3) in N views, T_w_c (N, 4, 4)."""
     T_c_w = se3.inverse(T_w_c)
     p_c = p_w @ np.swapaxes(T_c_w[:, :3, :3], 1, 2) + T_c_w[:, None, :3, 3]
-    return pinhole.project(K[:, None], p_c), p_c[..., 2]
+    uv = np.stack([camera.project(p) for camera, p in zip(cameras, p_c, strict=True)])
+    return uv, p_c[..., 2]
 
 
 def inside(uv: Float, size: Int) -> Bool:
@@ -44,13 +47,13 @@ def inside(uv: Float, size: Int) -> Bool:
 
 
 def sightings(
-    p_w: Float, seeded_by: Int, K: Float, T_w_c: Float, size: Int, max_zoom: float
+    p_w: Float, seeded_by: Int, cameras: Sequence[Camera], T_w_c: Float, size: Int, max_zoom: float
 ) -> Sightings:
     """Points (M, 3) in every view that has them in its picture at a distance like its seed's.
 
     max_zoom: how many times nearer or farther than from its seed a point is still known.
     """
-    uv, depth = project_all(K, T_w_c, p_w)
+    uv, depth = project_all(cameras, T_w_c, p_w)
     at_seed = depth[seeded_by, np.arange(len(p_w))]
     zoom = depth / at_seed
     seen = (depth > 0.1) & inside(uv, size) & (zoom < max_zoom) & (zoom > 1 / max_zoom)

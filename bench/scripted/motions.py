@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -9,11 +10,12 @@ import numpy as np
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction.matches import from_landmarks
 from calm_edge.correction.test_bank import BankGroup, GroupBuilder
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.types import Float, Landmarks
 
 SIZE = (1226, 370)
-K = pinhole.matrix(700, 700, 612.5, 184.5)
+CAMERA = Perspective(700.0, 700.0, 612.5, 184.5, *SIZE)
 N_VIEWS = 15
 
 
@@ -50,7 +52,7 @@ def seen(
     T_w_c: Float,
     seed: int,
     *,
-    camera: Float = K,
+    camera: Camera = CAMERA,
     noise_px: float = 0.3,
     outliers: float = 0.0,
     points: int = 1500,
@@ -64,7 +66,7 @@ def seen(
     index, view, pixels = [], [], []
     for n, T in enumerate(T_w_c):
         p_c = se3.transform(se3.inverse(T), p_w)
-        uv = pinhole.project(camera, p_c)
+        uv = camera.project(p_c)
         (ids,) = np.nonzero((p_c[:, 2] > 1) & (uv > 0).all(1) & (uv < np.array(SIZE) - 1).all(1))
         uv = uv[ids] + rng.normal(size=(len(ids), 2)) * noise_px
         wrong = rng.random(len(ids)) < outliers
@@ -95,9 +97,10 @@ def group(
 
     guess, focal: px. off_px: the true principal point relative to the guessed one.
     """
-    camera = pinhole.matrix(focal, focal, K[0, 2] + off_px[0], K[1, 2] + off_px[1])
+    cx, cy = CAMERA.cx + off_px[0], CAMERA.cy + off_px[1]
+    camera = replace(CAMERA, fx=focal, fy=focal, cx=cx, cy=cy)
     landmarks = seen(motion(kind), seed, camera=camera, noise_px=noise_px, outliers=outliers)
-    views, shape = range(N_VIEWS), pinhole.matrix(guess, guess, K[0, 2], K[1, 2])
+    views, shape = range(N_VIEWS), CAMERA.with_focal(guess)
     builder = GroupBuilder(from_landmarks(landmarks), views, views, CorrectionConfig())
     built = builder.finish(shape)
     assert built is not None

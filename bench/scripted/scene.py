@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import numpy as np
 from bench.scripted.street import CAMERA_HEIGHT_M, Street
 from calm_edge.backbones.base import BackboneError
 from calm_edge.config import Config
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.types import Float, Hints, Int
 from device.frame import Eye
 
@@ -34,18 +36,22 @@ class Exposures:
 class ScriptedScene:
     """The truth: t_ns (N,) and T_w_p (N, 4, 4) of the primary, N >= 2; T_p_a (4, 4).
 
-    K: (2, 3, 3) px an eye. size: (2, 2) width, height px an eye. Lengths: world units. street: the
-    world; None is a convex room, a ground plane under the whole drive and a dome around it, where
-    every surface point inside the image is seen. exposures: of each eye, where stamps are not true.
+    cameras: one an eye. Lengths: world units. street: the world; None is a convex room, a ground
+    plane under the whole drive and a dome around it, where every surface point inside the image is
+    seen. exposures: of each eye, where stamps are not true.
     """
 
     t_ns: Int
     T_w_p: Float
     T_p_a: Float
-    K: Float
-    size: Int
+    cameras: tuple[Camera, Camera]
     street: Street | None = None
     exposures: tuple[Exposures, Exposures] | None = None
+
+    @property
+    def size(self) -> Int:
+        """(2, 2) width, height [px] of each eye's pictures."""
+        return np.array([(camera.width, camera.height) for camera in self.cameras])
 
     def true_ns(self, hints: Hints) -> Int:
         """(N,) when the views of a batch were exposed; raises BackboneError."""
@@ -72,12 +78,12 @@ class ScriptedScene:
             return self.street.depth(rays_w, centre_w)
         return self._room(rays_w, centre_w)
 
-    def surface(self, K: Float, T_w_c: Float, uv: Float) -> tuple[Float, Float]:
+    def surface(self, cameras: Sequence[Camera], T_w_c: Float, uv: Float) -> tuple[Float, Float]:
         """z-depths (N, P) of pixels (N, P, 2) of N views and their points (N, P, 3), world units.
 
-        inf where there is no surface. K: (N, 3, 3). T_w_c: (N, 4, 4).
+        inf where there is no surface. T_w_c: (N, 4, 4).
         """
-        rays_c = pinhole.back_project(K[:, None], uv, np.ones(uv.shape[:-1]))
+        rays_c = rays(cameras, uv)
         rays_w = rays_c @ np.swapaxes(T_w_c[:, :3, :3], 1, 2)
         centre = T_w_c[:, None, :3, 3]
         z = self.depth(rays_w, centre)
@@ -93,6 +99,12 @@ class ScriptedScene:
         down = rays_w[..., 1] > 1e-9
         floor = (floor_y - centre_w[..., 1]) / np.where(down, rays_w[..., 1], 1.0)
         return np.asarray(np.where(down, np.minimum(floor, dome), dome))
+
+
+def rays(cameras: Sequence[Camera], uv: Float) -> Float:
+    """Pixels (N, ..., 2) of N views -> (N, ..., 3) with z = 1."""
+    ones = np.ones(uv.shape[1:-1])
+    return np.stack([c.back_project(at, ones) for c, at in zip(cameras, uv, strict=True)])
 
 
 def read_rows(path: Path, columns: int) -> Float:
@@ -114,6 +126,13 @@ def read_poses(path: Path) -> Float:
     return se3.compose(rows[:, :, :3], rows[:, :, 3])
 
 
+def read_cameras(path: Path) -> tuple[Camera, Camera]:
+    """Each eye's camera of a sequence folder's calib.txt; raises BackboneError."""
+    rows = read_rows(path, 6).tolist()
+    primary, assistant = (Perspective(*row[:4], *map(int, row[4:])) for row in (rows[0], rows[-1]))
+    return primary, assistant
+
+
 def read_scene(folder: Path, config: Config) -> ScriptedScene:
     """A sequence folder's truth in a convex room; raises BackboneError."""
     from calm_edge.recording import sequence_folder
@@ -130,12 +149,6 @@ def read_scene(folder: Path, config: Config) -> ScriptedScene:
     if len(t_ns) != len(T_w_p) or len(T_w_p) < 2:
         raise BackboneError(f"{folder}: {len(T_w_p)} poses and {len(t_ns)} times; need 2 or more")
     T_p_a = read_poses(rig)[0] if rig.exists() else se3.exp(np.array([1.0, 0, 0, 0, 0, 0]))
-    width, height = config.capture.width_px, config.capture.height_px
-    if calib.exists():
-        rows = read_rows(calib, 6)[[0, -1]]
-        K = np.stack([pinhole.matrix(*row[:4]) for row in rows])
-        size = rows[:, 4:].astype(np.int64)
-    else:
-        K = np.stack([pinhole.from_hfov(73.0, width, height)] * len(Eye))
-        size = np.array([[width, height]] * len(Eye))
-    return ScriptedScene(t_ns=t_ns, T_w_p=T_w_p, T_p_a=T_p_a, K=K, size=size)
+    default = Perspective.from_hfov(73.0, config.capture.width_px, config.capture.height_px)
+    cameras = read_cameras(calib) if calib.exists() else (default, default)
+    return ScriptedScene(t_ns=t_ns, T_w_p=T_w_p, T_p_a=T_p_a, cameras=cameras)

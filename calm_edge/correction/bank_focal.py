@@ -9,6 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from calm_edge.correction import spectral
 from calm_edge.correction.test_bank import TestBank, focal_range
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float
 
 # Pairs of one window share their views, hence their noise: true errors of the minimum over what
@@ -39,8 +40,8 @@ class BankFocal:
     model_noise: float
 
 
-def minimise(bank: TestBank, shape: Float, start: float, *, weighted: bool) -> BankFocal:
-    """The focal of least score. shape: (3, 3) px; start: the best candidate's focal [px].
+def minimise(bank: TestBank, shape: Camera, start: float, *, weighted: bool) -> BankFocal:
+    """The focal of least score. start: the best candidate's focal [px].
 
     Plainly: of the mean score. weighted: each group's score, its matrices weighed by their
     information, has its own minimum; these agree but for noise and for the principal point, which
@@ -61,7 +62,7 @@ def minimise(bank: TestBank, shape: Float, start: float, *, weighted: bool) -> B
     return BankFocal(x, log_sigma, weights, model_noise)
 
 
-def _common(bank: TestBank, shape: Float, x: float) -> tuple[float, float, Float, float]:
+def _common(bank: TestBank, shape: Camera, x: float) -> tuple[float, float, Float, float]:
     """The groups' common log focal and its sigma, information (P,) and model noise, as at x."""
     model_noise = _model_noise(bank, shape, x)
     information = bank.information(x, model_noise)
@@ -83,14 +84,13 @@ def _common(bank: TestBank, shape: Float, x: float) -> tuple[float, float, Float
     return found, sigma if informed else float(np.inf), information, model_noise
 
 
-def _minimum(bank: TestBank, shape: Float, x: float, weights: Float) -> float:
+def _minimum(bank: TestBank, shape: Camera, x: float, weights: Float) -> float:
     """log focal [px] of the least weighted score: on a grid and at x, then between neighbours."""
     (used,) = np.nonzero(weights)
     F, weights = bank.F[used], weights[used]
 
     def cost(log_focal: Float | float) -> Float:
-        K = spectral.at_focal(shape, np.exp(log_focal))
-        return np.asarray(np.average(spectral.score(K, F), -1, weights))
+        return np.asarray(np.average(spectral.score_at(shape, np.exp(log_focal), F), -1, weights))
 
     low, high = np.log(focal_range(shape))
     grid = np.sort(np.append(np.linspace(low, high, _GRID), np.clip(x, low, high)))
@@ -104,9 +104,9 @@ def _minimum(bank: TestBank, shape: Float, x: float, weights: Float) -> float:
     return float(found.x)
 
 
-def _model_noise(bank: TestBank, shape: Float, x: float) -> float:
+def _model_noise(bank: TestBank, shape: Camera, x: float) -> float:
     """Of the score: added to the matches' noise it makes the typical score as large as it is."""
-    scores = spectral.score(spectral.at_focal(shape, np.exp(x)), bank.F)
+    scores = spectral.score_at(shape, np.exp(x), bank.F)
     weights, noise = bank.information(x), bank.noise(x)
     if not weights.any():
         return 0.0

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calm_edge.config import CorrectionConfig
-from calm_edge.correction import spectral
-from calm_edge.correction.eye_search import EyeSearch
+from calm_edge.correction.eye_search import EyeSearch, median
 from calm_edge.correction.matches import PairMatches, from_landmarks, from_sift
 from calm_edge.correction.pool import pooled
 from calm_edge.correction.test_bank import GroupBuilder
@@ -44,10 +43,9 @@ class IntrinsicSearch:
 
     def _judged(self) -> GlobalIntrinsics | None:
         eyes = [self._eyes[eye] for eye in Eye]
-        held = [eye.K for eye in eyes]
-        if any(K is None for K in held):
+        primary, assistant = (eye.camera for eye in eyes)
+        if primary is None or assistant is None:
             return None
-        K = np.stack([K for K in held if K is not None])
         damping = np.array([eye.damping for eye in eyes])
         sigma = np.array([eye.asked.log_sigma for eye in eyes])
         if self._config.weighted:
@@ -55,25 +53,27 @@ class IntrinsicSearch:
             n = min(len(eye.log_focals) for eye in eyes)
             guesses = np.stack([eye.log_focals[-n:] for eye in eyes], 1)
             pool = pooled(guesses, told, sigma)
-            shapes = zip(eyes, np.exp(pool.log_focal), strict=True)
-            K = np.stack([spectral.at_focal(eye.shape(), focal) for eye, focal in shapes])
+            primary, assistant = (
+                eye.shape().with_focal(focal)
+                for eye, focal in zip(eyes, np.exp(pool.log_focal).tolist(), strict=True)
+            )
             damping = np.full(2, pool.damping if self._config.adaptive_damping else 1.0)
             sigma = pool.log_sigma
-        return GlobalIntrinsics(K, damping, sigma)
+        return GlobalIntrinsics((primary, assistant), damping, sigma)
 
     def add(
         self, submap: Submap, landmarks: Landmarks | None, images: Sequence[Bytes] | None
     ) -> bool:
         """One sub-map more; whether what is placed must be rectified again.
 
-        K comes from submap.K_raw. landmarks: the backbone's, images: (H, W, 3) BGR, in batch
+        The guess is submap.cameras_raw. landmarks: the backbone's, images: (H, W, 3) BGR, in batch
         order; either may be None, and nothing is matched without both.
         """
         for eye in Eye:
             views, ids = views_of(submap, eye)
             if not views:
                 continue
-            self._eyes[eye].add_candidate(np.median(submap.K_raw[views], 0))
+            self._eyes[eye].add_candidate(median(submap.cameras_raw[view] for view in views))
             self._build(eye)
             if self._is_due(eye):
                 matches = self._matches(views, landmarks, images)
@@ -128,7 +128,7 @@ class IntrinsicSearch:
             self._applied = now
             return False
         step = (now.damping != before.damping).any()
-        moved = np.abs(np.log(now.K[:, 0, 0] / before.K[:, 0, 0]))
+        moved = np.abs(np.log(now.focals / before.focals))
         enough = np.fmax(_MOVED_LOG, _MOVED_SIGMAS * now.focal_log_sigma)
         if step or ((moved > enough) & (now.damping > 0)).any():
             self._applied = now

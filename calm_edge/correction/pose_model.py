@@ -8,31 +8,34 @@ and an error of it is none that this model can express.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float
 
 _I = np.eye(3)
 
 
-def damped_scaling(K_est: Float, K: Float, damping: Float | float) -> Float:
-    """S' = I + damping (S - I), the part of the focal's error that is to be taken back.
+def damped_scaling(estimated: Camera, held: Camera, damping: float) -> Float:
+    """S' (3, 3) = I + damping (S - I), the part of the focal's error that is to be taken back.
 
-    K_est, K: (..., 3, 3) px, estimated and held true; principal points and skew are not looked at.
-    damping: (...) in [0, 1]. -> (..., 3, 3). Paper V-B and the last paragraph of V-C.
+    Principal points are not looked at. damping: in [0, 1]. Paper V-B, last paragraph of V-C.
     """
-    ratio = np.diagonal(K_est, axis1=-2, axis2=-1) / np.diagonal(K, axis1=-2, axis2=-1)
-    error = np.asarray(damping, np.float64)[..., None] * (ratio - ratio[..., 2:])
-    return np.asarray(_I + error[..., None, :] * _I)
+    ratio = np.array([estimated.fx / held.fx, estimated.fy / held.fy])
+    return np.diag([*(1 + damping * (ratio - 1)), 1.0])
 
 
-def effective_intrinsics(K_est: Float, S: Float) -> Float:
-    """The K (..., 3, 3) px that poses corrected by S (..., 3, 3) belong to: f_est / s an axis.
+def effective_camera(estimated: Camera, S: Float) -> Camera:
+    """The camera that poses corrected by S (3, 3) belong to: f_est / s an axis.
 
-    The principal point stays as estimated. With S damped the focal stays between K_est's and K's.
+    The principal point stays as estimated. With S damped the focal stays between the estimated and
+    the held one.
     """
-    return np.asarray(K_est @ np.linalg.inv(S))
+    s_x, s_y, _ = np.diagonal(S).tolist()
+    return replace(estimated, fx=estimated.fx * (1 / s_x), fy=estimated.fy * (1 / s_y))
 
 
 def translation_simple(t: Float, S: Float) -> Float:

@@ -25,21 +25,26 @@ _LEAST_FOR_TREND = 5
 
 
 def rectified(submap: Submap, intrinsics: GlobalIntrinsics, config: CorrectionConfig) -> Submap:
-    """The raw sub-map with T_s_c and K as the search's intrinsics have them (V-C).
+    """The raw sub-map with T_s_c and cameras as the search's intrinsics have them (V-C).
 
-    submap: as the backbone gave it: scale 1, T_s_c and K its raw ones; it needs a primary view.
-    T_s_c (N, 4, 4) stays in the raw unit and starts where it did; K (N, 3, 3) becomes
-    f_est / (1 + damping (s - 1)) an axis, so depth is to be back-projected with it. With zero
+    submap: as the backbone gave it: scale 1, T_s_c and cameras raw; it needs a primary view.
+    T_s_c (N, 4, 4) stays in the raw unit and starts where it did; focals become
+    f_est / (1 + damping (s - 1)) an axis, so depth is to be back-projected with them. With zero
     damping all of it comes back as it was. `config` may switch off either half of the poses'
-    correction; K is corrected all the same.
+    correction, not that of the focals.
     """
     if not np.any(intrinsics.damping):
         return submap
     n, m = submap.n_primary, len(submap.assistant_ids)
     eyes = np.full(len(submap.t_ns), Eye.PRIMARY)
     eyes[n : n + m] = Eye.ASSISTANT
-    S = pose_model.damped_scaling(submap.K, intrinsics.K[eyes], intrinsics.damping[eyes])
-    K = pose_model.effective_intrinsics(submap.K, S)
+    S = np.stack(
+        [
+            pose_model.damped_scaling(camera, intrinsics.cameras[eye], intrinsics.damping[eye])
+            for camera, eye in zip(submap.cameras, eyes, strict=True)
+        ]
+    )
+    cameras = tuple(map(pose_model.effective_camera, submap.cameras, S))
     T, S_p = submap.T_s_c, S[:n].mean(0)
     primary = _primary(T[:n], S[:n], config)
     exposed = submap.exposed_ns
@@ -47,7 +52,7 @@ def rectified(submap: Submap, intrinsics: GlobalIntrinsics, config: CorrectionCo
     joint = (S_p + S[n : n + m]) / 2
     assistant = _assistant(T[:n], primary, T[n : n + m], between, joint, config)
     loop = _loop(T[:n], primary, T[n + m :], S_p, config)
-    return replace(submap, T_s_c=np.concatenate([primary, assistant, loop]), K=K)
+    return replace(submap, T_s_c=np.concatenate([primary, assistant, loop]), cameras=cameras)
 
 
 def _corrected(

@@ -6,10 +6,12 @@ F: (..., 3, 3) px as in `geometry.epipolar`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float
 
 # for derivatives: of log focal, and of each of a matrix's own sigmas
@@ -67,18 +69,28 @@ def score(K: Float, F: Float) -> Float:
     return np.asarray((s1 - s2 + s3) / s1)
 
 
-def at_focal(shape: Float, focal: Float | float) -> Float:
-    """K (..., 3, 3) px of focals (...), with the aspect and principal point of shape (3, 3)."""
+def at_focal(shape: Camera, focal: Float | float) -> Float:
+    """K (..., 3, 3) px of focals (...), with the aspect and principal point of `shape`."""
     focal = np.asarray(focal, np.float64)
-    K = np.broadcast_to(shape, (*focal.shape, 3, 3)).copy()
-    K[..., 0, 0], K[..., 1, 1] = focal, focal * shape[1, 1] / shape[0, 0]
+    K = np.broadcast_to(shape.matrix, (*focal.shape, 3, 3)).copy()
+    K[..., 0, 0], K[..., 1, 1] = focal, focal * shape.fy / shape.fx
     return K
 
 
-def telling(shape: Float, F: Float, steps: Float, focals: Float) -> Telling:
+def score_at(shape: Camera, focal: Float | float, F: Float) -> Float:
+    """Eq. Score of F (P, 3, 3) at focals (...) px of `shape`: (..., P)."""
+    return score(at_focal(shape, focal), F)
+
+
+def score_of(cameras: Sequence[Camera], F: Float) -> Float:
+    """Eq. Score of F (P, 3, 3) for each of the cameras: (C, P)."""
+    return score(np.stack([camera.matrix for camera in cameras]), F)
+
+
+def telling(shape: Camera, F: Float, steps: Float, focals: Float) -> Telling:
     """What F (P, 3, 3) with one-sigma steps (P, 7, 3, 3) can tell at focals (G,) px, growing.
 
-    shape: (3, 3) px, the aspect and principal point. A slope of zero, on a straight or on an arc
+    shape: has the aspect and principal point. A slope of zero, on a straight or on an arc
     the optical axis is tangent to, means that every focal explains the matrix equally well.
     """
     log_focal = np.log(focals)
@@ -92,7 +104,7 @@ def telling(shape: Float, F: Float, steps: Float, focals: Float) -> Telling:
 
     def aside(axis: int) -> Float:
         moved = np.zeros((3, 3))
-        moved[axis, 2] = PRINCIPAL_POINT_SHARE * 2 * shape[0, 2]
+        moved[axis, 2] = PRINCIPAL_POINT_SHARE * 2 * shape.cx
         return (_asymmetry(K + moved, base, plane) - _asymmetry(K - moved, base, plane)) / 2
 
     by_focal = slope(base)

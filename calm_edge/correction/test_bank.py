@@ -13,6 +13,7 @@ from calm_edge.correction import spectral
 from calm_edge.correction.matches import PairMatches
 from calm_edge.correction.spectral import Telling
 from calm_edge.geometry import epipolar
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.epipolar import Fundamental
 from calm_edge.types import Float, Int
 
@@ -29,13 +30,9 @@ class BankGroup:
     told: Telling
 
 
-def focal_range(shape: Float) -> tuple[float, float]:
-    """Shortest and longest focal [px] looked for; shape (3, 3) px holds the principal point.
-
-    The image is taken to be twice as wide as its principal point lies from the left.
-    """
-    width = 2 * shape[0, 2] + 1
-    return FOCAL_RANGE[0] * float(width), FOCAL_RANGE[1] * float(width)
+def focal_range(shape: Camera) -> tuple[float, float]:
+    """Shortest and longest focal [px] looked for."""
+    return FOCAL_RANGE[0] * shape.width, FOCAL_RANGE[1] * shape.width
 
 
 class GroupBuilder:
@@ -73,10 +70,10 @@ class GroupBuilder:
             if fit is not None and fit.inliers.sum() >= self._config.n_feature:
                 self._found.append(fit)
 
-    def finish(self, shape: Float) -> BankGroup | None:
+    def finish(self, shape: Camera) -> BankGroup | None:
         """The group, whatever pairs were still to do; None with fewer than n_pair pairs.
 
-        shape: (3, 3) px, the best intrinsics so far: what the group tells is weighed there.
+        shape: the best camera so far: what the group tells is weighed there.
         """
         while not self.done:
             self.advance()

@@ -27,7 +27,7 @@ def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[Localiz
         mine = np.isin(trajectory.keyframe_ids, submap.primary_ids) | last
         yield LocalizerUpdate(
             submap,
-            Prediction(submap.K_raw, submap.T_s_c_raw),
+            Prediction(submap.cameras_raw, submap.T_s_c_raw),
             Trajectory(
                 trajectory.keyframe_ids[mine],
                 trajectory.t_ns[mine],

@@ -114,6 +114,6 @@ class KitMemory:
 
 
 def _log_focal(prediction: Prediction, hints: Hints) -> Float:
-    focals = np.log(prediction.K[:, 0, 0])
+    focals = np.log([camera.fx for camera in prediction.cameras])
     of_eye = [focals[hints.eyes == eye] for eye in (0, 1)]
     return np.array([f[0] if len(f) else np.nan for f in of_eye])

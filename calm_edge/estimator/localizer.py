@@ -211,7 +211,8 @@ class Localizer:
         if not len(self._atlas):
             return None
         newest = self._atlas.submaps[-1]
-        return KnownKit(newest.K[[0, newest.n_primary]], self._atlas.T_p_a)
+        cameras = newest.cameras[0], newest.cameras[newest.n_primary]
+        return KnownKit(cameras, self._atlas.T_p_a)
 
     def _closure(
         self,

@@ -76,13 +76,13 @@ class Rectifier:
         return Held(self.intrinsics, self._late_s)
 
     def rectify(self, submap: Submap, held: Held | None = None) -> Submap:
-        """The sub-map anew from its raw poses and K, in world units; raises ScaleError.
+        """The sub-map anew from its raw poses and cameras, in world units; raises ScaleError.
 
         held: what was held true once, None for what is now.
         Without `scale.rectify` the first sub-map's factor serves all, as it was when that one was
         last rectified: where all are, it has to come first.
         """
-        raw = replace(submap, T_s_c=submap.T_s_c_raw, K=submap.K_raw, scale=1.0)
+        raw = replace(submap, T_s_c=submap.T_s_c_raw, cameras=submap.cameras_raw, scale=1.0)
         corrected = self._corrected(raw, held)
         if self._config.scale.rectify or self._first is None or self._first[0] == submap.id:
             scaled = scale.rectify(corrected, self._config.scale.spacing)
@@ -118,6 +118,6 @@ class Rectifier:
 
 def _effective_sigma(raw: Submap, held: GlobalIntrinsics) -> Float:
     """(2,) of the log focals in use: what the search is unsure of, and what damping left in."""
-    estimated = raw.K_raw[[0, raw.n_primary], 0, 0]
-    left = np.log(estimated / held.K[:, 0, 0]) * (1 - held.damping)
+    estimated = np.array([raw.cameras_raw[view].fx for view in (0, raw.n_primary)])
+    left = np.log(estimated / held.focals) * (1 - held.damping)
     return np.hypot(held.focal_log_sigma, left)

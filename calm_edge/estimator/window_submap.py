@@ -27,9 +27,9 @@ def raw_submap(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Su
         n_overlap=window.n_overlap,
         t_ns=hints.t_ns,
         T_s_c_raw=prediction.T_s_c,
-        K_raw=prediction.K,
+        cameras_raw=prediction.cameras,
         T_s_c=prediction.T_s_c,
-        K=prediction.K,
+        cameras=prediction.cameras,
         scale=1.0,
         T_w_s=np.eye(4),
         focal_log_sigma=_focal_log_sigma(len(window.primary), prediction),
@@ -39,13 +39,13 @@ def raw_submap(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Su
 
 
 def solved_again(submap: Submap, prediction: Prediction | None) -> Submap:
-    """The sub-map with a later prediction's raw poses and K."""
+    """The sub-map with a later prediction's raw poses and cameras."""
     if prediction is None:
         return submap
     return replace(
         submap,
         T_s_c_raw=prediction.T_s_c,
-        K_raw=prediction.K,
+        cameras_raw=prediction.cameras,
         focal_log_sigma=_focal_log_sigma(submap.n_primary, prediction),
         assistant_late_ns=round(prediction.assistant_late_s * 1e9),
         stamps_off_ns=_stamps_off_ns(prediction),
@@ -86,7 +86,7 @@ def without_loop(
         marks = replace(marks, index=index, view=view, uv=uv, sigma_px=sigma_px)
     cut = replace(
         prediction,
-        K=prediction.K[:n],
+        cameras=prediction.cameras[:n],
         T_s_c=prediction.T_s_c[:n],
         depth=None if prediction.depth is None else prediction.depth[:n],
         confidence=None if prediction.confidence is None else prediction.confidence[:n],
@@ -98,9 +98,9 @@ def without_loop(
         submap,
         t_ns=submap.t_ns[:n],
         T_s_c_raw=submap.T_s_c_raw[:n],
-        K_raw=submap.K_raw[:n],
+        cameras_raw=submap.cameras_raw[:n],
         T_s_c=submap.T_s_c[:n],
-        K=submap.K[:n],
+        cameras=submap.cameras[:n],
     )
     return cut, bare, replace(hints, eyes=hints.eyes[:n], t_ns=hints.t_ns[:n], loop=False)
 

@@ -106,7 +106,7 @@ def from_updates(
         len(trajectory.t_ns),
         len({u.submap.id for u in updates}),
         spacing_m or None,
-        (float(submap.K[eyes[0], 0, 0]), float(submap.K[eyes[1], 0, 0])),
+        (submap.cameras[eyes[0]].fx, submap.cameras[eyes[1]].fx),
         (_finite(sigma[0]), _finite(sigma[1])),
         pose_age_ms,
         mean_stages(updates),

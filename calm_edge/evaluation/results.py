@@ -13,6 +13,7 @@ from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.estimate import Estimate, read_estimate
 from calm_edge.evaluation.truth import Truth, read_truth
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.similarity import Similarity, align
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Int
@@ -115,7 +116,9 @@ def _trajectory_figures(
     return figures, used
 
 
-def _focal_figures(estimate: Estimate, K: Float | None) -> dict[str, list[float | None] | None]:
+def _focal_figures(
+    estimate: Estimate, cameras: tuple[Camera, Camera] | None
+) -> dict[str, list[float | None] | None]:
     if estimate.focal_px is None:
         keys = ("focal_px", "focal_sigma_percent", "focal_error_px", "focal_error_percent")
         return dict.fromkeys(keys)
@@ -124,9 +127,9 @@ def _focal_figures(estimate: Estimate, K: Float | None) -> dict[str, list[float 
     error_percent: list[float | None] = [None, None]
     for eye in range(2):
         observed = sigma[eye]
-        if K is None or observed is None or observed > MAX_FOCAL_SIGMA_PERCENT:
+        if cameras is None or observed is None or observed > MAX_FOCAL_SIGMA_PERCENT:
             continue
-        true = float(K[eye, 0, 0])
+        true = cameras[eye].fx
         error_px[eye] = estimate.focal_px[eye] - true
         error_percent[eye] = 100 * (estimate.focal_px[eye] - true) / true
     return {
@@ -190,7 +193,7 @@ def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) ->
         "submaps": estimate.submaps,
         "align": chosen,
         **figures,
-        **_focal_figures(estimate, truth.K),
+        **_focal_figures(estimate, truth.cameras),
         **_map_figures(estimate, truth, motion),
         "live": _live_figures(estimate, truth, motion),
         "pose_age_ms": estimate.pose_age_ms,

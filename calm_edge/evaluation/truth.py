@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.evaluation.errors import EvaluationError
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.recording.sequence_folder import DEFAULT_RATE_HZ, ORIGIN_NS, read_times
 from calm_edge.trajectories import read_kitti
 from calm_edge.types import Float, Float32, Int
@@ -20,22 +20,23 @@ class Truth:
     """Ground truth of a sequence folder, in metres.
 
     t_ns: (N,) stamps as `recording.sequence_folder` gives them. T_w_c: (N, 4, 4) primary camera
-    -> world, N = 0 without poses. K: (2, 3, 3) px, one per camera, or None. cloud: (M, 3) or None.
+    -> world, N = 0 without poses. cameras: one per eye, or None. cloud: (M, 3) or None.
     """
 
     t_ns: Int
     T_w_c: Float
-    K: Float | None = None
+    cameras: tuple[Camera, Camera] | None = None
     cloud: Float32 | None = None
 
 
-def _calibration(path: Path) -> Float:
+def _calibration(path: Path) -> tuple[Camera, Camera]:
     rows = _table(path)
     if rows.shape != (2, 6):
         raise EvaluationError(
             f"{path}: expected two rows of `fx fy cx cy width height`, got {rows.shape}"
         )
-    return np.stack([pinhole.matrix(*(float(v) for v in row[:4])) for row in rows])
+    primary, assistant = (Perspective(*row[:4], *map(int, row[4:])) for row in rows.tolist())
+    return primary, assistant
 
 
 def _table(path: Path) -> Float:

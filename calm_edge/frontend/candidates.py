@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.flow import corners, follow
 from calm_edge.types import Bytes, Float, Float32
 
@@ -45,7 +46,7 @@ class Candidates:
 
 
 def step(
-    known: Candidates, previous: Bytes, gray: Bytes, K: Float, T_m_c: Float
+    known: Candidates, previous: Bytes, gray: Bytes, camera: Camera, T_m_c: Float
 ) -> tuple[Candidates, Float, Float32]:
     """Follows candidates into `gray`, taken at T_m_c (4, 4).
 
@@ -57,8 +58,8 @@ def step(
         return known, np.zeros((0, 3)), known.uv
     ones = np.ones(len(known.uv))
     R, c = known.born_T_m_c[:, :3, :3], known.born_T_m_c[:, :3, 3]
-    a = (R @ pinhole.back_project(K, known.born_uv.astype(np.float64), ones)[..., None])[..., 0]
-    b = pinhole.back_project(K, known.uv.astype(np.float64), ones) @ T_m_c[:3, :3].T
+    a = (R @ camera.back_project(known.born_uv.astype(np.float64), ones)[..., None])[..., 0]
+    b = camera.back_project(known.uv.astype(np.float64), ones) @ T_m_c[:3, :3].T
     across = np.linalg.norm(np.cross(a, b), axis=-1)
     angle = across / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
     ripe = angle > MIN_PARALLAX_RAD
@@ -68,7 +69,7 @@ def step(
     depth = (np.cross(base, b) * normal).sum(-1) / np.maximum(across**2, 1e-18)
     p_m = c + depth[:, None] * a
     p_c = se3.transform(se3.inverse(T_m_c), p_m)
-    miss = np.linalg.norm(pinhole.project(K, p_c) - known.uv, axis=-1)
+    miss = np.linalg.norm(camera.project(p_c) - known.uv, axis=-1)
     fine = ripe & (depth > MIN_DEPTH) & (p_c[:, 2] > MIN_DEPTH) & (miss < MAX_MISS_PX)
     return known.kept(~ripe), p_m[fine], known.uv[fine]
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import back_project_each
 from calm_edge.geometry.flow import corners
 from calm_edge.types import Bytes, Float, Float32, Int, LocalizerUpdate
 
@@ -29,8 +30,8 @@ def of_update(update: LocalizerUpdate, count: int, gray: Bytes | None = None) ->
     """At most `count` points of the newest keyframes, newest first.
 
     A point keeps its depth and is put on the ray of the view that saw it last, so that it agrees
-    with that view's rectified pose and K. Without landmarks: corners of `gray` (H, W), the newest
-    primary keyframe, where its depth is confident.
+    with that view's rectified pose and camera. Without landmarks: corners of `gray` (H, W), the
+    newest primary keyframe, where its depth is confident.
     """
     submap, prediction = update.submap, update.prediction
     first = max(0, submap.n_primary - RECENT_VIEWS)
@@ -52,7 +53,7 @@ def of_update(update: LocalizerUpdate, count: int, gray: Bytes | None = None) ->
     view, uv, depth = view[front], np.asarray(uv[front], np.float32), depth[front]
     step = max(1, -(-len(view) // count))
     view, uv, depth = view[::step], uv[::step], depth[::step] * submap.scale
-    p_c = pinhole.back_project(submap.K[view], uv.astype(np.float64), depth)
+    p_c = back_project_each(submap.cameras, view, uv.astype(np.float64), depth)
     T_w_c = submap.T_w_c()[view]
     p_w = (T_w_c[:, :3, :3] @ p_c[..., None])[..., 0] + T_w_c[:, :3, 3]
     ids = np.array(submap.primary_ids, np.int64)[view]

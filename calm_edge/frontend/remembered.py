@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32
 
 # Frames are kept so that a sub-map that comes late can be followed from its keyframes to now.
@@ -26,9 +27,9 @@ class Past:
 
 @dataclass(slots=True)
 class Tracks:
-    """Points followed: p_m (M, 3) map frame, uv (M, 2) px in the image `seen_in`. K: (3, 3) px."""
+    """Points followed: p_m (M, 3) map frame, uv (M, 2) px in the image `seen_in`."""
 
-    K: Float
+    camera: Camera
     p_m: Float
     uv: Float32
     seen_in: Bytes

@@ -18,6 +18,7 @@ from calm_edge.frontend.candidates import Candidates
 from calm_edge.frontend.remembered import MOST_REMEMBERED, REMEMBERED_NS, Past, Tracks, spaced
 from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.flow import follow
 from calm_edge.geometry.pnp import PoseFit, locate, reprojection
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
@@ -109,14 +110,14 @@ class Tracker:
         starts = sorted({place[i] for i in cloud.keyframe_id.tolist() if i in place})
         if not starts:
             return False
-        K = update.submap.K[update.submap.n_primary - 1]
+        camera = update.submap.cameras[update.submap.n_primary - 1]
         born = np.array([place.get(i, -1) for i in cloud.keyframe_id.tolist()])
         known = {place[i]: T for i, T in T_w_c.items() if i in place}
-        p_m, uv, T_now, gray = self._bring_forward(K, cloud.p_w, cloud.uv, born, known)
-        fit = locate(K, p_m, uv, T_now, self._threshold(gray))
+        p_m, uv, T_now, gray = self._bring_forward(camera, cloud.p_w, cloud.uv, born, known)
+        fit = locate(camera, p_m, uv, T_now, self._threshold(gray))
         if fit is None or fit.n_inliers < SAFE_INLIERS:
             newest_born = born == starts[-1]
-            start = Tracks(K, cloud.p_w[newest_born], cloud.uv[newest_born], gray)
+            start = Tracks(camera, cloud.p_w[newest_born], cloud.uv[newest_born], gray)
             return self._catch_up(starts[-1], start, known)
         ratio = self._scale_ratio(starts[-1], known[starts[-1]], fit.T_w_c)
         self._follower = None
@@ -130,7 +131,7 @@ class Tracker:
             followed = se3.transform(T_new_old, old.p_m[:room])
             p_m = np.concatenate([p_m, centre + ratio * (followed - centre)])
             uv = np.concatenate([uv, old.uv[:room]])
-        self._tracks = Tracks(K, p_m, uv, gray)
+        self._tracks = Tracks(camera, p_m, uv, gray)
         return True
 
     def _catch_up(self, keyframe: int, start: Tracks, known: dict[int, Float]) -> bool:
@@ -193,19 +194,19 @@ class Tracker:
         moved, good = follow(tracks.seen_in, gray, tracks.uv, self._guess(T_predicted))
         p_m, uv = tracks.p_m[good], moved[good]
         step = np.linalg.norm(uv - tracks.uv[good], axis=1)
-        fit = locate(tracks.K, p_m, uv, T_predicted, self._threshold(gray))
+        fit = locate(tracks.camera, p_m, uv, T_predicted, self._threshold(gray))
         if fit is None or fit.n_inliers < MIN_INLIERS:
             return None
         # while nothing moves the image tracked from stays, so that noise cannot become drift
         if np.median(step) >= self.config.standstill_px:
-            self._tracks = Tracks(tracks.K, p_m[fit.inlier], uv[fit.inlier], gray)
+            self._tracks = Tracks(tracks.camera, p_m[fit.inlier], uv[fit.inlier], gray)
             self._unripe = tracks.seen_in, fit.T_w_c
         return fit
 
     def _ripened(self, tracks: Tracks, previous: Bytes, T_m_c: Float) -> Tracks:
         """The tracks and the candidates that became points; new candidates where there is room."""
         self._candidates, p_m, uv = candidates.step(
-            self._candidates, previous, tracks.seen_in, tracks.K, T_m_c
+            self._candidates, previous, tracks.seen_in, tracks.camera, T_m_c
         )
         p_m, uv = np.concatenate([tracks.p_m, p_m]), np.concatenate([tracks.uv, uv])
         room = self.config.tracker_points - len(uv)
@@ -213,15 +214,15 @@ class Tracker:
             self._candidates = candidates.replenish(
                 self._candidates, tracks.seen_in, uv, T_m_c, room
             )
-        return Tracks(tracks.K, p_m, uv, tracks.seen_in)
+        return Tracks(tracks.camera, p_m, uv, tracks.seen_in)
 
     def _guess(self, T_predicted: Float) -> Float32 | None:
         """Where the tracks should be: their shift under the predicted motion, (M, 2) px."""
         tracks, last = self._tracks, self._path.newest if self._path else None
         if tracks is None or last is None:
             return None
-        there, _ = reprojection(tracks.K, tracks.p_m, T_predicted)
-        here, _ = reprojection(tracks.K, tracks.p_m, self.T_map_odom @ last)
+        there, _ = reprojection(tracks.camera, tracks.p_m, T_predicted)
+        here, _ = reprojection(tracks.camera, tracks.p_m, self.T_map_odom @ last)
         with np.errstate(invalid="ignore"):
             shift = there - here
         shift[~np.isfinite(shift).all(1)] = 0.0
@@ -258,7 +259,7 @@ class Tracker:
         return T_new_old
 
     def _bring_forward(
-        self, K: Float, p_w: Float, uv: Float32, born: np.ndarray, known: dict[int, Float]
+        self, camera: Camera, p_w: Float, uv: Float32, born: np.ndarray, known: dict[int, Float]
     ) -> tuple[Float, Float32, Float, Bytes]:
         """Points (M, 3) seen at uv (M, 2) in remembered frame `born` (M,), followed to the newest.
 
@@ -284,7 +285,7 @@ class Tracker:
                 guess = None
                 if T_a is not None and T_b is not None:
                     T = T @ se3.inverse(T_a) @ T_b
-                    seen, _ = reprojection(K, p_w[alive], T)
+                    seen, _ = reprojection(camera, p_w[alive], T)
                     guess = np.where(np.isfinite(seen), seen, now).astype(np.float32)
                 ahead = past[b].gray
                 now, good = follow(gray, ahead, now, guess)

@@ -8,7 +8,8 @@ distortion (calib3d); `geometry/fisheye.py` has the angle model. OpenCV's own in
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Self
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Int = NDArray[np.int64]
 
 # inverses: Newton's method, started from a table over the angle off the axis
 NEWTON_STEPS = 8
@@ -99,6 +101,16 @@ class Camera(ABC):
         """Pixels (..., 2) and z-depths (...) -> camera points (..., 3) in the depth's unit."""
         x, y = np.moveaxis(self.normalized(uv), -1, 0)
         return np.stack([x * depth, y * depth, np.broadcast_to(depth, x.shape)], -1)
+
+    def undistorted(self, uv: Float) -> Float:
+        """Pixels (..., 2) where `matrix` alone would put what is seen at pixels (..., 2)."""
+        if self.is_pinhole:
+            return uv
+        return np.asarray(self.normalized(uv) * [self.fx, self.fy] + [self.cx, self.cy])
+
+    def with_focal(self, focal: float) -> Self:
+        """The camera with another fx [px] and the same ratio of fy to it."""
+        return replace(self, fx=focal, fy=focal * self.fy / self.fx)
 
     def scaled(self, sx: float, sy: float) -> Self:
         """The camera of the picture resized by sx, sy as cv2.resize does."""
@@ -204,6 +216,22 @@ class Perspective(Camera):
         gain = (1 + s * (k1 + s * (k2 + s * k3))) / D
         slope = k1 + s * (2 * k2 + s * 3 * k3) - gain * (k4 + s * (2 * k5 + s * 3 * k6))
         return gain, slope / D, D
+
+
+def project_each(cameras: Sequence[Camera], view: Int, p_c: Float) -> Float:
+    """Points (M, 3) in the axes of views (M,) -> pixels (M, 2)."""
+    uv = np.empty((len(p_c), 2))
+    for n in np.unique(view):
+        uv[view == n] = cameras[n].project(p_c[view == n])
+    return uv
+
+
+def back_project_each(cameras: Sequence[Camera], view: Int, uv: Float, depth: Float) -> Float:
+    """Pixels (M, 2) of views (M,) at z-depths (M,) -> points (M, 3) in the views' axes."""
+    p_c = np.empty((len(uv), 3))
+    for n in np.unique(view):
+        p_c[view == n] = cameras[n].back_project(uv[view == n], depth[view == n])
+    return p_c
 
 
 def _entries(K: Float) -> tuple[float, float, float, float]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -46,10 +47,10 @@ def homogeneous(uv: Float) -> Float:
     return np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], -1)
 
 
-def from_motion(K_a: Float, K_b: Float, T_b_a: Float) -> Float:
-    """F (..., 3, 3) of two views with K (3, 3) px and relative pose (..., 4, 4)."""
+def from_motion(a: Camera, b: Camera, T_b_a: Float) -> Float:
+    """F (..., 3, 3) of two views' pinhole parts and relative pose (..., 4, 4)."""
     E = se3.hat(T_b_a[..., :3, 3]) @ T_b_a[..., :3, :3]
-    F = np.linalg.inv(K_b).T @ E @ np.linalg.inv(K_a)
+    F = np.linalg.inv(b.matrix).T @ E @ np.linalg.inv(a.matrix)
     return np.asarray(F / np.linalg.norm(F, axis=(-2, -1), keepdims=True))
 
 

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -33,24 +34,26 @@ class PoseFit:
         return int(self.inlier.sum())
 
 
-def reprojection(K: Float, p_w: Float, T_w_c: Float) -> tuple[Float, Float]:
+def reprojection(camera: Camera, p_w: Float, T_w_c: Float) -> tuple[Float, Float]:
     """Pixels (M, 2) of world points (M, 3), inf where behind the camera; and camera points."""
     p_c = se3.transform(se3.inverse(T_w_c), p_w)
-    uv = pinhole.project(K, p_c)
+    uv = camera.project(p_c)
     uv[p_c[:, 2] < NEAREST_DEPTH] = np.inf
     return uv, p_c
 
 
-def refine(K: Float, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float) -> PoseFit | None:
+def refine(
+    camera: Camera, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float
+) -> PoseFit | None:
     """Gauss-Newton with Huber weights from T_w_c; None when the points do not fix a pose.
 
-    K (3, 3) px, p_w (M, 3), uv (M, 2) px. Points beyond threshold_px are no inliers. The
+    p_w (M, 3), uv (M, 2) px. Points beyond threshold_px are no inliers. The
     covariance is the inverse Hessian times the squared scale of the inliers' residual.
     """
     if len(p_w) < 6:
         return None
     for _ in range(ITERATIONS):
-        seen, p_c = reprojection(K, p_w, T_w_c)
+        seen, p_c = reprojection(camera, p_w, T_w_c)
         front = np.isfinite(seen).all(1)
         if front.sum() < 6:
             return None
@@ -58,7 +61,7 @@ def refine(K: Float, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float)
         size = np.linalg.norm(residual, axis=1)
         weight = np.minimum(1.0, HUBER_PX / np.maximum(size, 1e-9))
         weight[size > 10 * threshold_px] = 0.0
-        J = _jacobian(K, p_c[front])
+        J = _jacobian(camera, p_c[front])
         H = np.einsum("nij,n,nik->jk", J, weight, J)
         g = np.einsum("nij,n,ni->j", J, weight, residual)
         try:
@@ -72,12 +75,12 @@ def refine(K: Float, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float)
             break
     # poses are predicted from poses for a whole drive: rounding must not add up
     T_w_c = se3.compose(se3.so3_exp(se3.so3_log(T_w_c[:3, :3])), T_w_c[:3, 3])
-    seen, p_c = reprojection(K, p_w, T_w_c)
+    seen, p_c = reprojection(camera, p_w, T_w_c)
     size = np.linalg.norm(uv - seen, axis=1)
     inlier = size < threshold_px
     if inlier.sum() < 6:
         return None
-    J = _jacobian(K, p_c[inlier])
+    J = _jacobian(camera, p_c[inlier])
     variance = max(float(np.mean(size[inlier] ** 2)) / 2, NOISE_FLOOR_PX**2)
     H = np.einsum("nij,nik->jk", J, J)
     if np.linalg.cond(H) > 1e14:
@@ -85,33 +88,30 @@ def refine(K: Float, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float)
     return PoseFit(T_w_c, np.asarray(np.linalg.inv(H) * variance), inlier)
 
 
-def _jacobian(K: Float, p_c: Float) -> Float:
+def _jacobian(camera: Camera, p_c: Float) -> Float:
     """d uv / d xi of T_w_c exp(xi), (M, 2, 6): p_c moves by -rho + [p_c]x w."""
-    x, y, z = p_c.T
-    d_uv = np.zeros((len(p_c), 2, 3))
-    d_uv[:, 0, 0] = K[0, 0] / z
-    d_uv[:, 0, 1] = K[0, 1] / z
-    d_uv[:, 0, 2] = -(K[0, 0] * x + K[0, 1] * y) / z**2
-    d_uv[:, 1, 1] = K[1, 1] / z
-    d_uv[:, 1, 2] = -K[1, 1] * y / z**2
+    d_uv = camera.project_jacobian(p_c)
     return np.asarray(np.concatenate([-d_uv, d_uv @ se3.hat(p_c)], -1))
 
 
-def locate(K: Float, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float) -> PoseFit | None:
+def locate(
+    camera: Camera, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float
+) -> PoseFit | None:
     """The pose near a predicted T_w_c; RANSAC (seeded) when the prediction does not explain uv."""
-    fit = refine(K, p_w, uv, T_w_c, threshold_px)
+    fit = refine(camera, p_w, uv, T_w_c, threshold_px)
     if fit is not None and fit.n_inliers >= 0.6 * len(p_w):
         return fit
     if len(p_w) < 6:
         return None
+    straight = camera.undistorted(uv.astype(np.float64))
     found, rotation, translation, _ = cv2.solvePnPRansac(
-        p_w, uv.astype(np.float64), K, None, iterationsCount=200, reprojectionError=threshold_px
+        p_w, straight, camera.matrix, None, iterationsCount=200, reprojectionError=threshold_px
     )
     if not found:
         return fit
     R = np.asarray(cv2.Rodrigues(rotation)[0], np.float64)
     T_c_w = se3.compose(R, np.asarray(translation, np.float64)[:, 0])
-    other = refine(K, p_w, uv, se3.inverse(T_c_w), threshold_px)
+    other = refine(camera, p_w, uv, se3.inverse(T_c_w), threshold_px)
     if other is None or (fit is not None and fit.n_inliers >= other.n_inliers):
         return fit
     return other

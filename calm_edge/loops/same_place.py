@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from calm_edge.geometry import epipolar, pinhole, pnp, se3
+from calm_edge.geometry import epipolar, pnp, se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.sift import Features, cells, consistent, well_spread
 from calm_edge.types import Float, Float32, Int
 
@@ -39,9 +40,9 @@ WIDEST_RAD = np.radians(60.0)
 
 @dataclass(frozen=True, slots=True)
 class KnownKit:
-    """K: (2, 3, 3) px an eye. T_p_a: (4, 4), any unit: only its direction is used."""
+    """cameras: one an eye. T_p_a: (4, 4), any unit: only its direction is used."""
 
-    K: Float
+    cameras: tuple[Camera, Camera]
     T_p_a: Float
 
 
@@ -90,7 +91,7 @@ def same_place(
     all_points, all_near = triangulated(uv_q, uv_a, kit, rig_between(uv_q, uv_a, kit))
     points, near = all_points[in_assistant], all_near[in_assistant]
     uv_past = past.uv[pairs[in_past, 1]]
-    fit = _pose(kit.K[0], points[near], uv_past[near], POSE_PX * stretch)
+    fit = _pose(kit.cameras[0], points[near], uv_past[near], POSE_PX * stretch)
     if fit is None or fit.n_inliers < max(min_matches // 3, MIN_AGREEING * near.sum()):
         return None
     if not well_spread(query.uv[shared[near][fit.inlier]], size):
@@ -98,16 +99,16 @@ def same_place(
     T = fit.T_w_c
     if np.linalg.norm(T[:3, 3]) > FARTHEST or np.linalg.norm(se3.so3_log(T[:3, :3])) > WIDEST_RAD:
         return None
-    F = epipolar.from_motion(kit.K[0], kit.K[0], se3.inverse(T))
+    F = epipolar.from_motion(kit.cameras[0], kit.cameras[0], se3.inverse(T))
     miss = np.abs(epipolar.sampson(F, _double(query, pairs[:, 0]), _double(past, pairs[:, 1])))
     if np.mean(miss < POSE_PX * stretch) < MIN_AGREEING:
         return None
-    again = seen_again(all_points, query.vector[across[:, 0]], past, kit.K[0], T, size)
+    again = seen_again(all_points, query.vector[across[:, 0]], past, kit.cameras[0], T, size)
     return SamePlace(T, len(pairs), again)
 
 
 def seen_again(
-    points: Float, vectors: Float32, past: Features, K: Float, T_q_past: Float, size: Int
+    points: Float, vectors: Float32, past: Features, camera: Camera, T_q_past: Float, size: Int
 ) -> float:
     """The share of points (M, 3) that the past picture shows where T_q_past (4, 4) puts them.
 
@@ -118,12 +119,12 @@ def seen_again(
     front = (points[:, 2] > 0) & (p[:, 2] > 0)
     if not front.any() or len(past.uv) == 0:
         return 0.0
-    uv = pinhole.project(K, p[front])
+    uv = camera.project(p[front])
     likeness = vectors[front] @ past.vector.T
     away = np.linalg.norm(uv[:, None] - past.uv[None], axis=2)
     away /= float(size[0]) / REFERENCE_WIDTH_PX
     there = ((likeness > SEEN_AGAIN_LIKENESS) & (away < SEEN_AGAIN_PX)).any(1)
-    _, cell = np.unique(cells(pinhole.project(K, points[front]), size), return_inverse=True)
+    _, cell = np.unique(cells(camera.project(points[front]), size), return_inverse=True)
     return float((np.bincount(cell, there) / np.bincount(cell)).mean())
 
 
@@ -137,7 +138,7 @@ def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
     start = se3.inverse(T_p_a)
 
     def error(xi: Float) -> Float:
-        F = epipolar.from_motion(kit.K[0], kit.K[1], se3.exp(xi) @ start)
+        F = epipolar.from_motion(*kit.cameras, se3.exp(xi) @ start)
         return np.concatenate([epipolar.sampson(F, uv_p, uv_a), xi / RIG_SIGMA])
 
     fit = least_squares(error, np.zeros(6), loss="soft_l1", max_nfev=20)
@@ -146,13 +147,14 @@ def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
 
 def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple[Float, np.ndarray]:
     """Points (M, 3) of matches (M, 2) px, primary camera, and which (M,) are near and in front."""
-    P_p = kit.K[0] @ np.eye(3, 4)
-    P_a = kit.K[1] @ T_a_p[:3]
+    primary, assistant = kit.cameras
+    P_p = primary.matrix @ np.eye(3, 4)
+    P_a = assistant.matrix @ T_a_p[:3]
     X = np.asarray(cv2.triangulatePoints(P_p, P_a, uv_p.T, uv_a.T), np.float64).T
     points = X[:, :3] / np.where(np.abs(X[:, 3:]) < 1e-9, 1e-9, X[:, 3:])
-    rays = epipolar.homogeneous(uv_p) @ np.linalg.inv(kit.K[0]).T
-    far = pinhole.project(kit.K[1], rays @ T_a_p[:3, :3].T)
-    shift = pinhole.project(kit.K[1], se3.transform(T_a_p, SOME_DEPTH * rays)) - far
+    rays = primary.back_project(uv_p, np.ones(len(uv_p)))
+    far = assistant.project(rays @ T_a_p[:3, :3].T)
+    shift = assistant.project(se3.transform(T_a_p, SOME_DEPTH * rays)) - far
     along = shift / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-9)
     parallax = ((uv_a - far) * along).sum(1)
     # a small error of the rig's rotation moves all points alike: the farthest tell by how much
@@ -161,10 +163,10 @@ def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple
     return points, in_front & (parallax > NEAR_PX)
 
 
-def _pose(K: Float, points: Float, uv: Float, threshold_px: float) -> pnp.PoseFit | None:
+def _pose(camera: Camera, points: Float, uv: Float, threshold_px: float) -> pnp.PoseFit | None:
     """The picture's T_q_c (4, 4) from points (M, 3) of the query camera and pixels (M, 2)."""
     try:
-        return pnp.locate(K, points, np.asarray(uv, np.float32), np.eye(4), threshold_px)
+        return pnp.locate(camera, points, np.asarray(uv, np.float32), np.eye(4), threshold_px)
     except cv2.error:  # its own assertion, where no sample gives a model
         return None
 

@@ -143,7 +143,7 @@ class Mapper:
                 raise MappingError(
                     f"sub-map {submap.id}: has a pose but no depth; run calm-edge map again"
                 )
-            same = submap.scale == known.scale and np.array_equal(submap.K, known.K)
+            same = submap.scale == known.scale and submap.cameras == known.cameras
             if not (same and np.array_equal(submap.T_s_c, known.T_s_c)):
                 raise MappingError(
                     f"sub-map {submap.id}: scale or geometry changed after it was added; "

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera, back_project_each
 from calm_edge.types import Bytes, CalmEdgeError, Float, Float32, Int, Int32, Submap
 
 Bool = NDArray[np.bool_]
@@ -22,13 +23,13 @@ class DenseViews:
     """Depth maps of a sub-map's N views in batch order, prepared for sampling.
 
     inverse_depth: (N, h, w) 1/z in 1/world units, 0 unknown. usable: (N, h, w) confident and
-    within range. K: (N, 3, 3) px of the full image. T_s_c: (N, 4, 4) world units.
+    within range. cameras: N, of the full image. T_s_c: (N, 4, 4) world units.
     map_per_image: (N, 2) depth-map pixels per image pixel, (x, y).
     """
 
     inverse_depth: Float32
     usable: Bool
-    K: Float
+    cameras: tuple[Camera, ...]
     T_s_c: Float
     map_per_image: Float
 
@@ -89,7 +90,7 @@ def prepare(
     return DenseViews(
         np.where(known, 1 / z, 0).astype(np.float32),
         known & (confidence > floor) & (z <= max_range),
-        submap.K,
+        submap.cameras,
         submap.T_s_c,
         np.array([width, height]) / image_size,
     )
@@ -97,7 +98,7 @@ def prepare(
 
 def lift(views: DenseViews, view: Int, uv: NDArray[np.floating], z: NDArray[np.floating]) -> Float:
     """Back-project image pixels uv (M, 2) of views (M,) at z-depths (M,): (M, 3), sub-map frame."""
-    p_c = pinhole.back_project(views.K[view], np.asarray(uv, np.float64), np.asarray(z))
+    p_c = back_project_each(views.cameras, view, np.asarray(uv, np.float64), np.asarray(z))
     T = views.T_s_c[view]
     return np.asarray((T[:, :3, :3] @ p_c[..., None])[..., 0] + T[:, :3, 3])
 
@@ -116,7 +117,7 @@ def lift_all(views: DenseViews) -> tuple[Int, Float, Float32]:
         depth = 1 / views.inverse_depth[view].reshape(-1)[pixel]
         uv = views.to_image(np.array(view), pixels[pixel])
         T = views.T_s_c[view]
-        p_c = pinhole.back_project(views.K[view], uv, depth)
+        p_c = views.cameras[view].back_project(uv, depth)
         points.append(p_c @ T[:3, :3].T + T[:3, 3])
         depths.append(depth)
     pixel = np.concatenate([k * height * width + found_k for k, found_k in enumerate(found)])
@@ -156,7 +157,7 @@ def sight(views: DenseViews, p_s: Float, tolerance: float) -> Sightings:
     T_c_s = se3.inverse(views.T_s_c)
     p_c = np.moveaxis(T_c_s[:, :3, :3] @ p_s.T + T_c_s[:, :3, 3:], 2, 0)
     z = p_c[..., 2]
-    uv = pinhole.project(views.K, p_c)
+    uv = np.stack([c.project(p_c[:, n]) for n, c in enumerate(views.cameras)], 1)
     view = np.broadcast_to(np.arange(len(T_c_s)), z.shape)
     seen = sample(views, view, uv)
     known = (seen > 0) & (z > 0)

@@ -7,7 +7,7 @@ function of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from calm_edge.config import Config, merge
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.frontend.keyframes import KeyframeSelector
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Camera, back_project_each
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import STATUS
@@ -83,30 +83,33 @@ def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | N
 
 
 def _final(first: LocalizerUpdate, last: LocalizerUpdate) -> LocalizerUpdate:
-    """The last placement with the first prediction, whose points follow the last poses and K."""
-    prediction = with_poses(first.prediction, last.submap.K_raw, last.submap.T_s_c_raw)
+    """The last placement, with the first prediction moved to its poses and cameras."""
+    prediction = with_poses(first.prediction, last.submap.cameras_raw, last.submap.T_s_c_raw)
     return replace(last, prediction=prediction, stage_ms=first.stage_ms)
 
 
-def with_poses(prediction: Prediction, K: Float, T_s_c: Float) -> Prediction:
-    """A prediction moved to other intrinsics (N, 3, 3) and poses (N, 4, 4) of its own views.
+def with_poses(prediction: Prediction, cameras: tuple[Camera, ...], T_s_c: Float) -> Prediction:
+    """A prediction moved to other cameras and poses (N, 4, 4) of its own views.
 
     Landmarks are triangulated again; depth, which belonged to the old poses, is dropped.
     """
-    if np.array_equal(prediction.K, K) and np.array_equal(prediction.T_s_c, T_s_c):
+    if prediction.cameras == cameras and np.array_equal(prediction.T_s_c, T_s_c):
         return prediction
     marks = prediction.landmarks
     if marks is not None:
-        marks = replace(marks, points_s=triangulated(marks, K, T_s_c))
-    return replace(prediction, K=K, T_s_c=T_s_c, landmarks=marks, depth=None, confidence=None)
+        marks = replace(marks, points_s=triangulated(marks, cameras, T_s_c))
+    return replace(
+        prediction, cameras=cameras, T_s_c=T_s_c, landmarks=marks, depth=None, confidence=None
+    )
 
 
-def triangulated(marks: Landmarks, K: Float, T_s_c: Float) -> Float:
+def triangulated(marks: Landmarks, cameras: Sequence[Camera], T_s_c: Float) -> Float:
     """Points (M, 3) closest to the rays of their observations; unchanged where these are parallel.
 
-    K (N, 3, 3) px, T_s_c (N, 4, 4) of the views that saw them.
+    cameras: N, T_s_c (N, 4, 4) of the views that saw them.
     """
-    rays = pinhole.back_project(K[marks.view], marks.uv.astype(np.float64), np.ones(len(marks.uv)))
+    uv = marks.uv.astype(np.float64)
+    rays = back_project_each(cameras, marks.view, uv, np.ones(len(uv)))
     d = (T_s_c[marks.view, :3, :3] @ rays[..., None])[..., 0]
     d /= np.linalg.norm(d, axis=-1, keepdims=True)
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
@@ -144,7 +147,7 @@ def _recompute(
     drive.trajectory = localizer.finish()
     for submap in localizer.submaps:
         record, update = found[submap.id]
-        prediction = with_poses(update.prediction, submap.K_raw, submap.T_s_c_raw)
+        prediction = with_poses(update.prediction, submap.cameras_raw, submap.T_s_c_raw)
         drive.windows.append(record)
         drive.updates.append(replace(update, submap=submap, prediction=prediction))
     if drive.updates and drive.trajectory is not None:

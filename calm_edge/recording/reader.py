@@ -53,6 +53,7 @@ class Recording:
         self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
         self._damaged: set[tuple[int, int]] = set()
         self._sorted: dict[Eye, Int] = {}
+        self._sizes: dict[Eye, tuple[int, int]] = {}
         files = recording_files(path)
         for file in files:
             try:
@@ -141,10 +142,20 @@ class Recording:
         for _, data in self._messages(schema.POSE_SAMPLE):
             yield schema.read_pose(data)
 
+    def picture_size(self, eye: Eye) -> tuple[int, int]:
+        """Width and height [px] of an eye's pictures, from the first; raises RecordingError."""
+        if eye not in self._sizes:
+            frame = next(self.frames(eye), None)
+            if frame is None:
+                raise RecordingError(f"{self.path}: no picture of the {eye.name.lower()} camera")
+            height, width = frame.gray().shape
+            self._sizes[eye] = width, height
+        return self._sizes[eye]
+
     def updates(self) -> Iterator[LocalizerUpdate]:
         """Iterate over the localizer's updates, one per window, as written."""
         for _, data in self._messages(schema.SUBMAP):
-            yield schema.read_update(data)
+            yield schema.read_update(data, self.picture_size)
 
     def windows(self) -> Iterator[WindowRecord]:
         """Iterate over the window records as written."""

@@ -18,6 +18,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
 
+from calm_edge.geometry.camera import Camera
+from calm_edge.recording import camera_record
 from calm_edge.recording.errors import RecordingError
 
 RECORDS = ("Submap", "Window", "PoseSample")
@@ -78,7 +80,7 @@ def flatten(value: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
         elif isinstance(item, np.generic):
             header[name] = item.item()
         elif isinstance(item, tuple):
-            header[name] = [v.item() if isinstance(v, np.generic) else v for v in item]
+            header[name] = [_plain(v) for v in item]
         elif isinstance(item, dict):
             header[name] = {str(k): float(v) for k, v in item.items()}
         else:
@@ -89,6 +91,12 @@ def flatten(value: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
 def array_bytes(value: Any) -> int:
     """Return the size of the arrays in a dataclass."""
     return sum(array.nbytes for array in flatten(value)[1].values())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Camera):
+        return camera_record.encode(value)
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def unflatten(kind: type[T], header: dict[str, Any], arrays: Arrays, prefix: str = "") -> T:
@@ -112,7 +120,8 @@ def unflatten(kind: type[T], header: dict[str, Any], arrays: Arrays, prefix: str
             elif isinstance(hint, type) and dataclasses.is_dataclass(hint):
                 values[field.name] = unflatten(hint, header, arrays, name + ".")
             elif get_origin(hint) is tuple:
-                values[field.name] = tuple(value)
+                cameras = get_args(hint)[0] is Camera
+                values[field.name] = tuple(map(camera_record.decode, value) if cameras else value)
             elif isinstance(hint, type):
                 values[field.name] = hint(value)
             else:

@@ -19,7 +19,7 @@ An update is stored exactly but for depth (fp16; beyond its range: 0, unknown) a
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,7 +32,7 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.message import DecodeError
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from calm_edge.recording import foxglove, record
+from calm_edge.recording import camera_record, foxglove, record
 from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import LocalizerUpdate, PoseSample
@@ -154,9 +154,13 @@ def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage
     ]
 
 
-def read_update(data: bytes) -> LocalizerUpdate:
-    """Decode an update of /submap, depth and confidence as float32; raises RecordingError."""
+def read_update(data: bytes, size_of: Callable[[Eye], tuple[int, int]]) -> LocalizerUpdate:
+    """Decode an update of /submap, depth and confidence as float32; raises RecordingError.
+
+    size_of: see camera_record.replace_matrices.
+    """
     header, arrays = record.decode("Submap", data)
+    camera_record.replace_matrices(header, arrays, size_of)
     if "prediction.depth" in arrays:
         arrays["prediction.depth"] = arrays["prediction.depth"].astype(np.float32)
     if "prediction.confidence" in arrays:

@@ -121,7 +121,9 @@ def report_data(
     start = estimate.t_ns[0] if len(estimate.t_ns) else 0
     # the first update of a sub-map holds the estimate at the time; later ones revise it
     submaps = list({update.submap.id: update.submap for update in reversed(updates)}.values())[::-1]
-    focal = [[s.K[0, 0, 0], s.K[s.n_primary if s.assistant_ids else 0, 0, 0]] for s in submaps]
+    focal = [
+        [s.cameras[0].fx, s.cameras[s.n_primary if s.assistant_ids else 0].fx] for s in submaps
+    ]
     scale = np.array([s.scale for s in submaps])
     points = 0 if estimate.points_w is None else len(estimate.points_w)
     table = {
@@ -142,7 +144,7 @@ def report_data(
         scale / scale[0] if len(scale) else scale,
         np.array(focal).reshape(-1, 2),
         np.array([s.focal_log_sigma for s in submaps]).reshape(-1, 2),
-        None if truth is None or truth.K is None else truth.K[:, 0, 0],
+        None if truth is None or truth.cameras is None else np.array([c.fx for c in truth.cameras]),
         windows,
         estimate.stage_ms,
         tuple(_headline(estimate, unit, points, figures)),

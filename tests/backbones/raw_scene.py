@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float
 
 
@@ -47,6 +49,11 @@ class RawScene:
     def T_s_c(self) -> Float:
         """The expected decoded T_s_c."""
         return np.linalg.inv(self.T_w_c[0]) @ self.T_w_c
+
+
+def matrices(cameras: Sequence[Camera]) -> Float:
+    """(N, 3, 3) px."""
+    return np.array([camera.matrix for camera in cameras])
 
 
 def make_scene(sizes: list[tuple[int, int]], offset_px: tuple[float, float] = (0, 0)) -> RawScene:

@@ -41,7 +41,7 @@ def landmarks(k: int) -> Landmarks:
 
 def update(k: int) -> LocalizerUpdate:
     submap = DRIVE.submaps[k]
-    prediction = Prediction(submap.K_raw, submap.T_s_c_raw, landmarks=landmarks(k))
+    prediction = Prediction(submap.cameras_raw, submap.T_s_c_raw, landmarks=landmarks(k))
     trajectory = Trajectory(np.arange(1), np.zeros(1, np.int64), np.eye(4)[None], np.eye(4), k)
     return LocalizerUpdate(submap, prediction, trajectory)
 

@@ -54,7 +54,7 @@ def test_nothing_asked_is_the_same_drive(drive: Path, tmp_path: Path) -> None:
         name = f"poses{int(eye)}.txt"
         np.testing.assert_array_equal(read_kitti(out / name), read_kitti(drive / name))
         assert all((out / f"cam{int(eye)}").joinpath(f"{k:06d}.png").is_symlink() for k in range(N))
-    np.testing.assert_array_equal(read_truth(out).K, read_truth(drive).K)
+    assert read_truth(out).cameras == read_truth(drive).cameras
     assert read_truth(out).cloud is not None
 
 
@@ -130,10 +130,10 @@ def test_a_cropped_drive_says_so_in_its_calibration_alone(drive: Path, tmp_path:
     out = perturbed(drive, tmp_path / "o", Perturbation(crop=((0.1, 0.0), (0.0, -0.1))))
     assert SequenceFolder(out).size(Eye.PRIMARY) == (53, 40)
     assert SequenceFolder(out).size(Eye.ASSISTANT) == (64, 33)
-    K = read_truth(out).K
-    assert K is not None
-    assert K[0, 0, 2] == 32 - 11 and K[1, 1, 2] == 21
-    assert K[0, 0, 0] == 50 and K[1, 1, 1] == 61
+    cameras = read_truth(out).cameras
+    assert cameras is not None
+    assert cameras[0].cx == 32 - 11 and cameras[1].cy == 21
+    assert cameras[0].fx == 50 and cameras[1].fy == 61
     assert shades(out, Eye.PRIMARY) == SHADE.tolist()
 
 

@@ -78,7 +78,7 @@ def test_a_shifted_drive_keeps_true_stamps(tmp_path: Path) -> None:
     assert (folder / "times1.txt").read_text().split() == ["0.1", "0.2", "0.3"]
     assert len(list((folder / "cam0").iterdir())) == len(list((folder / "cam1").iterdir())) == 3
     truth = read_truth(folder)
-    assert len(truth.t_ns) == 3 and truth.K is not None
+    assert len(truth.t_ns) == 3 and truth.cameras is not None
     with pytest.raises(SequenceError, match=r"000000\.jpg"):
         SequenceFolder(folder)  # these are links to what are no pictures
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.scripted.motions import N_VIEWS, K
-from calm_edge.geometry import pinhole
+from bench.scripted.motions import CAMERA, N_VIEWS
 from calm_edge.types import Landmarks, Submap
 
 
@@ -14,8 +13,8 @@ def submap(number: int, focals: tuple[float, float], n: int = N_VIEWS) -> Submap
 
     A loop keyframe of absurd focal trails the batch.
     """
-    guesses = np.repeat([*focals, 1e5], [n, n, 1])
-    shapes = np.stack([pinhole.matrix(f, f, K[0, 2], K[1, 2]) for f in guesses])
+    guesses = np.repeat([*focals, 1e5], [n, n, 1]).tolist()
+    cameras = tuple(CAMERA.with_focal(focal) for focal in guesses)
     poses = np.tile(np.eye(4), (2 * n + 1, 1, 1))
     ids = tuple(range(number * n, (number + 1) * n))
     return Submap(
@@ -25,9 +24,9 @@ def submap(number: int, focals: tuple[float, float], n: int = N_VIEWS) -> Submap
         n_overlap=0,
         t_ns=np.arange(2 * n + 1),
         T_s_c_raw=poses,
-        K_raw=shapes,
+        cameras_raw=cameras,
         T_s_c=poses,
-        K=shapes,
+        cameras=cameras,
         scale=1.0,
         T_w_s=np.eye(4),
         focal_log_sigma=np.full(2, np.inf),

@@ -1,13 +1,12 @@
 import numpy as np
 import pytest
 
-from bench.scripted.motions import K, group
+from bench.scripted.motions import CAMERA, group
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import bank_focal, spectral
 from calm_edge.correction.test_bank import TestBank
-from calm_edge.geometry import pinhole
 
-GUESS = pinhole.matrix(805, 805, K[0, 2], K[1, 2])
+GUESS = CAMERA.with_focal(805.0)
 
 
 def searched(*kinds, weighted=True, outliers=0.0, off_px=0.0):
@@ -58,7 +57,7 @@ def test_a_fifth_of_wrong_matches_does_not_move_the_focal():
 
 def mean_score(bank, focals, weights=None):
     """The bank's mean score (G,) at focals (G,) px."""
-    scores = spectral.score(spectral.at_focal(GUESS, focals), bank.F)
+    scores = spectral.score_at(GUESS, focals, bank.F)
     return np.average(scores, -1, weights)
 
 

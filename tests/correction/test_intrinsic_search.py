@@ -43,7 +43,7 @@ def test_nothing_is_held_before_a_sub_map_and_the_first_guess_after_it():
     assert search.intrinsics is None
     assert search.add(submap(0, (650.0, 810.0), 4), None, None) is False
     held = search.intrinsics
-    assert held.K[:, 0, 0] == pytest.approx([650, 810])
+    assert held.focals == pytest.approx([650, 810])
     # one guess corrects nobody, and its bias is anyone's
     assert (held.damping == 0).all()
     assert held.focal_log_sigma == pytest.approx(BIAS_LOG_SIGMA, rel=0.01)
@@ -52,7 +52,7 @@ def test_nothing_is_held_before_a_sub_map_and_the_first_guess_after_it():
 def test_turning_finds_both_focals_and_says_once_that_they_changed(turning):
     search, answers = turning
     held = search.intrinsics
-    error = np.abs(np.log(held.K[:, 0, 0] / 700))
+    error = np.abs(np.log(held.focals / 700))
     assert (error < 0.03).all() and (error < 3 * held.focal_log_sigma).all()
     assert (held.damping > 0).all()
     assert answers[0] is False and any(answers) and not all(answers[1:])
@@ -61,13 +61,13 @@ def test_turning_finds_both_focals_and_says_once_that_they_changed(turning):
 def test_the_same_sub_maps_give_the_same_intrinsics(turning):
     again, answers = drive(CONFIG, "general", 8)
     assert answers == turning[1]
-    assert (again.intrinsics.K == turning[0].intrinsics.K).all()
+    assert again.intrinsics.cameras == turning[0].intrinsics.cameras
 
 
 def test_straights_pull_the_guesses_together_and_say_the_focal_is_unobserved():
     search, answers = drive(CONFIG, "straight", 6)
     held = search.intrinsics
-    assert held.K[:, 0, 0] == pytest.approx(np.median(GUESSES[:6], 0), rel=0.01)
+    assert held.focals == pytest.approx(np.median(GUESSES[:6], 0), rel=0.01)
     assert (held.damping == 0.8).all() and (held.focal_log_sigma > 0.05).all()
     assert any(answers)
 
@@ -77,7 +77,7 @@ def test_the_papers_search_takes_the_guess_of_least_score():
     focals = np.array([[900, 500], [800, 600], [705, 690], [760, 650], [620, 780.0], [750, 750]])
     search, _ = drive(config, "general", 6, focals)
     held = search.intrinsics
-    assert held.K[:, 0, 0] == pytest.approx([705, 690])
+    assert held.focals == pytest.approx([705, 690])
     # two groups of 28 pairs over a capacity of two, over 1 * 7
     assert (held.damping == 1).all()
 
@@ -85,11 +85,11 @@ def test_the_papers_search_takes_the_guess_of_least_score():
 def test_the_papers_search_takes_a_better_guess_at_once_and_no_worse_one():
     config = replace(CONFIG, weighted=False, refine=False)
     search, _ = drive(config, "general", 5, np.array([[900.0, 900.0]] * 5))
-    assert search.intrinsics.K[0, 0, 0] == 900
+    assert search.intrinsics.focals[0] == 900
     search.add(submap(5, (710.0, 900.0), N), None, None)
-    assert search.intrinsics.K[0, 0, 0] == 710
+    assert search.intrinsics.focals[0] == 710
     search.add(submap(6, (980.0, 900.0), N), None, None)
-    assert search.intrinsics.K[0, 0, 0] == 710
+    assert search.intrinsics.focals[0] == 710
 
 
 def test_damping_can_be_held_at_one():
@@ -110,7 +110,7 @@ def test_guesses_are_forgotten_so_that_a_sub_map_costs_the_same_after_an_hour():
     search = IntrinsicSearch(CONFIG)
     for k in range(MAX_CANDIDATES + 30):
         search.add(submap(k, (500.0 if k < 30 else 700.0, 700.0), 2), None, None)
-    assert search.intrinsics.K[0, 0, 0] == pytest.approx(700)
+    assert search.intrinsics.focals[0] == pytest.approx(700)
 
 
 def test_an_eye_without_views_is_waited_for():
@@ -138,7 +138,7 @@ def test_a_group_that_tells_more_changes_what_is_held():
     from calm_edge.correction.eye_search import EyeSearch
 
     eye = EyeSearch(replace(CONFIG, n_group=1))
-    eye.add_candidate(submap(0, (770.0, 770.0), 2).K_raw[0])
+    eye.add_candidate(submap(0, (770.0, 770.0), 2).cameras_raw[0])
     eye.add_group(group("straight", 0))
     assert not eye.is_informed
     eye.add_group(group("general", 0))

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from calm_edge.correction import pose_model
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 
 EYE = np.eye(3)
 vectors = st.tuples(*[st.floats(-3, 3) for _ in range(3)]).map(np.array)
@@ -144,25 +145,24 @@ def test_stacks_are_corrected_one_by_one():
         assert np.allclose(together[1][i], pose_model.corrected_rotation(t[i], R[i], S[i[1]]))
 
 
-K_EST = np.stack([pinhole.matrix(600, 660, 330, 240), pinhole.matrix(400, 410, 300, 200)])
-K = np.stack([pinhole.matrix(500, 600, 310, 250), pinhole.matrix(440, 410, 300, 200)])
+ESTIMATED = Perspective(600, 660, 330, 240, 640, 480), Perspective(400, 410, 300, 200, 640, 480)
+HELD = Perspective(500, 600, 310, 250, 640, 480), Perspective(440, 410, 300, 200, 640, 480)
 
 
 def test_the_scaling_is_of_the_focals_and_damped_linearly():
-    S = pose_model.damped_scaling(K_EST, K, 1.0)
-    assert np.allclose(S, [np.diag([1.2, 1.1, 1]), np.diag([1 / 1.1, 1, 1])])
-    half = pose_model.damped_scaling(K_EST, K, np.array([0.5, 0.2]))
-    expected = [np.diag([1.1, 1.05, 1]), np.diag([1 - 0.2 / 11, 1, 1])]
-    assert np.allclose(half, expected)
-    assert np.array_equal(pose_model.damped_scaling(K_EST, K, 0.0), np.stack([EYE, EYE]))
+    cases = [(1.0, 0, [1.2, 1.1, 1]), (1.0, 1, [1 / 1.1, 1, 1])]
+    cases += [(0.5, 0, [1.1, 1.05, 1]), (0.2, 1, [1 - 0.2 / 11, 1, 1]), (0.0, 0, [1, 1, 1])]
+    for damping, eye, expected in cases:
+        S = pose_model.damped_scaling(ESTIMATED[eye], HELD[eye], damping)
+        assert np.allclose(S, np.diag(expected), atol=1e-15)
 
 
 def test_the_effective_focal_lies_between_and_the_principal_point_stays():
-    for damping in (0.0, 0.3, 1.0):
-        S = pose_model.damped_scaling(K_EST, K, damping)
-        effective = pose_model.effective_intrinsics(K_EST, S)
-        assert np.allclose(effective[..., 2], K_EST[..., 2])
-        delta = 600 / 500 - 1
-        assert effective[0, 0, 0] == pytest.approx(600 / (1 + damping * delta))
-    assert np.allclose(effective[:, 0, 0], K[:, 0, 0])
-    assert np.allclose(effective[:, 1, 1], K[:, 1, 1])
+    for estimated, held in zip(ESTIMATED, HELD, strict=True):
+        for damping in (0.0, 0.3, 1.0):
+            S = pose_model.damped_scaling(estimated, held, damping)
+            effective = pose_model.effective_camera(estimated, S)
+            assert (effective.cx, effective.cy) == (estimated.cx, estimated.cy)
+            delta = estimated.fx / held.fx - 1
+            assert effective.fx == pytest.approx(estimated.fx / (1 + damping * delta))
+        assert (effective.fx, effective.fy) == pytest.approx((held.fx, held.fy))

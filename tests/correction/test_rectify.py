@@ -10,7 +10,8 @@ from calm_edge.config import CorrectionConfig
 from calm_edge.correction import pose_model, rectify
 from calm_edge.correction.rectify import rectified
 from calm_edge.estimator import scale
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import GlobalIntrinsics, Submap
 
 N = 7
@@ -21,7 +22,7 @@ T_P_A = se3.exp(np.array([0.99, 0.03, 0.1, 0.02, -0.05, 0.02]))
 CONFIG = CorrectionConfig()
 # the paper alone
 PLAIN = replace(CONFIG, general_translation=True, rigid_rig=False)
-K_TRUE = pinhole.matrix(FOCAL, FOCAL, 320, 240)
+TRUE = Perspective(FOCAL, FOCAL, 320.0, 240.0, 640, 480)
 
 
 def path():
@@ -87,8 +88,7 @@ def estimated_under(ratio, late_ns):
 
 
 def raw_submap(T_s_c, t_ns, ratio=1.0):
-    K = np.tile(K_TRUE, (len(T_s_c), 1, 1))
-    K[:, :2, :2] *= ratio
+    cameras = (TRUE.with_focal(ratio * FOCAL),) * len(T_s_c)
     return Submap(
         id=0,
         primary_ids=tuple(range(N)),
@@ -96,19 +96,28 @@ def raw_submap(T_s_c, t_ns, ratio=1.0):
         n_overlap=0,
         t_ns=t_ns,
         T_s_c_raw=T_s_c,
-        K_raw=K,
+        cameras_raw=cameras,
         T_s_c=T_s_c,
-        K=K,
+        cameras=cameras,
         scale=1.0,
         T_w_s=np.eye(4),
         focal_log_sigma=np.ones(2),
     )
 
 
+def optics_of(camera):
+    return camera.fx, camera.fy, camera.cx, camera.cy
+
+
+def optics(submap):
+    """(V, 4) fx, fy, cx, cy of its views."""
+    return np.array([optics_of(camera) for camera in submap.cameras])
+
+
 def held_true(damping=(1.0, 1.0)):
     """The true intrinsics, trusted as far as `damping`."""
     return GlobalIntrinsics(
-        K=np.stack([K_TRUE, K_TRUE]),
+        cameras=(TRUE, TRUE),
         damping=np.array(damping),
         focal_log_sigma=np.full(2, 0.01),
     )
@@ -148,7 +157,7 @@ def test_trajectory_and_spacing_come_back_from_a_wrong_focal(ratio, late_ns, gen
     # the loop view belongs beside the fourth one and stays there
     near = (se3.inverse(T[3]) @ T[-1] for T in (out.T_s_c, T_true))
     assert np.linalg.norm(np.subtract(*(T[:3, 3] for T in near))) < 0.05
-    assert np.allclose(out.K, K_TRUE)
+    assert np.allclose(optics(out), optics_of(TRUE))
     assert out.scale == 1.0 and np.array_equal(out.T_s_c_raw, raw.T_s_c_raw)
     assert np.array_equal(out.T_s_c[0], raw.T_s_c[0])
 
@@ -167,7 +176,7 @@ def test_a_rig_seen_while_driving_is_turned_back_along_the_travel_not_the_baseli
         return np.degrees(np.linalg.norm(se3.so3_log(T_P_A[:3, :3].T @ R).mean(0)))
 
     R, t = rig(raw)[:, :3, :3], rig(raw)[:, :3, 3]
-    S = pose_model.damped_scaling(raw.K[0], K_TRUE, 1.0)
+    S = pose_model.damped_scaling(raw.cameras[0], TRUE, 1.0)
     assert off(rig(rectified(raw, held_true(), CONFIG))[:, :3, :3]) < 0.25 * off(R)
     assert off(pose_model.corrected_rotation(t, R, S)) == pytest.approx(2 * off(R), rel=0.1)
 
@@ -184,7 +193,7 @@ def test_each_half_of_the_correction_helps_alone():
     assert np.allclose(moved.T_s_c[:N, :3, :3], raw.T_s_c[:N, :3, :3], atol=1e-12)
     neither = rectified(raw, held_true(), replace(PLAIN, rotation=False, translation=False))
     assert np.allclose(neither.T_s_c, raw.T_s_c, atol=1e-12)
-    assert np.allclose(neither.K, K_TRUE)
+    assert np.allclose(optics(neither), optics_of(TRUE))
 
 
 def test_damping_goes_from_nothing_to_all_and_the_effective_focal_with_it():
@@ -195,17 +204,17 @@ def test_damping_goes_from_nothing_to_all_and_the_effective_focal_with_it():
     worst = [placed_errors(run, T_true)[0].max() for run in runs]
     assert worst == sorted(worst, reverse=True)
     for run, damping in zip(runs, (0.0, 0.3, 0.7, 1.0), strict=True):
-        assert np.allclose(run.K[:, 0, 0], 1.15 * FOCAL / (1 + damping * 0.15))
-        assert np.allclose(run.K[:, :2, 2], raw.K[:, :2, 2])
+        assert np.allclose(optics(run)[:, 0], 1.15 * FOCAL / (1 + damping * 0.15))
+        assert np.allclose(optics(run)[:, 2:], optics(raw)[:, 2:])
 
 
 def test_each_eye_has_its_own_intrinsics_and_the_loop_view_the_primarys():
     t_ns, T = truth(0)
-    K = np.stack([pinhole.matrix(400, 500, 0, 0), pinhole.matrix(625, 500, 0, 0)])
-    intrinsics = replace(held_true((1.0, 0.5)), K=K)
+    cameras = replace(TRUE, fx=400.0), replace(TRUE, fx=625.0)
+    intrinsics = replace(held_true((1.0, 0.5)), cameras=cameras)
     out = rectified(raw_submap(T, t_ns), intrinsics, replace(CONFIG, general_translation=False))
-    assert np.allclose(out.K[[0, -1], 0, 0], 400)
-    assert np.allclose(out.K[N : 2 * N, 0, 0], 500 / 0.9)
+    assert np.allclose(optics(out)[[0, -1], 0], 400)
+    assert np.allclose(optics(out)[N : 2 * N, 0], 500 / 0.9)
     # s_x: 1.25 of the primary, 0.9 of the assistant, 1.075 of the two together
     T_p_a = se3.inverse(out.T_s_c[:N]) @ out.T_s_c[N : 2 * N]
     assert np.allclose(T_p_a[:, :3, 3], [1.075, 1, 1] * T_P_A[:3, 3])
@@ -244,7 +253,7 @@ def test_a_sub_map_of_one_primary_view(n_assistant):
     few = [0, N][: 1 + n_assistant]
     one = replace(
         whole, primary_ids=(0,), assistant_ids=(0,) * n_assistant,
-        t_ns=t_ns[few], T_s_c=T[few], K=whole.K[few],
+        t_ns=t_ns[few], T_s_c=T[few], cameras=whole.cameras[: len(few)],
     )  # fmt: skip
     out = rectified(one, held_true(), replace(PLAIN, rotation=False))
     assert np.array_equal(out.T_s_c[0], T[0])

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from bench.scripted.motions import K, group, motion
+from bench.scripted.motions import CAMERA, group, motion
 from calm_edge.correction import spectral
-from calm_edge.geometry import epipolar, pinhole, se3
+from calm_edge.geometry import epipolar, se3
 
 FOCALS = 700 * np.array([0.7, 0.85, 1.0, 1.15, 1.3])
 
@@ -11,39 +13,40 @@ FOCALS = 700 * np.array([0.7, 0.85, 1.0, 1.15, 1.3])
 def pairs(kind):
     """Exact F (P, 3, 3) of each view against the fourth after it."""
     T = motion(kind)
-    return epipolar.from_motion(K, K, se3.inverse(T[4:]) @ T[:-4])
+    return epipolar.from_motion(CAMERA, CAMERA, se3.inverse(T[4:]) @ T[:-4])
 
 
 def test_the_score_is_the_papers():
     rng = np.random.default_rng(0)
-    F, skewed = rng.normal(size=(50, 3, 3)), K.copy()
+    F, skewed = rng.normal(size=(50, 3, 3)), CAMERA.matrix
     skewed[0, 1], skewed[1, 1] = 3.0, 650
     s = np.linalg.svd(skewed.T @ F @ skewed, compute_uv=False)
     expected = (np.abs(s[:, 0] - s[:, 1]) + s[:, 2]) / s[:, 0]
     assert spectral.score(skewed, F) == pytest.approx(expected, abs=1e-6)
-    many = spectral.score(np.stack([K, skewed]), F)
+    many = spectral.score(np.stack([CAMERA.matrix, skewed]), F)
     assert many.shape == (2, 50) and many[1] == pytest.approx(expected, abs=1e-6)
 
 
 def test_the_true_focal_scores_zero_and_a_turn_tells_it():
-    score = spectral.score(spectral.at_focal(K, FOCALS), pairs("general")).mean(-1)
+    score = spectral.score_at(CAMERA, FOCALS, pairs("general")).mean(-1)
     assert score.argmin() == 2 and score[2] < 1e-6
     assert score[[1, 3]].min() > 1e-3
 
 
 @pytest.mark.parametrize("kind", ["straight", "tangent"])
 def test_on_a_straight_and_on_a_tangent_arc_every_focal_scores_zero(kind):
-    assert spectral.score(spectral.at_focal(K, FOCALS), pairs(kind)).max() < 1e-6
+    assert spectral.score_at(CAMERA, FOCALS, pairs(kind)).max() < 1e-6
 
 
 def test_ahead_of_the_axle_five_percent_cost_little_but_something():
-    score = spectral.score(spectral.at_focal(K, np.array([665.0, 700, 735])), pairs("ahead"))
+    score = spectral.score_at(CAMERA, np.array([665.0, 700, 735]), pairs("ahead"))
     assert 1e-4 < score.mean(-1)[[0, 2]].max() < 5e-3
 
 
 def test_the_aspect_and_the_principal_point_stay():
-    shape = pinhole.matrix(600, 660, 300, 200)
-    assert spectral.at_focal(shape, 300.0) == pytest.approx(pinhole.matrix(300, 330, 300, 200))
+    shape = replace(CAMERA, fx=600.0, fy=660.0)
+    expected = replace(CAMERA, fx=300.0, fy=330.0).matrix
+    assert spectral.at_focal(shape, 300.0) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("kind", ["straight", "tangent"])
@@ -83,11 +86,11 @@ def test_the_principal_point_pulls_opposite_ways_in_opposite_turns():
 
 
 def test_the_pull_predicts_where_the_minimum_goes():
-    sigma_px = spectral.PRINCIPAL_POINT_SHARE * 2 * K[0, 2]
+    sigma_px = spectral.PRINCIPAL_POINT_SHARE * 2 * CAMERA.cx
     F = pairs("ahead")
-    told = spectral.telling(K, F, np.zeros((len(F), 7, 3, 3)), np.array([500.0, 700, 900]))
+    told = spectral.telling(CAMERA, F, np.zeros((len(F), 7, 3, 3)), np.array([500.0, 700, 900]))
     expected = spectral.pull(told, np.log(700))[:, 0].mean()
-    aside = K + 0.2 * np.array([[0, 0, sigma_px], [0, 0, 0], [0, 0, 0]])
+    aside = replace(CAMERA, cx=CAMERA.cx + 0.2 * sigma_px)
     focals = 700 * np.exp(np.linspace(-0.1, 0.1, 201))
-    score = spectral.score(spectral.at_focal(aside, focals), F).mean(-1)
+    score = spectral.score_at(aside, focals, F).mean(-1)
     assert np.log(focals[score.argmin()] / 700) == pytest.approx(0.2 * expected, rel=0.15)

@@ -4,7 +4,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from bench.scripted.motions import N_VIEWS, K, group, motion, seen
+from bench.scripted.motions import CAMERA, N_VIEWS, group, motion, seen
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import test_bank
 from calm_edge.correction.matches import from_landmarks
@@ -23,10 +23,10 @@ def builder(landmarks, config=CONFIG, n=N_VIEWS):
 
 def test_fifteen_views_give_every_pair():
     T = motion("general")
-    made = builder(seen(T, 0)).finish(K)
+    made = builder(seen(T, 0)).finish(CAMERA)
     for F, (a, b) in zip(made.F, combinations(range(15), 2), strict=True):
         if b - a >= 4:
-            truth = epipolar.from_motion(K, K, se3.inverse(T[b]) @ T[a])
+            truth = epipolar.from_motion(CAMERA, CAMERA, se3.inverse(T[b]) @ T[a])
             uv = seen(T, 0, noise_px=0)
             matches = from_landmarks(uv).pair(a, b)
             assert np.median(np.abs(epipolar.sampson(F, *matches))) < 0.2
@@ -40,22 +40,22 @@ def test_the_work_is_spread_over_as_many_calls_as_sub_maps_and_gives_the_same():
         assert not spread.done, call
         spread.advance()
     assert spread.done
-    at_once = builder(landmarks).finish(K)
-    assert (spread.finish(K).F == at_once.F).all()
+    at_once = builder(landmarks).finish(CAMERA)
+    assert (spread.finish(CAMERA).F == at_once.F).all()
 
 
 def test_a_group_needs_its_pairs_and_a_pair_its_matches():
     landmarks = seen(motion("general", 6), 2)
-    assert builder(landmarks, n=5).finish(K) is not None
-    assert builder(landmarks, n=4).finish(K) is None
-    assert builder(landmarks, replace(CONFIG, n_pair=16), n=6).finish(K) is None
-    assert builder(landmarks, replace(CONFIG, n_feature=10_000), n=6).finish(K) is None
+    assert builder(landmarks, n=5).finish(CAMERA) is not None
+    assert builder(landmarks, n=4).finish(CAMERA) is None
+    assert builder(landmarks, replace(CONFIG, n_pair=16), n=6).finish(CAMERA) is None
+    assert builder(landmarks, replace(CONFIG, n_feature=10_000), n=6).finish(CAMERA) is None
 
 
 def test_nothing_seen_is_no_group():
     empty = np.zeros(0, np.int64)
     nothing = Landmarks(np.zeros((0, 3)), empty, empty, np.zeros((0, 2), np.float32))
-    assert builder(nothing).finish(K) is None
+    assert builder(nothing).finish(CAMERA) is None
 
 
 def test_a_full_bank_of_the_paper_takes_no_more():
@@ -84,5 +84,5 @@ def test_an_empty_bank_has_empty_columns():
 
 
 def test_focals_are_looked_for_in_image_widths():
-    low, high = test_bank.focal_range(K)
+    low, high = test_bank.focal_range(CAMERA)
     assert (low, high) == pytest.approx((0.3 * 1226, 3 * 1226))

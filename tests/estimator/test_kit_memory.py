@@ -5,18 +5,18 @@ import pytest
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.estimator.kit_memory import KitMemory
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Hints, KitBelief, Prediction
 
 HINTS = Hints(eyes=np.array([0, 0, 1]), t_ns=np.arange(3))
 
 
 def seen(focals, *, sigma=0.002, kit=None):
-    K = np.tile(np.eye(3), (3, 1, 1))
-    K[:, :2, :2] *= np.array(focals)[HINTS.eyes, None, None]
+    each = [focals[eye] for eye in HINTS.eyes]
     belief = None if kit is None else KitBelief(np.array([kit]), np.array([[1.0]]))
     depth = np.ones((3, 2, 2), np.float32)
     return Prediction(
-        K=K,
+        cameras=tuple(Perspective(f, f, 319.5, 119.5, 640, 240) for f in each),
         T_s_c=np.tile(np.eye(4), (3, 1, 1)),
         depth=depth,
         confidence=depth,

@@ -92,11 +92,12 @@ def test_what_is_learned_of_the_focal_moves_every_submap_placed_before():
     errors = ScriptedErrors(coupled=True, focal_log_sigma=0.08)
     localizer, updates = drive(T, errors, config=CORRECTED)
     localizer.finish()
-    K = np.stack([[submap.K_raw[0, 0, 0], submap.K[0, 0, 0]] for submap in localizer.submaps])
-    raw, corrected = np.abs(np.log(K / scene(T).K[0, 0, 0])).T
+    true = scene(T).cameras[0].fx
+    focals = [(submap.cameras_raw[0].fx, submap.cameras[0].fx) for submap in localizer.submaps]
+    raw, corrected = np.abs(np.log(np.array(focals) / true)).T
     assert corrected.max() < raw.max() / 3
     # the first was placed before anything was known
-    assert corrected[0] < abs(np.log(updates[0].submap.K[0, 0, 0] / scene(T).K[0, 0, 0]))
+    assert corrected[0] < abs(np.log(updates[0].submap.cameras[0].fx / true))
 
 
 def test_averaged_placement_drifts_less_with_noise():
@@ -289,14 +290,14 @@ class Learning(ScriptedBackbone):
         self.inferred, self.resolved = [], []
 
     def _seen(self, prediction, hints, log_error):
-        K, T = prediction.K.copy(), prediction.T_s_c.copy()
-        K[:, :2, :2] *= np.exp(log_error)
+        T, factor = prediction.T_s_c.copy(), float(np.exp(log_error))
+        cameras = tuple(camera.with_focal(factor * camera.fx) for camera in prediction.cameras)
         T[:, 2, 3] *= np.exp(log_error)
         sigma = np.full(len(hints.t_ns), 0.002 if log_error == 0 else 0.3)
         information = np.array([[sigma[0] ** -2]])
         kit = KitBelief(mean=np.array([log_error]), information=information)
         return dataclasses.replace(
-            prediction, K=K, T_s_c=T, focal_log_sigma=sigma, kit=kit, landmarks=None
+            prediction, cameras=cameras, T_s_c=T, focal_log_sigma=sigma, kit=kit, landmarks=None
         )
 
     def infer(self, images, hints):

@@ -6,6 +6,7 @@ import pytest
 from calm_edge.config import Config, merge
 from calm_edge.estimator.rectifier import Rectifier
 from calm_edge.estimator.scale import ScaleError
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Submap
 from tests.drives import PERIOD_NS, START_NS, T_P_A, curved
 
@@ -20,10 +21,10 @@ def raw_submap(submap_id, unit, late_ns=0):
     T[:, :3, 3] *= unit
     t_ns = START_NS + PERIOD_NS * np.tile(np.arange(N), 2)
     t_ns[N:] += late_ns
-    K = np.tile(np.diag([500.0, 500.0, 1.0]), (2 * N, 1, 1))
+    cameras = (Perspective(500.0, 500.0, 319.5, 119.5, 640, 240),) * (2 * N)
     ids = tuple(range(N))
     sigma = np.full(2, 0.1)
-    return Submap(submap_id, ids, ids, 0, t_ns, T, K, T, K, 1.0, np.eye(4), sigma)
+    return Submap(submap_id, ids, ids, 0, t_ns, T, cameras, T, cameras, 1.0, np.eye(4), sigma)
 
 
 def test_each_submap_has_its_own_factor():

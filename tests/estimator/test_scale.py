@@ -3,9 +3,11 @@ import pytest
 
 from calm_edge.estimator import scale
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Submap
 from tests.drives import PERIOD_NS, START_NS, T_P_A, curved
 
+CAMERA = Perspective(500.0, 500.0, 319.5, 119.5, 640, 240)
 N = 12
 T_S_P = curved(N)
 T_P_NS = START_NS + PERIOD_NS * np.arange(N)
@@ -82,9 +84,9 @@ def test_rectify_undoes_any_scale_and_leaves_the_loop_view_in_the_batch(spacing_
         n_overlap=0,
         t_ns=np.concatenate([T_P_NS, t_a, [17]]),
         T_s_c_raw=scale.rectified(T, 3.7),
-        K_raw=np.tile(np.eye(3), (len(T), 1, 1)),
+        cameras_raw=(CAMERA,) * len(T),
         T_s_c=scale.rectified(T, 3.7),
-        K=np.tile(np.eye(3), (len(T), 1, 1)),
+        cameras=(CAMERA,) * len(T),
         scale=1.0,
         T_w_s=np.eye(4),
         focal_log_sigma=np.ones(2),

@@ -6,6 +6,7 @@ import pytest
 from calm_edge.estimator import time_offset
 from calm_edge.estimator.time_offset import ClockOffset
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Submap
 
 PERIOD_S = 0.1
@@ -32,10 +33,23 @@ def submaps(T_w_p, late_s, *, noise=0.0, seed=0, n=15):
         T = T @ se3.exp(noise * rng.standard_normal((2 * n, 6)) * [1, 1, 1, 0.1, 0.1, 0.1])
         T[:, :3, 3] *= rng.uniform(0.5, 2.0)
         stamps = (np.tile(t[cut], 2) * 1e9).astype(np.int64)
-        K = np.tile(np.eye(3), (2 * n, 1, 1))
+        cameras = (Perspective(500.0, 500.0, 319.5, 119.5, 640, 240),) * (2 * n)
         ids = tuple(range(start, start + n))
         out.append(
-            Submap(len(out), ids, ids, 3, stamps, T, K, T, K, 1.0, np.eye(4), np.full(2, np.inf))
+            Submap(
+                len(out),
+                ids,
+                ids,
+                3,
+                stamps,
+                T,
+                cameras,
+                T,
+                cameras,
+                1.0,
+                np.eye(4),
+                np.full(2, np.inf),
+            )
         )
     return out
 

@@ -12,6 +12,7 @@ from calm_edge.evaluation.estimate import Estimate, from_updates, pose_ages
 from calm_edge.evaluation.results import common_origin, compare, evaluate
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.trajectories import write_kitti, write_tum
 from tests.evaluation.worlds import curve, stamps, update
 
@@ -42,9 +43,9 @@ KEYS = {
 
 
 def _truth(cloud: bool = False) -> Truth:
-    K = np.stack([np.diag([f, f, 1.0]) for f in (500.0, 640.0)])
+    cameras = tuple(Perspective(f, f, 319.5, 119.5, 640, 240) for f in (500.0, 640.0))
     ground = curve(N)[:, :3, 3].astype(np.float32) + np.float32([0, 1.5, 0])
-    return Truth(stamps(N), curve(N), K, ground if cloud else None)
+    return Truth(stamps(N), curve(N), cameras, ground if cloud else None)
 
 
 def _moved(T: np.ndarray, scale: float = 1.0) -> np.ndarray:

@@ -7,6 +7,7 @@ import pytest
 
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.truth import read_truth
+from calm_edge.geometry.camera import Perspective
 from calm_edge.recording.sequence_folder import SequenceError
 from calm_edge.trajectories import TrajectoryError, write_kitti
 from tests.evaluation.worlds import curve, stamps
@@ -24,9 +25,9 @@ def test_everything_is_read(tmp_path: Path) -> None:
     truth = read_truth(_folder(tmp_path))
     assert np.array_equal(truth.t_ns, stamps(6))
     assert np.allclose(truth.T_w_c, curve(6), atol=1e-8)
-    assert truth.K is not None and truth.cloud is not None
-    assert truth.K[0].tolist() == [[500, 0, 320], [0, 501, 120], [0, 0, 1]]
-    assert truth.K[1, 0, 0] == 600
+    assert truth.cameras is not None and truth.cloud is not None
+    assert truth.cameras[0] == Perspective(500, 501, 320, 120, 640, 240)
+    assert truth.cameras[1].fx == 600
     assert truth.cloud.shape == (4, 3)
 
 
@@ -35,7 +36,7 @@ def test_a_folder_without_poses_still_has_its_calibration(tmp_path: Path) -> Non
     for name in ("poses0.txt", "cloud.npy", "times0.txt"):
         (folder / name).unlink()
     truth = read_truth(folder)
-    assert len(truth.t_ns) == 0 and truth.cloud is None and truth.K is not None
+    assert len(truth.t_ns) == 0 and truth.cloud is None and truth.cameras is not None
 
 
 def test_without_times_the_rate_is_ten_hertz(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import LocalizerUpdate, Prediction, Submap, Trajectory
 
 STEP_NS = 100_000_000
@@ -31,7 +32,8 @@ def update(
     stage_ms: dict[str, float] | None = None,
 ) -> LocalizerUpdate:
     """An update with the given trajectory and a sub-map of two primary and one assistant view."""
-    K = np.stack([np.diag([f, f, 1.0]) for f in (focal[0], focal[0], focal[1])])
+    optics = (focal[0], focal[0], focal[1])
+    cameras = tuple(Perspective(f, f, 319.5, 119.5, 640, 240) for f in optics)
     eye = np.tile(np.eye(4), (3, 1, 1))
     submap = Submap(
         submap_id,
@@ -40,12 +42,12 @@ def update(
         0,
         t_ns[[0, 1, 0]],
         eye,
-        K,
+        cameras,
         eye,
-        K,
+        cameras,
         scale,
         T_w_c[-1],
         np.array(sigma),
     )
     trajectory = Trajectory(np.arange(len(t_ns)), t_ns, T_w_c, np.eye(4), submap_id)
-    return LocalizerUpdate(submap, Prediction(K, eye), trajectory, stage_ms or {})
+    return LocalizerUpdate(submap, Prediction(cameras, eye), trajectory, stage_ms or {})

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.geometry.flow import corners
 from calm_edge.types import (
     Bytes,
@@ -21,7 +22,7 @@ from calm_edge.types import (
 )
 
 WIDTH, HEIGHT = 480, 240
-K = pinhole.from_hfov(80.0, WIDTH, HEIGHT)
+CAMERA = Perspective.from_hfov(80.0, WIDTH, HEIGHT)
 DEPTH = 10.0
 PIXELS_A_METRE = 40.0
 TEXTURE_SIZE = 2400
@@ -60,12 +61,12 @@ class PlaneWorld:
             ]
         )
         plane = np.stack([T_c_w[:3, 0], T_c_w[:3, 1], T_c_w[:3, 2] * DEPTH + T_c_w[:3, 3]], 1)
-        H = K @ plane @ A
+        H = CAMERA.matrix @ plane @ A
         return np.asarray(cv2.warpPerspective(self.texture, H, (WIDTH, HEIGHT)), np.uint8)
 
     def depth_at(self, T_w_c: Float, uv: Float) -> Float:
         """z-depth (M,) of the wall at pixels (M, 2)."""
-        ray = pinhole.back_project(K, uv, np.ones(len(uv)))
+        ray = CAMERA.back_project(uv, np.ones(len(uv)))
         return np.asarray((DEPTH - T_w_c[2, 3]) / (ray @ T_w_c[2, :3]))
 
     def update(
@@ -90,7 +91,7 @@ class PlaneWorld:
         points, index, view, uv = [], [], [], []
         for i, T in enumerate(T_w_c):
             px = corners(self.render(T), 250).astype(np.float64)
-            p_c = pinhole.back_project(K, px, self.depth_at(T, px))
+            p_c = CAMERA.back_project(px, self.depth_at(T, px))
             points.append(se3.transform(T_s_c[i], p_c) / raw_scale)
             index.append(np.arange(len(px)) + sum(len(p) for p in points[:-1]))
             view.append(np.full(len(px), i))
@@ -109,7 +110,7 @@ class PlaneWorld:
             true = np.stack([self.depth_at(T, flat).reshape(HEIGHT, WIDTH) for T in T_w_c])
             depth = (true / raw_scale).astype(np.float32)
         prediction = Prediction(
-            np.stack([K] * n), raw, depth=depth, landmarks=None if with_depth else landmarks
+            (CAMERA,) * n, raw, depth=depth, landmarks=None if with_depth else landmarks
         )
         stamps = np.array(t_ns, np.int64)
         submap = Submap(
@@ -119,9 +120,9 @@ class PlaneWorld:
             0,
             stamps,
             raw,
-            np.stack([K] * n),
+            (CAMERA,) * n,
             T_s_c,
-            np.stack([K] * n),
+            (CAMERA,) * n,
             raw_scale,
             T_map_world @ T_w_c[0],
             np.zeros(2),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.frontend.candidates import MIN_PARALLAX_RAD, Candidates, replenish, step
-from tests.frontend.plane_world import DEPTH, K, PlaneWorld, drive
+from tests.frontend.plane_world import CAMERA, DEPTH, PlaneWorld, drive
 
 WORLD = PlaneWorld()
 
@@ -18,7 +18,7 @@ def test_points_ripen_on_the_wall_and_not_before_the_rays_open() -> None:
     assert 20 < len(known.uv) <= 100
     ripened = []
     for i in range(1, 12):
-        known, p_m, uv = step(known, images[i - 1], images[i], K, poses[i])
+        known, p_m, uv = step(known, images[i - 1], images[i], CAMERA, poses[i])
         assert len(p_m) == len(uv)
         moved = np.linalg.norm(poses[i][:3, 3] - poses[0][:3, 3])
         if moved < 0.5 * MIN_PARALLAX_RAD * (DEPTH - poses[i][2, 3]):

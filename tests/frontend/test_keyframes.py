@@ -8,7 +8,7 @@ from calm_edge.config import FrontendConfig
 from calm_edge.frontend.keyframes import KeyframeSelector, robust_mean
 from calm_edge.types import Bytes, Keyframe
 from device.frame import Eye, Frame
-from tests.frontend.plane_world import DEPTH, WIDTH, K, PlaneWorld, drive
+from tests.frontend.plane_world import CAMERA, DEPTH, WIDTH, PlaneWorld, drive
 
 WORLD = PlaneWorld()
 PERIOD_NS = 100_000_000
@@ -31,7 +31,7 @@ def test_the_first_frame_is_keyframe_0() -> None:
 
 def test_keyframes_come_when_the_disparity_passes_the_threshold() -> None:
     step_m = 0.05
-    a_frame_px = K[0, 0] * step_m / DEPTH
+    a_frame_px = CAMERA.fx * step_m / DEPTH
     keyframes = select([WORLD.render(T) for T in drive(40, step_m)])
     expected = int(THRESHOLD_PX / a_frame_px) + 1
     gaps = np.diff([k.frame.sequence for k in keyframes])

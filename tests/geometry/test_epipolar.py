@@ -1,17 +1,18 @@
 import numpy as np
 import pytest
 
-from calm_edge.geometry import epipolar, pinhole, se3
+from calm_edge.geometry import epipolar, se3
+from calm_edge.geometry.camera import Perspective
 
-K = pinhole.matrix(500, 520, 320, 200)
+CAMERA = Perspective(500, 520, 320, 200, 640, 400)
 T_B_A = se3.exp(np.array([0.3, -0.1, -1.0, 0.02, 0.06, -0.01]))
 
 
 def matches(seed=0, n=150, noise_px=0.0, outliers=0.0):
     rng = np.random.default_rng(seed)
     p_a = rng.uniform([-8, -4, 6], [8, 4, 40], (n, 3))
-    uv_a = pinhole.project(K, p_a) + rng.normal(size=(n, 2)) * noise_px
-    uv_b = pinhole.project(K, se3.transform(T_B_A, p_a)) + rng.normal(size=(n, 2)) * noise_px
+    uv_a = CAMERA.project(p_a) + rng.normal(size=(n, 2)) * noise_px
+    uv_b = CAMERA.project(se3.transform(T_B_A, p_a)) + rng.normal(size=(n, 2)) * noise_px
     wrong = rng.random(n) < outliers
     uv_b[wrong] = rng.uniform(0, [640, 400], (wrong.sum(), 2))
     return uv_a, uv_b, ~wrong
@@ -19,7 +20,7 @@ def matches(seed=0, n=150, noise_px=0.0, outliers=0.0):
 
 def test_the_matrix_of_a_motion_satisfies_the_epipolar_constraint():
     uv_a, uv_b, _ = matches()
-    F = epipolar.from_motion(K, K, T_B_A)
+    F = epipolar.from_motion(CAMERA, CAMERA, T_B_A)
     assert np.linalg.norm(F) == pytest.approx(1)
     assert np.abs(epipolar.sampson(F, uv_a, uv_b)).max() < 1e-9
     assert np.abs(epipolar.sampson(F.T, uv_a, uv_b)).mean() > 0.3
@@ -27,14 +28,14 @@ def test_the_matrix_of_a_motion_satisfies_the_epipolar_constraint():
 
 def test_sampson_distances_have_the_sigma_of_the_noise():
     uv_a, uv_b, _ = matches(n=4000, noise_px=0.4)
-    F = epipolar.from_motion(K, K, T_B_A)
+    F = epipolar.from_motion(CAMERA, CAMERA, T_B_A)
     assert epipolar.sampson(F, uv_a, uv_b).std() == pytest.approx(0.4, rel=0.05)
 
 
 def test_exact_matches_give_the_exact_rank_two_matrix():
     uv_a, uv_b, _ = matches()
     fit = epipolar.fundamental(uv_a, uv_b)
-    truth = epipolar.from_motion(K, K, T_B_A)
+    truth = epipolar.from_motion(CAMERA, CAMERA, T_B_A)
     assert fit.inliers.all()
     assert np.abs(fit.F * np.sign((fit.F * truth).sum()) - truth).max() < 1e-6
     singular = np.linalg.svd(fit.F, compute_uv=False)
@@ -53,7 +54,7 @@ def test_twenty_percent_outliers_are_rejected_and_the_noise_estimated():
 
 def test_the_estimated_uncertainty_is_correct():
     """Errors in units of the one-sigma steps have squares of mean 1."""
-    truth, squares = epipolar.from_motion(K, K, T_B_A), []
+    truth, squares = epipolar.from_motion(CAMERA, CAMERA, T_B_A), []
     to = np.array([[300, 0, 320], [0, 200, 200], [0, 0, 1.0]])
     for seed in range(40):
         uv_a, uv_b, _ = matches(seed, noise_px=0.3)

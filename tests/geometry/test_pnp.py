@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.geometry.pnp import locate, refine
 
-K = pinhole.from_hfov(80, 640, 240)
+CAMERA = Perspective.from_hfov(80, 640, 240)
 THRESHOLD_PX = 3.0
 
 
@@ -16,14 +17,14 @@ def scene(n: int = 120, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarr
     rng = np.random.default_rng(seed)
     T_w_c = se3.exp(np.array([3.0, -1.0, 2.0, 0.1, 0.4, -0.05]))
     uv = rng.uniform([0, 0], [639, 239], (n, 2))
-    p_c = pinhole.back_project(K, uv, rng.uniform(4, 40, n))
+    p_c = CAMERA.back_project(uv, rng.uniform(4, 40, n))
     return se3.transform(T_w_c, p_c), T_w_c, uv
 
 
 def test_exact_pixels_give_the_exact_pose() -> None:
     p_w, T_w_c, uv = scene()
     start = T_w_c @ se3.exp(np.array([0.3, 0.1, -0.4, 0.01, -0.02, 0.01]))
-    fit = refine(K, p_w, uv.astype(np.float32), start, THRESHOLD_PX)
+    fit = refine(CAMERA, p_w, uv.astype(np.float32), start, THRESHOLD_PX)
     assert fit is not None and fit.inlier.all()
     np.testing.assert_allclose(fit.T_w_c, T_w_c, atol=1e-4)
 
@@ -34,7 +35,7 @@ def test_a_third_of_wrong_matches_and_a_bad_prediction_are_survived() -> None:
     wrong = rng.permutation(len(uv))[:40]
     uv[wrong] = rng.uniform([0, 0], [639, 239], (40, 2))
     start = T_w_c @ se3.exp(np.array([2.0, 1.0, -2.0, 0.3, -0.3, 0.2]))
-    fit = locate(K, p_w, uv.astype(np.float32), start, THRESHOLD_PX)
+    fit = locate(CAMERA, p_w, uv.astype(np.float32), start, THRESHOLD_PX)
     assert fit is not None
     np.testing.assert_allclose(fit.T_w_c, T_w_c, atol=1e-3)
     assert fit.inlier.sum() >= 80 and fit.inlier[wrong].sum() < 4
@@ -46,7 +47,7 @@ def test_the_covariance_says_how_far_off_noisy_pixels_put_it() -> None:
     distances = []
     for _ in range(60):
         noisy = (uv + rng.normal(0, 0.5, uv.shape)).astype(np.float32)
-        fit = refine(K, p_w, noisy, T_w_c, THRESHOLD_PX)
+        fit = refine(CAMERA, p_w, noisy, T_w_c, THRESHOLD_PX)
         assert fit is not None
         miss = se3.log(se3.inverse(fit.T_w_c) @ T_w_c)
         distances.append(miss @ np.linalg.solve(fit.covariance, miss))
@@ -62,7 +63,7 @@ def test_a_pose_predicted_from_poses_for_hours_is_still_a_rotation() -> None:
         # what the tracker does with every sub-map and frame: products grow what is not a rotation
         T_map_odom = T_w_c @ se3.inverse(T_o_c)
         for _ in range(3):
-            fit = refine(K, p_w, seen, T_map_odom @ T_o_c, THRESHOLD_PX)
+            fit = refine(CAMERA, p_w, seen, T_map_odom @ T_o_c, THRESHOLD_PX)
             assert fit is not None
             T_o_c = se3.inverse(T_map_odom) @ fit.T_w_c
     R = T_o_c[:3, :3]

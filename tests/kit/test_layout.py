@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import layout
 
 
@@ -40,7 +41,8 @@ def test_a_hint_sets_the_focal_of_its_eye_and_its_sigma():
 def test_the_camera_matrix_of_a_hint_has_its_field_of_view():
     theta = layout.prior((81.0, 64.0)).mean
     for eye, hfov, size in ((0, 81.0, (640, 240)), (1, 64.0, (480, 200))):
-        assert np.allclose(layout.camera_matrix(theta, eye, *size), pinhole.from_hfov(hfov, *size))
+        matrix = Perspective.from_hfov(hfov, *size).matrix
+        assert np.allclose(layout.camera_matrix(theta, eye, *size), matrix)
 
 
 def test_the_principal_point_is_a_share_of_the_width_from_the_centre():

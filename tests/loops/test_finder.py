@@ -45,7 +45,7 @@ def street() -> Street:
     T_p_a = T_primary_assistant(SETTINGS)
 
     def pictures(T_w_c, eye):
-        views, _ = render_views(world.scene, T_w_c, rig.K[eye], (320, 128), oversample=1)
+        views, _ = render_views(world.scene, T_w_c, rig.cameras[eye], oversample=1)
         return [exposed(view, 0.0, rng, SETTINGS) for view in views]
 
     T_first = rig.T_w_c[0][: N * STEP : STEP]
@@ -57,7 +57,7 @@ def street() -> Street:
         pictures(T_again, 0) + pictures(late, 1),
         T_again,
         pictures(rig.T_w_c[0][20 : 20 + N * STEP : STEP], 0),
-        KnownKit(np.stack(rig.K), T_p_a),
+        KnownKit(rig.cameras, T_p_a),
     )
 
 

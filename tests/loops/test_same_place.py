@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 
 import calm_edge.loops.same_place as same_place_module
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.geometry.sift import Features
 from calm_edge.loops.same_place import KnownKit, rig_between, same_place, seen_again, triangulated
 from calm_edge.types import Float
 
 SIZE = np.array([640, 240])
 T_P_A = se3.exp(np.array([1.0, 0.03, 0.05, 0.02, -0.06, 0.01]))
-KIT = KnownKit(np.stack([pinhole.from_hfov(80, 640, 240), pinhole.from_hfov(65, 640, 240)]), T_P_A)
+PRIMARY, ASSISTANT = Perspective.from_hfov(80, 640, 240), Perspective.from_hfov(65, 640, 240)
+KIT = KnownKit((PRIMARY, ASSISTANT), T_P_A)
 T_Q_PAST = se3.exp(np.array([0.6, 0.02, 1.4, 0.01, 0.05, 0.0]))
 # the assistant 20 ms later at 13 m/s, half a metre from the primary, in a bend
 T_LATE = se3.exp(np.array([0.0, 0.0, 0.5, 0.0, 0.008, 0.0]))
@@ -30,8 +32,8 @@ def pictures(points, T_past=T_Q_PAST, noise_px=0.3, seed=1, T_a=T_P_A @ T_LATE):
     vector = np.abs(rng.standard_normal((len(points), 128)))
     vector /= np.linalg.norm(vector, axis=1, keepdims=True)
     out = []
-    for T, K in ((np.eye(4), KIT.K[0]), (T_a, KIT.K[1]), (T_past, KIT.K[0])):
-        uv = pinhole.project(K, se3.transform(se3.inverse(T), points))
+    for T, camera in zip((np.eye(4), T_a, T_past), (PRIMARY, ASSISTANT, PRIMARY), strict=True):
+        uv = camera.project(se3.transform(se3.inverse(T), points))
         uv = uv + noise_px * rng.standard_normal(uv.shape)
         out.append(Features(uv.astype(np.float32), vector.astype(np.float32)))
     return out
@@ -119,7 +121,7 @@ def test_seen_again_is_the_share_that_is_there():
     query, _, past = pictures(points, noise_px=0.0)
 
     def share(points, past):
-        return seen_again(points, query.vector, past, KIT.K[0], T_Q_PAST, SIZE)
+        return seen_again(points, query.vector, past, PRIMARY, T_Q_PAST, SIZE)
 
     moved = Features(past.uv + np.float32(same_place_module.SEEN_AGAIN_PX + 1), past.vector)
     assert share(points, past) == 1.0
@@ -135,4 +137,4 @@ def test_a_crowd_in_one_cell_counts_as_one_cell():
     points = np.concatenate([corner, rest])
     query, _, past = pictures(points, noise_px=0.0)
     only_corner = Features(past.uv[:300], past.vector[:300])
-    assert seen_again(points, query.vector, only_corner, KIT.K[0], T_Q_PAST, SIZE) < 0.1
+    assert seen_again(points, query.vector, only_corner, PRIMARY, T_Q_PAST, SIZE) < 0.1

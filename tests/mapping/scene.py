@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.mapping.views import DenseViews, prepare
 from calm_edge.types import Float, Submap
 
@@ -29,10 +30,10 @@ class Scene:
     centres: Float
     radii: Float
 
-    def depth(self, K: Float, T_w_c: Float, size: tuple[int, int] = DEPTH) -> Float:
-        """Exact z-depth (h, w) of a depth map with intrinsics K."""
-        u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
-        ray_c = pinhole.back_project(K, np.stack([u, v], -1).astype(float), np.ones(u.shape))
+    def depth(self, camera: Camera, T_w_c: Float) -> Float:
+        """Exact z-depth (h, w) of the camera's pixels."""
+        u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        ray_c = camera.back_project(np.stack([u, v], -1).astype(float), np.ones(u.shape))
         ray = ray_c @ T_w_c[:3, :3].T
         origin = T_w_c[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -99,14 +100,14 @@ def piece(
     T_w_s = primary[0]
     T_s_c = se3.inverse(T_w_s) @ T_w_c
     eyes = [70.0] * len(keyframes) + [60.0] * len(keyframes) + [70.0] * (loop is not None)
-    K = np.array([pinhole.from_hfov(h, *IMAGE) for h in eyes])
-    small = pinhole.resized(K, DEPTH[0] / IMAGE[0], DEPTH[1] / IMAGE[1])
+    cameras = tuple(Perspective.from_hfov(h, *IMAGE) for h in eyes)
+    small = [camera.scaled(DEPTH[0] / IMAGE[0], DEPTH[1] / IMAGE[1]) for camera in cameras]
     depth = np.array([scene.depth(k, T) for k, T in zip(small, T_w_c, strict=True)])
     if warp is not None:
         u, v = np.meshgrid(np.arange(DEPTH[0]), np.arange(DEPTH[1]))
         uv = np.stack([u, v], -1).astype(float)
         for n, (k, T) in enumerate(zip(small, T_s_c, strict=True)):
-            p_s = se3.transform(T, pinhole.back_project(k, uv, depth[n]))
+            p_s = se3.transform(T, k.back_project(uv, depth[n]))
             depth[n] *= 1 + warp(p_s)
     raw = T_s_c.copy()
     raw[:, :3, 3] /= scale
@@ -118,9 +119,9 @@ def piece(
         n_overlap=3,
         t_ns=np.array(t_ns),
         T_s_c_raw=raw,
-        K_raw=K,
+        cameras_raw=cameras,
         T_s_c=T_s_c,
-        K=K,
+        cameras=cameras,
         scale=scale,
         T_w_s=T_w_s,
         focal_log_sigma=np.zeros(2),

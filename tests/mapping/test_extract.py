@@ -3,7 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import project_each
 from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.extract import cell_of, draw_candidates, extract
 from tests.mapping import scene
@@ -64,7 +65,7 @@ def test_sightings_are_projections_in_pixels_of_the_full_image(piece, table):
     p_s = table.p_s[order[np.searchsorted(table.anchor[order], table.seen_anchor)]]
     T_c_s = se3.inverse(piece.submap.T_s_c)[table.seen_view]
     p_c = (T_c_s[:, :3, :3] @ p_s[..., None])[..., 0] + T_c_s[:, :3, 3]
-    uv = pinhole.project(piece.submap.K[table.seen_view], p_c)
+    uv = project_each(piece.submap.cameras, table.seen_view, p_c)
     np.testing.assert_allclose(table.uv, uv, atol=1e-2)
     assert table.uv[:, 0].max() > scene.DEPTH[0]
     assert (table.submap == 4).all() and (table.seen_submap == 4).all()

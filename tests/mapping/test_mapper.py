@@ -102,9 +102,7 @@ def test_pixels_that_are_no_anchors_are_aligned_too(warped, warped_map):
             piece, views = warped[k], warped[k].views()
             z = 1 / views.inverse_depth[view, y, x].astype(float)
             uv = views.to_image(np.full(z.shape, view), np.stack([x, y], -1))
-            K, T = views.K[view], views.T_s_c[view]
-            ray = np.linalg.solve(K, np.vstack([uv.T, np.ones(len(uv))])).T
-            p_s = se3.transform(T, ray * z[:, None])
+            p_s = se3.transform(views.T_s_c[view], views.cameras[view].back_project(uv, z))
             if use:
                 p_s = mapper.deformations()[k].apply(p_s)
             ends.append(se3.transform(piece.submap.T_w_s, p_s))

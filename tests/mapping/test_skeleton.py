@@ -49,7 +49,8 @@ def drive():
 
 def without_loop(piece):
     s = piece.submap
-    cut = {n: getattr(s, n)[:-1] for n in ("t_ns", "T_s_c_raw", "K_raw", "T_s_c", "K")}
+    names = ("t_ns", "T_s_c_raw", "cameras_raw", "T_s_c", "cameras")
+    cut = {name: getattr(s, name)[:-1] for name in names}
     submap = dataclasses.replace(s, **cut)
     return scene.Piece(submap, piece.depth[:-1], piece.confidence[:-1], piece.images[:-1])
 

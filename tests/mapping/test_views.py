@@ -3,7 +3,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calm_edge.geometry import pinhole
 from calm_edge.mapping.views import MappingError, Sightings, confirmed, lift, prepare, sample, sight
 from tests.mapping import scene
 
@@ -17,7 +16,10 @@ def piece():
 
 def everywhere(views, step=7):
     v, y, x = np.meshgrid(
-        np.arange(len(views.K)), np.arange(0, 96, step), np.arange(0, 160, step), indexing="ij"
+        np.arange(len(views.cameras)),
+        np.arange(0, 96, step),
+        np.arange(0, 160, step),
+        indexing="ij",
     )
     return v.ravel(), np.stack([x.ravel(), y.ravel()], -1)
 
@@ -34,10 +36,10 @@ def test_lifted_pixels_lie_on_the_scene_in_world_units(piece):
 def test_image_and_map_pixels_convert_as_resized_cameras_do(piece):
     views = piece.views()
     p_c = np.array([0.4, -0.2, 3.0])
-    small = pinhole.resized(views.K[0], *views.map_per_image[0])
-    xy = views.to_map(np.array(0), pinhole.project(views.K[0], p_c))
-    np.testing.assert_allclose(xy, pinhole.project(small, p_c))
-    np.testing.assert_allclose(views.to_image(np.array(0), xy), pinhole.project(views.K[0], p_c))
+    small = views.cameras[0].scaled(*views.map_per_image[0])
+    xy = views.to_map(np.array(0), views.cameras[0].project(p_c))
+    np.testing.assert_allclose(xy, small.project(p_c))
+    np.testing.assert_allclose(views.to_image(np.array(0), xy), views.cameras[0].project(p_c))
 
 
 def test_sampling_between_pixels_is_exact_on_a_plane():

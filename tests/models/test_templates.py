@@ -18,7 +18,7 @@ from calm_edge.backbones.onnx.manifest import Manifest, ManifestError
 from calm_edge.backbones.onnx.model_folder import EXPORTED, find_model, read_manifest, verify
 from calm_edge.backbones.onnx.picture_input import fit_pictures, input_tensor
 from tests.backbones.feedforward.decode.test_decoder import raw_outputs
-from tests.backbones.raw_scene import make_scene
+from tests.backbones.raw_scene import make_scene, matrices
 
 NAMES = ["da3", "vggt", "pi3", "mapanything"]
 SIZES = [(160, 96), (160, 96), (120, 72)]
@@ -87,7 +87,7 @@ def test_known_geometry_is_decoded(name, tmp_path):
     assert set(raw) == set(outputs.names())
     out = decode(outputs, raw, fits)
     assert out.T_s_c == pytest.approx(scene.T_s_c(), abs=1e-5)
-    assert pytest.approx(scene.K, rel=1e-4, abs=1e-2) == out.K
+    assert pytest.approx(scene.K, rel=1e-4, abs=1e-2) == matrices(out.cameras)
     truth = raw_outputs(scene, fits)["z"]
     assert np.abs(out.depth / truth - 1).max() < 1e-4
     order = np.argsort(raw_outputs(scene, fits)["logit"].ravel())

@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 
 from calm_edge.config import Config, merge
+from calm_edge.geometry.camera import Perspective
+from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.geometry.se3 import exp
 from calm_edge.recording.window_record import of_window
 from calm_edge.recording.writer import RecordingWriter
@@ -59,10 +61,12 @@ def update(i: int = 0, depth: bool = True) -> LocalizerUpdate:
     metres = rng.uniform(1, 80, (n, 6, 8)).astype(np.float16).astype(np.float32)
     steps = rng.integers(0, 256, (n, 6, 8)).astype(np.float32) / np.float32(255)
     kit = KitBelief(rng.normal(size=4), np.eye(4) / 3)
-    K = rng.normal(size=(n, 3, 3))
+    optics = rng.uniform(300, 900, (n, 4)).tolist()
+    cameras = tuple(Perspective(*row, 640, 480, (0.1, -1 / 3, 1e-4)) for row in optics)
+    wide = tuple(Fisheye(*row[:2], 319.5, 239.5, 640, 480, (0.01, 1 / 7)) for row in optics)
     T = exp(rng.normal(size=(n, 6)))
     prediction = Prediction(
-        K,
+        cameras,
         T,
         metres if depth else None,
         steps if depth else None,
@@ -77,7 +81,7 @@ def update(i: int = 0, depth: bool = True) -> LocalizerUpdate:
     )
     t_ns = T0_NS + 1_000_000_000 * i + np.arange(n, dtype=np.int64)
     submap = Submap(
-        i, (0, 1, 2), (0, 1), 2, t_ns, T, K, T + 0.125, K / 7, 1 / 3, exp(rng.normal(size=6)),
+        i, (0, 1, 2), (0, 1), 2, t_ns, T, cameras, T + 0.125, wide, 1 / 3, exp(rng.normal(size=6)),
         np.array([0.03, np.inf]),
     )  # fmt: skip
     poses = exp(rng.normal(size=(9, 6)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from calm_edge.geometry import se3
 from calm_edge.types import Float
-from tests.frontend.plane_world import HEIGHT, WIDTH, K, PlaneWorld, drive
+from tests.frontend.plane_world import CAMERA, PlaneWorld, drive
 
 SPACING_M = 0.5
 ASSISTANT_DELAY_S = 0.017
@@ -38,6 +38,7 @@ def write_drive(folder: Path, n: int = 40) -> Path:
         np.savetxt(folder / f"times{eye}.txt", stamps, fmt="%.6f")
     np.savetxt(folder / "poses0.txt", T_w_p[:, :3].reshape(-1, 12))
     np.savetxt(folder / "T_p_a.txt", T_p_a[:3].reshape(1, 12))
-    row = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], WIDTH, HEIGHT]
+    camera = CAMERA
+    row = [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height]
     np.savetxt(folder / "calib.txt", [row, row])
     return folder

@@ -12,6 +12,7 @@ import numpy as np
 from calm_edge.evaluation.estimate import from_updates
 from calm_edge.evaluation.results import compare
 from calm_edge.evaluation.truth import Truth
+from calm_edge.geometry.camera import Perspective
 from calm_edge.report.drive_report import report_data, unobserved
 from calm_edge.report.report import ReportData, render, write_report
 from calm_edge.types import LocalizerUpdate
@@ -66,8 +67,8 @@ class _Closed(HTMLParser):
 def test_a_full_page_has_no_external_links(tmp_path: Path) -> None:
     points, color = _street()
     estimate = replace(from_updates("r", _updates(), N, 0.5), points_w=points)
-    K = np.stack([np.diag([f, f, 1.0]) for f in (500.0, 610.0)])
-    truth = Truth(stamps(N), curve(N), K)
+    cameras = tuple(Perspective(f, f, 319.5, 119.5, 640, 240) for f in (500.0, 610.0))
+    truth = Truth(stamps(N), curve(N), cameras)
     data = report_data("A drive <1>", estimate, _updates(), color, truth, compare(estimate, truth))
     write_report(tmp_path / "report.html", data)
     text = (tmp_path / "report.html").read_text()

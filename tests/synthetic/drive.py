@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera, Perspective
 from tests.synthetic.path import Drive
 from tests.synthetic.render import render_view
 from tests.synthetic.textures import Image
@@ -63,11 +64,11 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """Where both cameras are, exactly: times (N,) s, T_w_c (N, 4, 4) m, K (3, 3) px; [0], [1]."""
+    """Where both cameras are, exactly: times (N,) s, T_w_c (N, 4, 4) m, cameras; [0], [1]."""
 
     times: tuple[Float, Float]
     T_w_c: tuple[Float, Float]
-    K: tuple[Float, Float]
+    cameras: tuple[Camera, Camera]
 
 
 def T_primary_assistant(settings: Settings) -> Float:
@@ -91,8 +92,8 @@ def make_rig(world: World, settings: Settings) -> Rig:
         (t - settings.start_s, late - settings.start_s),
         (car.poses(t), car.poses(late) @ T_p_a),
         (
-            pinhole.from_hfov(settings.hfov_deg[0], *size),
-            pinhole.from_hfov(settings.hfov_deg[1], *size),
+            Perspective.from_hfov(settings.hfov_deg[0], *size),
+            Perspective.from_hfov(settings.hfov_deg[1], *size),
         ),
     )
 
@@ -113,11 +114,11 @@ def _thinned(points: Float, voxel: float) -> Float:
     return np.asarray(points[np.sort(np.unique(code, return_index=True)[1])])
 
 
-def _surface_points(depth: Float32, K: Float, T_w_c: Float, reach_m: float) -> Float:
+def _surface_points(depth: Float32, camera: Camera, T_w_c: Float, reach_m: float) -> Float:
     """World points (N, 3) of a depth map's pixels nearer than reach_m."""
     row, column = np.nonzero((depth > 0) & (depth < reach_m))
     pixels = np.stack([column, row], -1).astype(np.float64)
-    p_c = pinhole.back_project(K, pixels, depth[row, column].astype(np.float64))
+    p_c = camera.back_project(pixels, depth[row, column].astype(np.float64))
     return se3.transform(T_w_c, p_c)
 
 
@@ -125,13 +126,12 @@ def write_sequence(folder: Path, world: World, settings: Settings, *, talk: bool
     """Render and write a whole sequence folder; returns its truth with world = first primary."""
     town = make_rig(world, settings)
     T_w_town = se3.inverse(town.T_w_c[0][0])
-    rig = Rig(town.times, (T_w_town @ town.T_w_c[0], T_w_town @ town.T_w_c[1]), town.K)
+    rig = Rig(town.times, (T_w_town @ town.T_w_c[0], T_w_town @ town.T_w_c[1]), town.cameras)
     cloud = np.zeros((0, 3))
-    size = settings.width, settings.height
     for eye in (0, 1):
         (folder / f"cam{eye}").mkdir(parents=True, exist_ok=True)
         for i, (t, T) in enumerate(zip(town.times[eye], town.T_w_c[eye], strict=True)):
-            image, depth = render_view(world.scene, T, town.K[eye], size)
+            image, depth = render_view(world.scene, T, town.cameras[eye])
             rng = np.random.default_rng([settings.seed, 71, eye, i])
             ok, jpeg = cv2.imencode(
                 ".jpg",
@@ -146,7 +146,9 @@ def write_sequence(folder: Path, world: World, settings: Settings, *, talk: bool
             assert ok
             (folder / f"cam{eye}" / f"{i:06d}.jpg").write_bytes(jpeg.tobytes())
             if eye == 0 and i % settings.cloud_every == 0:
-                new = _surface_points(depth, rig.K[0], rig.T_w_c[0][i], settings.cloud_reach_m)
+                new = _surface_points(
+                    depth, rig.cameras[0], rig.T_w_c[0][i], settings.cloud_reach_m
+                )
                 cloud = _thinned(np.concatenate([cloud, new]), settings.cloud_voxel_m)
             if talk and i % 50 == 0:
                 print(f"cam{eye} {i} of {len(town.times[eye])}", file=sys.stderr)
@@ -159,8 +161,9 @@ def write_sequence(folder: Path, world: World, settings: Settings, *, talk: bool
         pick = np.random.default_rng([settings.seed, 73]).permutation(len(cloud))
         cloud = cloud[np.sort(pick[: settings.cloud_points])]
     np.save(folder / "cloud.npy", cloud.astype(np.float32))
-    rows_K = (f"{K[0, 0]:.9g} {K[1, 1]:.9g} {K[0, 2]:.9g} {K[1, 2]:.9g}" for K in rig.K)
-    (folder / "calib.txt").write_text("".join(f"{r} {size[0]} {size[1]}\n" for r in rows_K))
+    optics = ((c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in rig.cameras)
+    lines = (" ".join(f"{value:.9g}" for value in row) for row in optics)
+    (folder / "calib.txt").write_text("".join(f"{line}\n" for line in lines))
     notes = {"settings": asdict(settings), "T_p_a": T_primary_assistant(settings).tolist()}
     (folder / "rig.json").write_text(json.dumps(notes, indent=1) + "\n")
     return rig

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Camera
 from tests.synthetic.surface import Surface, Texture
 from tests.synthetic.textures import Image
 
@@ -89,7 +89,7 @@ def _in_view(p: _Pieces, rim: Float) -> NDArray[np.bool_]:
     return np.asarray(inside.all(1) & (c[..., 2].max(1) > NEAR_M))
 
 
-def _visible_pieces(scene: Scene, T_c_w: Float, K: Float, size: tuple[int, int]) -> _Pieces:
+def _visible_pieces(scene: Scene, T_c_w: Float, camera: Camera) -> _Pieces:
     """Culled and cut pieces, nearest first."""
     R, t = T_c_w[:3, :3], T_c_w[:3, 3]
     n = len(scene.origin)
@@ -100,13 +100,13 @@ def _visible_pieces(scene: Scene, T_c_w: Float, K: Float, size: tuple[int, int])
         scene.down @ R.T,
         np.tile([0.0, 0, 1, 1], (n, 1)),
     )
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
     rim = np.array(
         [
             [fx, 0, cx + 0.5],
-            [-fx, 0, size[0] - 0.5 - cx],
+            [-fx, 0, camera.width - 0.5 - cx],
             [0, fy, cy + 0.5],
-            [0, -fy, size[1] - 0.5 - cy],
+            [0, -fy, camera.height - 0.5 - cy],
         ]
     )
     facing = np.einsum("ij,ij->i", np.cross(p.along, p.down), p.origin)
@@ -158,11 +158,11 @@ def _level(texture: Texture, M: Float, centre: Float) -> tuple[int, int]:
     return min(lx, int(math.log2(width))), min(ly, int(math.log2(height)))
 
 
-def sky_colors(sky: Image, R_w_c: Float, K: Float, size: tuple[int, int]) -> Image:
+def sky_colors(sky: Image, R_w_c: Float, camera: Camera) -> Image:
     """The panorama (azimuth across, elevation +90 .. -90 degrees down) as the camera sees it."""
-    w, h = size
+    w, h = camera.width, camera.height
     x, y = np.meshgrid(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64))
-    rays = pinhole.back_project(K, np.stack([x, y], -1), np.ones((h, w))) @ R_w_c.T
+    rays = camera.back_project(np.stack([x, y], -1), np.ones((h, w))) @ R_w_c.T
     azimuth = np.arctan2(rays[..., 0], rays[..., 2])
     elevation = np.arctan2(-rays[..., 1], np.hypot(rays[..., 0], rays[..., 2]))
     map_x = (azimuth / (2 * np.pi) + 0.5) * sky.shape[1] - 0.5
@@ -178,19 +178,19 @@ def sky_colors(sky: Image, R_w_c: Float, K: Float, size: tuple[int, int]) -> Ima
 
 
 def render_view(
-    scene: Scene, T_w_c: Float, K: Float, size: tuple[int, int], oversample: int = 2
+    scene: Scene, T_w_c: Float, camera: Camera, oversample: int = 2
 ) -> tuple[Image, Float32]:
     """One picture: (H, W, 3) uint8 BGR and (H, W) float32 z-depth in metres, 0 where sky.
 
-    T_w_c: (4, 4). K: (3, 3) px. size: (width, height). Depth is that of the surface at the
+    T_w_c: (4, 4). Depth is that of the surface at the
     pixel's upper left sample, evaluated exactly at the pixel's centre.
     """
-    width, height = size
-    K_fine = np.asarray(pinhole.resized(K, oversample, oversample), np.float64)
+    width, height = camera.width, camera.height
+    fine_camera = camera.scaled(oversample, oversample)
     fine = (width * oversample, height * oversample)
     T_c_w = np.asarray(np.linalg.inv(T_w_c), np.float64)
-    pieces = _visible_pieces(scene, T_c_w, K_fine, fine)
-    sky = sky_colors(scene.sky, T_w_c[:3, :3], K, size)
+    pieces = _visible_pieces(scene, T_c_w, fine_camera)
+    sky = sky_colors(scene.sky, T_w_c[:3, :3], camera)
     image = cv2.resize(sky, fine, interpolation=cv2.INTER_LINEAR)
     nearness = np.zeros((fine[1], fine[0]), np.float32)
     owner = np.full((fine[1], fine[0]), -1, np.int32)
@@ -200,15 +200,15 @@ def render_view(
     along = pieces.along / pieces.uv[:, 2:3]
     down = pieces.down / pieces.uv[:, 3:4]
     origin = pieces.origin - along * pieces.uv[:, :1] - down * pieces.uv[:, 1:2]
-    M = np.linalg.inv(K_fine @ np.stack([along, down, origin], 2))
-    pixels = pinhole.project(K_fine, corners)
+    M = np.linalg.inv(fine_camera.matrix @ np.stack([along, down, origin], 2))
+    pixels = fine_camera.project(corners)
     z_min = corners[..., 2].min(1)
     columns = np.arange(fine[0], dtype=np.float64)
     rows = np.arange(fine[1], dtype=np.float64)
     for k, surface in enumerate(pieces.surface):
         outline = pixels[k]
         if z_min[k] < NEAR_M:
-            outline = pinhole.project(K_fine, _clipped(corners[k]))
+            outline = fine_camera.project(_clipped(corners[k]))
         (left, top), (right, foot) = outline.min(0).tolist(), outline.max(0).tolist()
         x0, y0 = max(0, math.floor(left) - 1), max(0, math.floor(top) - 1)
         x1, y1 = min(fine[0], math.ceil(right) + 2), min(fine[1], math.ceil(foot) + 2)
@@ -248,10 +248,10 @@ def render_view(
         cv2.copyTo(new, closer, seen)
         owner[y0:y1, x0:x1][closer > 0] = k
 
-    picture = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     first = owner[::oversample, ::oversample]
     half = (oversample - 1) / 2
-    to_fine = pinhole.matrix(oversample, oversample, half, half)
+    to_fine = np.array([[oversample, 0, half], [0, oversample, half], [0, 0, 1.0]])
     planes = np.vstack([M[:, 2] @ to_fine, np.zeros(3)])
     a, b, c = np.moveaxis(planes[first], -1, 0)
     inverse = a * np.arange(width) + b * np.arange(height)[:, None] + c
@@ -262,11 +262,8 @@ def render_view(
 
 
 def render_views(
-    scene: Scene, T_w_c: Float, K: Float, size: tuple[int, int], oversample: int = 2
+    scene: Scene, T_w_c: Float, camera: Camera, oversample: int = 2
 ) -> tuple[list[Image], list[Float32]]:
-    """`render_view` of poses (N, 4, 4) with one K (3, 3) or one each (N, 3, 3)."""
-    every_K = np.broadcast_to(K, (len(T_w_c), 3, 3))
-    views = [
-        render_view(scene, T, k, size, oversample) for T, k in zip(T_w_c, every_K, strict=True)
-    ]
+    """`render_view` of poses (N, 4, 4)."""
+    views = [render_view(scene, T, camera, oversample) for T in T_w_c]
     return [v[0] for v in views], [v[1] for v in views]

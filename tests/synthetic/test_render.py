@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from tests.synthetic.drive import Rig, Settings, T_primary_assistant, make_rig, make_sequence
 from tests.synthetic.path import Drive
 from tests.synthetic.render import Scene, render_view, render_views
@@ -42,14 +43,14 @@ def dot(centre: Float) -> Surface:
 
 
 def test_a_dot_is_drawn_where_it_projects() -> None:
-    K = pinhole.matrix(210.0, 190.0, 70.3, 41.6)
+    camera = Perspective(210.0, 190.0, 70.3, 41.6, 150, 90)
     centre = np.array([0.31, -0.17, 4.0])
-    image, depth = render_view(Scene([dot(centre)], BLACK_SKY), np.eye(4), K, (150, 90))
+    image, depth = render_view(Scene([dot(centre)], BLACK_SKY), np.eye(4), camera)
     # haze lifts the black a little
     weight = np.maximum(image[..., 0].astype(np.float64) - 12, 0)
     rows, columns = np.mgrid[0:90, 0:150]
     found = np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
-    np.testing.assert_allclose(found, pinhole.project(K, centre), atol=0.03)
+    np.testing.assert_allclose(found, camera.project(centre), atol=0.03)
     assert set(np.unique(depth)) == {0.0, np.float32(4.0)}
 
 
@@ -59,13 +60,13 @@ def test_depth_of_ground_and_of_the_nearer_of_two_surfaces_is_exact() -> None:
         np.array([-40, 1.5, 60.0]), np.array([80.0, 0, 0]), np.array([0, 0, -80.0]), grey
     )
     board = Surface(np.array([-1, 0.5, 9.0]), np.array([2.0, 0, 0]), np.array([0, 0.6, 0]), grey)
-    K = pinhole.from_hfov(80.0, 160, 90)
-    _, depth = render_view(Scene([ground, board], BLACK_SKY), np.eye(4), K, (160, 90))
+    camera = Perspective.from_hfov(80.0, 160, 90)
+    _, depth = render_view(Scene([ground, board], BLACK_SKY), np.eye(4), camera)
     rows = np.arange(90)
-    expected = 1.5 / ((rows - K[1, 2]) / K[1, 1])
-    below = (rows > K[1, 2] + 10) & (np.abs(rows - K[1, 2]) > 14)
+    expected = 1.5 / ((rows - camera.cy) / camera.fy)
+    below = (rows > camera.cy + 10) & (np.abs(rows - camera.cy) > 14)
     np.testing.assert_allclose(depth[below, 3], expected[below], rtol=1e-5)
-    u, v = np.round(pinhole.project(K, np.array([0.0, 0.8, 9.0]))).astype(int)
+    u, v = np.round(camera.project(np.array([0.0, 0.8, 9.0]))).astype(int)
     assert depth[v, u] == pytest.approx(9.0, rel=1e-6)
     # right down to the picture's lower edge: the near plane leaves no hole
     assert (depth[-1] > 0).all()
@@ -74,8 +75,8 @@ def test_depth_of_ground_and_of_the_nearer_of_two_surfaces_is_exact() -> None:
 def test_a_surface_is_hidden_from_behind() -> None:
     flipped = dot(np.array([0, 0, 4.0]))
     back = Surface(flipped.origin + flipped.along, -flipped.along, flipped.down, flipped.texture)
-    K = pinhole.from_hfov(60.0, 60, 40)
-    _, depth = render_view(Scene([back], BLACK_SKY), np.eye(4), K, (60, 40))
+    camera = Perspective.from_hfov(60.0, 60, 40)
+    _, depth = render_view(Scene([back], BLACK_SKY), np.eye(4), camera)
     assert not depth.any()
 
 
@@ -100,26 +101,28 @@ def epipolar_error(F: Float, pa: Float, pb: Float) -> Float:
 
 
 def test_matches_agree_with_the_truth_across_time_and_eyes(world: World, rig: Rig) -> None:
-    left, _ = render_views(world.scene, rig.T_w_c[0][[0, 3]], rig.K[0], SIZE)
-    right, _ = render_views(world.scene, rig.T_w_c[1][:1], rig.K[1], SIZE)
-    across_time = left[1], rig.T_w_c[0][3], rig.K[0]
-    across_eyes = right[0], rig.T_w_c[1][0], rig.K[1]
-    for other, T, K in (across_time, across_eyes):
+    left, _ = render_views(world.scene, rig.T_w_c[0][[0, 3]], rig.cameras[0])
+    right, _ = render_views(world.scene, rig.T_w_c[1][:1], rig.cameras[1])
+    across_time = left[1], rig.T_w_c[0][3], rig.cameras[0]
+    across_eyes = right[0], rig.T_w_c[1][0], rig.cameras[1]
+    for other, T, camera in (across_time, across_eyes):
         pa, pb = matches(left[0], other)
         assert len(pa) > 60
         T_b_a = se3.inverse(T) @ rig.T_w_c[0][0]
-        F = np.linalg.inv(K).T @ se3.hat(T_b_a[:3, 3]) @ T_b_a[:3, :3] @ np.linalg.inv(rig.K[0])
+        E = se3.hat(T_b_a[:3, 3]) @ T_b_a[:3, :3]
+        K_a, K_b = rig.cameras[0].matrix, camera.matrix
+        F = np.linalg.inv(K_b).T @ E @ np.linalg.inv(K_a)
         assert np.median(epipolar_error(F, pa, pb)) < 0.3
 
 
 def test_depth_of_one_view_predicts_the_other(world: World, rig: Rig) -> None:
-    (a, b), (depth_a, depth_b) = render_views(world.scene, rig.T_w_c[0][[0, 2]], rig.K[0], SIZE)
+    (a, b), (depth_a, depth_b) = render_views(world.scene, rig.T_w_c[0][[0, 2]], rig.cameras[0])
     row, column = np.nonzero((depth_a > 0) & (depth_a < 30))
-    p_a = pinhole.back_project(
-        rig.K[0], np.stack([column, row], -1).astype(float), depth_a[row, column].astype(float)
+    p_a = rig.cameras[0].back_project(
+        np.stack([column, row], -1).astype(float), depth_a[row, column].astype(float)
     )
     p_b = se3.transform(se3.inverse(rig.T_w_c[0][2]) @ rig.T_w_c[0][0], p_a)
-    uv = pinhole.project(rig.K[0], p_b)
+    uv = rig.cameras[0].project(p_b)
     at = np.round(uv).astype(int)
     inside = (p_b[:, 2] > 0.5) & ((at > 2) & (at < np.array(SIZE) - 3)).all(1)
     seen = depth_b[at[inside, 1], at[inside, 0]]
@@ -160,7 +163,7 @@ def test_a_sequence_folder_can_be_read_back(tmp_path: Path, world: World) -> Non
     poses = np.loadtxt(tmp_path / "poses1.txt").reshape(-1, 3, 4)
     np.testing.assert_allclose(poses, rig.T_w_c[1][:, :3], atol=1e-6)
     np.testing.assert_allclose(rig.T_w_c[0][0], np.eye(4), atol=1e-12)
-    assert np.loadtxt(tmp_path / "calib.txt")[1, 0] == pytest.approx(rig.K[1][0, 0])
+    assert np.loadtxt(tmp_path / "calib.txt")[1, 0] == pytest.approx(rig.cameras[1].fx)
     times = [np.loadtxt(tmp_path / f"times{eye}.txt") for eye in (0, 1)]
     np.testing.assert_allclose(times[1] - times[0], 0.017, atol=1e-6)
     for eye in (0, 1):

@@ -23,6 +23,7 @@ from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig
 from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.loops.descriptor import PlaceDescriptor
@@ -99,7 +100,7 @@ class BundleBackbone:
             self._matching.expect([gray], [], None)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """Poses, K and landmarks; depth comes with `densify`. Raises BackboneError."""
+        """Poses, cameras and landmarks; depth comes with `densify`. Raises BackboneError."""
         if hints.loop:
             alone = self.infer(images[:-1], loop_view.without_loop(hints))
             return loop_view.with_loop(images, hints, alone)
@@ -246,9 +247,13 @@ def _prediction(
     joint = product([belief, evidence])
     assert joint is not None
     sigma = np.hypot(_sigma(joint)[layout.LOG_FOCAL], FOCAL_FLOOR)
-    K = np.stack([layout.camera_matrix(state.theta, eye, *m.size[eye]) for eye in (0, 1)])
+    sizes = m.size.tolist()
+    cameras = [
+        Perspective.from_matrix(layout.camera_matrix(state.theta, eye, *sizes[eye]), *sizes[eye])
+        for eye in (0, 1)
+    ]
     return Prediction(
-        K=K[m.eye],
+        cameras=tuple(cameras[eye] for eye in m.eye),
         T_s_c=se3.inverse(state.T_c_s),
         focal_log_sigma=sigma[m.eye],
         landmarks=window.to_landmarks(state, m),

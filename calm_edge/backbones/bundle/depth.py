@@ -16,7 +16,8 @@ from calm_edge.backbones.bundle import loop_view
 from calm_edge.backbones.bundle.agreement import Agreement, DepthView, agree
 from calm_edge.backbones.bundle.cost_volume import SweepView, match_scores, whitened
 from calm_edge.backbones.bundle.scanline import aggregate
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 
 DEPTH_WIDTH_PX = 192
@@ -57,7 +58,7 @@ def sweep_window(
     sweep = [
         SweepView(
             whitened(_shrink(g, sweep_size)),
-            _resized(prediction.K[i], g, sweep_size),
+            _resized(prediction.cameras[i], g, sweep_size),
             prediction.T_s_c[i],
         )
         for i, g in enumerate(gray)
@@ -75,7 +76,7 @@ def sweep_window(
     views = []
     for i, view in enumerate(sweep):
         scores = match_scores(view, [sweep[j] for j in sources[i]], zeta, size)
-        K = _resized(prediction.K[i], gray[i], size)
+        K = _resized(prediction.cameras[i], gray[i], size)
         views.append(DepthView(choose(scores, small[i], zeta), K, prediction.T_s_c[i]))
     step = float(zeta[1] - zeta[0])
     judged = [
@@ -113,9 +114,9 @@ def _shrink(gray: Bytes, size: tuple[int, int]) -> Bytes:
     return np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _resized(K: Float, gray: Bytes, size: tuple[int, int]) -> Float:
+def _resized(camera: Camera, gray: Bytes, size: tuple[int, int]) -> Float:
     height, width = gray.shape[:2]
-    return pinhole.resized(K, size[0] / width, size[1] / height)
+    return camera.scaled(size[0] / width, size[1] / height).matrix
 
 
 def nearest_depth(prediction: Prediction) -> float:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.bundle.initialise import resection, triangulate
-from calm_edge.geometry import pinhole, pnp, se3, sift
+from calm_edge.geometry import pnp, se3, sift
+from calm_edge.geometry.camera import Camera, back_project_each, project_each
 from calm_edge.loops.descriptor import GradientLayout
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
 
@@ -69,7 +70,7 @@ def with_loop(
     images: (H, W, 3) uint8 BGR, N + 1. `loop_found` is False where it could not be placed.
     """
     tracks = match_loop(images, hints)
-    pose = locate(prediction.K, prediction.T_s_c, tracks)
+    pose = locate(prediction.cameras, prediction.T_s_c, tracks)
     if pose is None:
         return _appended(prediction, np.eye(4), prediction.landmarks, found=False)
     assert prediction.landmarks is not None
@@ -81,7 +82,7 @@ def window_part(prediction: Prediction) -> Prediction:
     """The N views of the window and the landmarks that only they saw."""
     marks = prediction.landmarks
     if marks is not None:
-        of_loop = _loop_landmarks(marks, len(prediction.K) - 1)
+        of_loop = _loop_landmarks(marks, len(prediction.cameras) - 1)
         kept = np.setdiff1d(np.arange(len(marks.points_s)), of_loop)
         rows = ~np.isin(marks.index, of_loop)
         index = np.searchsorted(kept, marks.index[rows])
@@ -90,7 +91,7 @@ def window_part(prediction: Prediction) -> Prediction:
     sigma = prediction.focal_log_sigma
     return replace(
         prediction,
-        K=prediction.K[:-1],
+        cameras=prediction.cameras[:-1],
         T_s_c=prediction.T_s_c[:-1],
         focal_log_sigma=None if sigma is None else sigma[:-1],
         landmarks=marks,
@@ -104,7 +105,7 @@ def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
     From the landmarks it saw; where they no longer give a pose it keeps its place beside the
     nearest view.
     """
-    marks, n = earlier.landmarks, len(window.K)
+    marks, n = earlier.landmarks, len(window.cameras)
     if not earlier.loop_found or marks is None or window.landmarks is None:
         return _appended(window, np.eye(4), window.landmarks, found=False)
     of_loop = _loop_landmarks(marks, n)
@@ -115,7 +116,7 @@ def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
     loop_uv[point[view == n]] = uv[view == n]
     own = view < n
     tracks = LoopTracks(point[own], view[own], uv[own], loop_uv)
-    pose = locate(window.K, window.T_s_c, tracks)
+    pose = locate(window.cameras, window.T_s_c, tracks)
     if pose is not None:
         together = _with_tracks(window.landmarks, tracks, pose, n)
         return _appended(window, pose.T_s_c, together, found=True)
@@ -148,32 +149,32 @@ def match_loop(images: Sequence[NDArray[np.uint8]], hints: Hints) -> LoopTracks:
     )
 
 
-def locate(K: Float, T_s_c: Float, tracks: LoopTracks) -> LoopPose | None:
+def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopPose | None:
     """The loop view's pose from its tracks; None where too few agree or they leave it open.
 
-    K: (N, 3, 3) px, T_s_c: (N, 4, 4) of the window; the loop view has the first view's K.
+    cameras: N, T_s_c: (N, 4, 4) of the window; the loop view has the first view's camera.
     """
     n_points = len(tracks.loop_uv)
     if n_points < MIN_INLIERS:
         return None
-    size = 2 * K[0, :2, 2] + 1
-    stretch = float(size[0]) / REFERENCE_WIDTH_PX
-    points, kept = _points(K, T_s_c, tracks, POINT_PX * stretch)
+    camera = cameras[0]
+    stretch = camera.width / REFERENCE_WIDTH_PX
+    points, kept = _points(cameras, T_s_c, tracks, POINT_PX * stretch)
     (known,) = np.nonzero(np.isfinite(points[:, 0]))
-    f = float(K[0, 0, 0])
-    rays = (tracks.loop_uv - K[0, :2, 2]) / f
+    rays = camera.normalized(tracks.loop_uv)
     try:
-        guess = resection(points[known], rays[known], f, None)
+        guess = resection(points[known], rays[known], camera.fx, None)
     except cv2.error:  # its own assertion, where no sample gives a model
         return None
     if guess is None:
         return None
     seen = tracks.loop_uv[known].astype(np.float32)
-    fit = pnp.refine(K[0], points[known], seen, se3.inverse(guess), POSE_PX * stretch)
+    fit = pnp.refine(camera, points[known], seen, se3.inverse(guess), POSE_PX * stretch)
     if fit is None or fit.n_inliers < max(MIN_INLIERS, MIN_INLIER_SHARE * len(known)):
         return None
+    size = np.array([camera.width, camera.height])
     sigma = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3])[-1]))
-    if sigma > MAX_SIGMA or not sift.well_spread(seen[fit.inlier], np.asarray(size)):
+    if sigma > MAX_SIGMA or not sift.well_spread(seen[fit.inlier], size):
         return None
     inlier = np.zeros(n_points, bool)
     inlier[known[fit.inlier]] = True
@@ -181,11 +182,12 @@ def locate(K: Float, T_s_c: Float, tracks: LoopTracks) -> LoopPose | None:
 
 
 def _points(
-    K: Float, T_s_c: Float, tracks: LoopTracks, threshold_px: float
+    cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks, threshold_px: float
 ) -> tuple[Float, NDArray[np.bool_]]:
     """Points (L, 3), nan where two views do not agree on one, and which observations (O,) do."""
     T_c_s, n_points = se3.inverse(T_s_c), len(tracks.loop_uv)
-    rays = pinhole.back_project(K[tracks.view], tracks.uv, np.ones(len(tracks.uv)))[:, :2]
+    depth = np.ones(len(tracks.uv))
+    rays = back_project_each(cameras, tracks.view, tracks.uv, depth)[:, :2]
     kept = np.ones(len(tracks.view), bool)
     for _ in range(2):  # the second time without what missed its point
         X = triangulate(T_c_s, tracks.view[kept], tracks.point[kept], rays[kept], n_points)
@@ -193,7 +195,7 @@ def _points(
         points = np.where(finite[:, None], X[:, :3] / np.where(finite, X[:, 3], 1)[:, None], np.nan)
         T = T_c_s[tracks.view]
         p_c = (T[:, :3, :3] @ points[tracks.point][..., None])[..., 0] + T[:, :3, 3]
-        miss = np.linalg.norm(pinhole.project(K[tracks.view], p_c) - tracks.uv, axis=1)
+        miss = np.linalg.norm(project_each(cameras, tracks.view, p_c) - tracks.uv, axis=1)
         kept = (p_c[:, 2] > 0) & (miss < threshold_px)
     points[np.bincount(tracks.point[kept], minlength=n_points) < 2] = np.nan
     return points, kept
@@ -245,7 +247,7 @@ def _appended(
     sigma = window.focal_log_sigma
     return replace(
         window,
-        K=np.concatenate([window.K, window.K[:1]]),
+        cameras=(*window.cameras, window.cameras[0]),
         T_s_c=np.concatenate([window.T_s_c, T_s_loop[None]]),
         focal_log_sigma=None if sigma is None else np.append(sigma, sigma[0]),
         landmarks=marks,

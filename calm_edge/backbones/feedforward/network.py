@@ -53,7 +53,7 @@ class Network:
             return decoded
         return replace(
             decoded,
-            K=decoded.K[:n],
+            cameras=decoded.cameras[:n],
             T_s_c=decoded.T_s_c[:n],
             depth=decoded.depth[:n],
             strength=decoded.strength[:n],

@@ -7,14 +7,16 @@ reliable than the short baselines), rotation and translation from the poses of t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.feedforward.decode.decoder import Decoded
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.similarity import Similarity
-from calm_edge.types import Int
+from calm_edge.types import Float, Float32, Int
 
 # Share of a part's views in common with its neighbour: more is more accurate but takes more runs.
 OVERLAP_SHARE = 1 / 3
@@ -57,7 +59,8 @@ def stitch(n: int, parts: Sequence[Int], solved: Sequence[Decoded]) -> Decoded:
     """
     first = solved[0]
     shape = first.depth.shape[1:]
-    K, T = np.zeros((n, 3, 3)), np.zeros((n, 4, 4))
+    cameras: dict[int, Camera] = {}
+    T = np.zeros((n, 4, 4))
     depth = np.zeros((n, *shape), np.float32)
     strength = np.full((n, *shape), -np.inf, np.float32)
     placed = np.zeros(n, np.bool_)
@@ -68,23 +71,29 @@ def stitch(n: int, parts: Sequence[Int], solved: Sequence[Decoded]) -> Decoded:
         whole_from_part = Similarity(1.0, np.eye(3), np.zeros(3))
         if placed.any():
             known = part[common]
-            there = Decoded(K[known], T[known], depth[known], strength[known])
-            here = Decoded(
-                own.K[common], own.T_s_c[common], own.depth[common], own.strength[common]
-            )
+            there = _Shared(T[known], depth[known], strength[known])
+            here = _Shared(own.T_s_c[common], own.depth[common], own.strength[common])
             whole_from_part = _between(here, there)
         new = part[~common]
-        K[new] = own.K[~common]
+        cameras |= {i: own.cameras[k] for k, i in enumerate(part.tolist()) if not placed[i]}
         T[new] = whole_from_part.poses(own.T_s_c[~common])
         depth[new] = own.depth[~common] * np.float32(whole_from_part.scale)
         strength[new] = own.strength[~common]
         placed[new] = True
     T = se3.inverse(T[0]) @ T
     T[0] = np.eye(4)
-    return Decoded(K, T, depth, strength)
+    return Decoded(tuple(cameras[i] for i in range(n)), T, depth, strength)
 
 
-def _between(here: Decoded, there: Decoded) -> Similarity:
+class _Shared(NamedTuple):
+    """The views that a part shares with another one: see Decoded."""
+
+    T_s_c: Float
+    depth: Float32
+    strength: Float32
+
+
+def _between(here: _Shared, there: _Shared) -> Similarity:
     """Similarity here -> there from the same views in both. Raises BackboneError."""
     both = (here.depth > 0) & (there.depth > 0)
     if both.sum() < MIN_SHARED_PIXELS:

@@ -119,7 +119,7 @@ def _sane(
         decoded = decode(manifest.output, found, fits)
         sanity.check_poses(decoded)
         if manifest.golden.scene:
-            report.reprojection[where] = sanity.reprojection(decoded, fits[0].input)
+            report.reprojection[where] = sanity.reprojection(decoded)
             sanity.check_reprojection(report.reprojection[where])
     except BackboneError as error:
         raise ManifestError(f"{where}: {error}") from None

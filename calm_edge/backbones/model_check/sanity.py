@@ -11,7 +11,8 @@ from calm_edge.backbones.feedforward.decode import geometry
 from calm_edge.backbones.feedforward.decode.decoder import Decoded
 from calm_edge.backbones.onnx.manifest import ManifestError, Outputs
 from calm_edge.backbones.onnx.session import Tensor
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Float32, Int
 
 # Largest median |log ratio| of depth between views; wrong conventions give several times more.
@@ -58,13 +59,13 @@ def check_poses(decoded: Decoded) -> None:
         raise ManifestError("a decoded pose is not rigid with det R = +1")
 
 
-def reprojection(decoded: Decoded, size: tuple[int, int]) -> Reprojection:
+def reprojection(decoded: Decoded) -> Reprojection:
     """Project the depth of each view into the first one and its predecessor, and compare.
 
-    size: width, height px of the images, which are the input.
+    The images are the input.
     """
-    n, (h, w) = len(decoded.K), decoded.depth.shape[1:]
-    K = pinhole.resized(decoded.K, w / size[0], h / size[1])
+    n, (h, w) = len(decoded.cameras), decoded.depth.shape[1:]
+    cameras = [camera.scaled(w / camera.width, h / camera.height) for camera in decoded.cameras]
     if n < 2:
         return Reprojection(0.0, 0.0, 1.0)
     pairs = sorted({(i, j) for i in range(n) for j in (0, i - 1) if 0 <= j != i})
@@ -77,7 +78,7 @@ def reprojection(decoded: Decoded, size: tuple[int, int]) -> Reprojection:
         for i, j in pairs:
             T_j_i = se3.inverse(T[j]) @ T[i]
             depths = decoded.depth[i], decoded.depth[j]
-            errors = _disagreement(views[i], depths, (K[i], K[j]), T_j_i)
+            errors = _disagreement(views[i], depths, (cameras[i], cameras[j]), T_j_i)
             found[inverse].append(errors)
             total += 0 if inverse else len(views[i])
     together = {inverse: np.concatenate(errors) for inverse, errors in found.items()}
@@ -113,17 +114,17 @@ def _sampled(depth: Float32, confidence: Float32) -> Int:
 
 
 def _disagreement(
-    pixels: Int, depth: tuple[Float32, Float32], K: tuple[Float, Float], T_j_i: Float
+    pixels: Int, depth: tuple[Float32, Float32], cameras: tuple[Camera, Camera], T_j_i: Float
 ) -> Float:
     """|log ratio| of depth for those pixels (M, 2) of view i that fall into view j.
 
-    depth, K: of views i and j.
+    depth, cameras: of views i and j.
     """
     h, w = depth[1].shape
     z = depth[0][tuple(pixels.T)].astype(np.float64)
-    p = se3.transform(T_j_i, pinhole.back_project(K[0], pixels[:, ::-1].astype(np.float64), z))
+    p = se3.transform(T_j_i, cameras[0].back_project(pixels[:, ::-1].astype(np.float64), z))
     p = p[p[:, 2] > 0]
-    column, row = np.round(pinhole.project(K[1], p)).T
+    column, row = np.round(cameras[1].project(p)).T
     inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
     there = depth[1][row[inside].astype(np.int64), column[inside].astype(np.int64)]
     known = there > 0

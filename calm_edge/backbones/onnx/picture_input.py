@@ -7,7 +7,7 @@ cropped, what is left is padded. Pixel coordinates follow the convention of cv2.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor
 
 import cv2
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.onnx.manifest import InputSpec
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32
 
 _INTERPOLATION = {
@@ -48,12 +48,12 @@ class Fit:
         """Whether the image fills the input, neither cropped nor padded."""
         return self.resized == self.input
 
-    def intrinsics(self, K_input: Float) -> Float:
-        """Convert K (3, 3) from pixels of the input to pixels of the image."""
-        K = K_input.astype(np.float64)
-        K[:2, 2] -= self.offset
-        sx, sy = self.scale
-        return pinhole.resized(K, 1 / sx, 1 / sy)
+    def camera(self, of_input: Camera) -> Camera:
+        """Convert the camera of the input to that of the image."""
+        (x, y), (width, height), (sx, sy) = self.offset, self.resized, self.scale
+        cx, cy = of_input.cx - x, of_input.cy - y
+        resized = replace(of_input, cx=cx, cy=cy, width=width, height=height)
+        return resized.scaled(1 / sx, 1 / sy)
 
     def positions(self, axis: int, count: int, map_size: int) -> Float:
         """Pixel centres (count,) of the image resized to `count` px, in pixels of an input map.

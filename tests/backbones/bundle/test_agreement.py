@@ -1,10 +1,11 @@
 import numpy as np
 
 from calm_edge.backbones.bundle.agreement import DepthView, agree
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 
 W, H, DEPTH = 60, 40, 10.0
-K = pinhole.matrix(50.0, 50.0, (W - 1) / 2, (H - 1) / 2)
+K = Perspective(50.0, 50.0, (W - 1) / 2, (H - 1) / 2, W, H).matrix
 
 
 def wall(x=0.0, z=0.0, error=1.0):

@@ -12,6 +12,7 @@ from calm_edge.backbones.bundle import tracks, window
 from calm_edge.config import BackboneConfig
 from calm_edge.evaluation.trajectory import path_length
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import project_each
 from calm_edge.geometry.similarity import align
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
@@ -50,7 +51,7 @@ def drive():
         images, poses = [], []
         for eye in (0, 1):
             poses.append(rig.T_w_c[eye][::3])
-            views, _ = render_views(world.scene, poses[-1], rig.K[eye], size, oversample=1)
+            views, _ = render_views(world.scene, poses[-1], rig.cameras[eye], oversample=1)
             images += [exposed(view, 0.0, rng, settings) for view in views]
         t = np.concatenate([rig.times[eye][::3] for eye in (0, 1)])
         hints = Hints(
@@ -58,7 +59,7 @@ def drive():
             t_ns=ORIGIN_NS + np.round(t * 1e9).astype(np.int64),
             sizes=np.array([size, size]),
         )
-        f = np.array([K[0, 0] for K in rig.K])
+        f = np.array([camera.fx for camera in rig.cameras])
         return Batch(images, hints, np.concatenate(poses), f)
 
     return driven
@@ -85,7 +86,7 @@ def solved_straight(straight):
 
 
 def log_focal_error(prediction, batch):
-    return np.log(prediction.K[[0, N], 0, 0] / batch.f)
+    return np.log([prediction.cameras[view].fx for view in (0, N)] / batch.f)
 
 
 def rig_of(prediction, batch):
@@ -132,8 +133,7 @@ def test_landmarks_fit_the_poses_and_focals_they_come_with(solved):
     marks = solved.landmarks
     T_c_s = se3.inverse(solved.T_s_c)[marks.view]
     q = (T_c_s[:, :3, :3] @ marks.points_s[marks.index][..., None])[..., 0] + T_c_s[:, :3, 3]
-    uv = (solved.K[marks.view] @ q[..., None])[..., 0]
-    error = np.linalg.norm(uv[:, :2] / uv[:, 2:] - marks.uv, axis=1)
+    error = np.linalg.norm(project_each(solved.cameras, marks.view, q) - marks.uv, axis=1)
     assert np.median(error) < 0.4 and (error < window.KEPT_PX + 0.2).all()
     assert len(marks.points_s) > 150
 
@@ -180,8 +180,9 @@ def test_resolving_looks_at_no_picture(solved, turn, monkeypatch):
 
 def arrays(prediction):
     marks, belief = prediction.landmarks, prediction.kit
+    K = np.array([camera.matrix for camera in prediction.cameras])
     return [
-        prediction.K, prediction.T_s_c, prediction.focal_log_sigma,
+        K, prediction.T_s_c, prediction.focal_log_sigma,
         marks.points_s, marks.index, marks.view, marks.uv, belief.mean, belief.information,
     ]  # fmt: skip
 

@@ -7,10 +7,11 @@ from calm_edge.backbones.bundle.cost_volume import (
     plane_homographies,
     whitened,
 )
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 
 W, H, DEPTH = 120, 60, 8.0
-K = pinhole.matrix(90.0, 90.0, (W - 1) / 2, (H - 1) / 2)
+K = Perspective(90.0, 90.0, (W - 1) / 2, (H - 1) / 2, W, H).matrix
 
 
 def texture():

@@ -9,7 +9,8 @@ import pytest
 from calm_edge.backbones.bundle.agreement import Agreement
 from calm_edge.backbones.bundle.depth import FARTHEST, judge, nearest_depth, sweep_window
 from calm_edge.geometry import se3
-from calm_edge.types import Float, Float32, Hints, Landmarks, Prediction
+from calm_edge.geometry.camera import Camera
+from calm_edge.types import Float32, Hints, Landmarks, Prediction
 from tests.synthetic.drive import Settings, exposed, make_rig
 from tests.synthetic.render import render_views
 from tests.synthetic.world import make_world
@@ -34,31 +35,31 @@ def turn():
     rig = make_rig(make_world(SETTINGS.seed, SETTINGS.density), SETTINGS)
     scene = make_world(SETTINGS.seed, SETTINGS.density).scene
     rng = np.random.default_rng(0)
-    images, truth, T, K = [], [], [], []
+    images, truth, T, cameras = [], [], [], []
     for eye in (0, 1):
         T_w_c = rig.T_w_c[eye][::2]
-        views, depths = render_views(scene, T_w_c, rig.K[eye], SIZE)
+        views, depths = render_views(scene, T_w_c, rig.cameras[eye])
         images += [exposed(view, 0.0, rng, SETTINGS) for view in views]
         truth += list(depths)
         T.append(T_w_c)
-        K += [rig.K[eye]] * N
+        cameras += [rig.cameras[eye]] * N
     T_s_c = se3.inverse(T[0][0]) @ np.concatenate(T)
     T_s_c[:, :3, 3] /= SETTINGS.spacing_m
     truth_s = np.stack(truth) / SETTINGS.spacing_m
     hints = Hints(eyes=np.repeat([0, 1], N), t_ns=np.tile(np.arange(N) * 200_000_000, 2))
-    marks = landmarks(truth_s[0], K[0])
-    return Window(images, hints, Prediction(np.stack(K), T_s_c, landmarks=marks), truth_s)
+    marks = landmarks(truth_s[0], cameras[0])
+    return Window(images, hints, Prediction(tuple(cameras), T_s_c, landmarks=marks), truth_s)
 
 
-def landmarks(depth: Float32, K: Float) -> Landmarks:
+def landmarks(depth: Float32, camera: Camera) -> Landmarks:
     """Every tenth pixel of view 0 as a point."""
     v, u = (a.ravel() for a in np.mgrid[0 : depth.shape[0] : 10, 0 : depth.shape[1] : 10])
     z = depth[v, u]
     keep = z > 0
-    ray = np.linalg.inv(K) @ np.stack([u, v, np.ones(len(u))])
     count = int(keep.sum())
     uv = np.stack([u, v], 1)[keep].astype(np.float32)
-    return Landmarks((ray * z).T[keep], np.arange(count), np.zeros(count, np.int64), uv)
+    points = camera.back_project(uv.astype(np.float64), z[keep])
+    return Landmarks(points, np.arange(count), np.zeros(count, np.int64), uv)
 
 
 def errors(window: Window, depth: Float32, confidence: Float32):
@@ -90,9 +91,8 @@ def test_slightly_wrong_poses_and_focal_cost_little(turn):
     rng = np.random.default_rng(1)
     shake = np.zeros((2 * N, 6))
     shake[:, 3:] = rng.normal(0, np.radians(0.02), (2 * N, 3))
-    K = turn.prediction.K.copy()
-    K[:, [0, 1], [0, 1]] *= 1.005
-    off = replace(turn.prediction, K=K, T_s_c=turn.prediction.T_s_c @ se3.exp(shake))
+    cameras = tuple(camera.with_focal(1.005 * camera.fx) for camera in turn.prediction.cameras)
+    off = replace(turn.prediction, cameras=cameras, T_s_c=turn.prediction.T_s_c @ se3.exp(shake))
     depth, confidence = sweep_window(turn.images, turn.hints, off)
     error, confidence, real = errors(turn, depth, confidence)
     assert np.median(error[real & (confidence > 0.5)]) < 0.04
@@ -107,7 +107,9 @@ def test_black_pictures_have_no_depth(turn):
 def test_one_assistant_picture_and_no_landmarks_are_enough(turn):
     keep = [0, 1, N]
     hints = Hints(eyes=np.array([0, 0, 1]), t_ns=turn.hints.t_ns[keep])
-    prediction = Prediction(turn.prediction.K[keep], turn.prediction.T_s_c[keep])
+    prediction = Prediction(
+        tuple(turn.prediction.cameras[i] for i in keep), turn.prediction.T_s_c[keep]
+    )
     depth, _ = sweep_window([turn.images[i] for i in keep], hints, prediction)
     assert np.isfinite(depth).all() and (depth[0] > 0).mean() > 0.2
 

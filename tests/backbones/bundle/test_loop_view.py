@@ -11,7 +11,8 @@ from calm_edge.backbones.bundle.backbone import BundleBackbone
 from calm_edge.backbones.bundle.depth import loop_sources
 from calm_edge.backbones.bundle.loop_view import LoopTracks, locate, window_part
 from calm_edge.config import BackboneConfig
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import layout
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Hints, KitBelief
@@ -45,19 +46,19 @@ class Batch:
 @pytest.fixture(scope="module")
 def batch() -> Batch:
     world = make_world(SETTINGS.seed, SETTINGS.density)
-    rig, rng, size = make_rig(world, SETTINGS), np.random.default_rng(0), (320, 128)
+    rig, rng = make_rig(world, SETTINGS), np.random.default_rng(0)
     T_w_p, T_w_a = (rig.T_w_c[eye][::3] for eye in (0, 1))
     elsewhere = make_rig(world, replace(SETTINGS, start_s=1.0, frames=1)).T_w_c[0]
     images = []
     for eye, T_w_c in ((0, T_w_p), (1, T_w_a), (0, T_w_p[[QUERY]] @ T_QUERY_LOOP), (0, elsewhere)):
-        views, _ = render_views(world.scene, T_w_c, rig.K[eye], size, oversample=1)
+        views, _ = render_views(world.scene, T_w_c, rig.cameras[eye], oversample=1)
         images += [exposed(view, 0.0, rng, SETTINGS) for view in views]
     t = np.concatenate([rig.times[0][::3], rig.times[1][::3], [-300.0]])
     hints = Hints(
         eyes=np.r_[np.repeat([0, 1], N), 0],
         t_ns=ORIGIN_NS + 400_000_000_000 + np.round(t * 1e9).astype(np.int64),
         hfov_deg=SETTINGS.hfov_deg,
-        sizes=np.array([size, size]),
+        sizes=np.array([(320, 128)] * 2),
         loop=True,
     )
     return Batch(images[:-1], hints, images[-1], T_w_p)
@@ -80,8 +81,9 @@ def lost(batch, alone):
 
 
 def same_window(prediction, alone):
-    parts = ("K", "T_s_c", "focal_log_sigma")
-    return all(np.array_equal(getattr(prediction, p)[:-1], getattr(alone, p)) for p in parts)
+    parts = ("T_s_c", "focal_log_sigma")
+    same = all(np.array_equal(getattr(prediction, p)[:-1], getattr(alone, p)) for p in parts)
+    return same and prediction.cameras[:-1] == alone.cameras
 
 
 def T_loop_error(prediction, batch):
@@ -101,10 +103,10 @@ def test_the_hints_of_the_window_alone_have_no_loop(batch):
 
 
 def test_the_loop_view_is_placed_to_centimetres(solved, batch):
-    assert solved.loop_found and len(solved.K) == len(solved.T_s_c) == 2 * N + 1
+    assert solved.loop_found and len(solved.cameras) == len(solved.T_s_c) == 2 * N + 1
     metres, degrees = T_loop_error(solved, batch)
     assert metres < 0.05 and degrees < 0.2
-    assert np.array_equal(solved.K[-1], solved.K[0])
+    assert solved.cameras[-1] == solved.cameras[0]
     assert solved.focal_log_sigma[-1] == solved.focal_log_sigma[0]
 
 
@@ -122,7 +124,7 @@ def test_what_the_loop_view_saw_fits_its_pose(solved):
     rows = marks.view == LOOP
     assert rows.sum() >= loop_view.MIN_INLIERS
     p_c = se3.transform(se3.inverse(solved.T_s_c[LOOP]), marks.points_s[marks.index[rows]])
-    miss = np.linalg.norm(pinhole.project(solved.K[LOOP], p_c) - marks.uv[rows], axis=1)
+    miss = np.linalg.norm(solved.cameras[LOOP].project(p_c) - marks.uv[rows], axis=1)
     assert miss.max() < loop_view.POSE_PX and np.median(miss) < 1.0
     # each was seen by two views of the window at least
     seen = np.isin(marks.index, marks.index[rows]) & ~rows
@@ -159,7 +161,7 @@ def test_solving_again_places_the_loop_view_again_without_a_picture(solved, batc
     metres, degrees = T_loop_error(again, batch)
     assert metres < 0.05 and degrees < 0.2
     moved = BACKBONE.resolve(solved, wider(batch.hints, 0.04))
-    assert moved.loop_found and moved.K[-1, 0, 0] > 1.02 * solved.K[-1, 0, 0]
+    assert moved.loop_found and moved.cameras[-1].fx > 1.02 * solved.cameras[-1].fx
     # it goes with the window it is seen from, to another shape
     assert not np.allclose(moved.T_s_c[-1], again.T_s_c[-1], atol=1e-3)
     assert T_loop_error(moved, batch)[0] < 0.15
@@ -211,7 +213,8 @@ def few(batch, prediction, loop_image):
     images = [batch.images[v] for v in views[:-1]] + [loop_image]
     hints = replace(batch.hints, eyes=batch.hints.eyes[views], t_ns=batch.hints.t_ns[views])
     return images, hints, replace(
-        prediction, K=prediction.K[views], T_s_c=prediction.T_s_c[views], landmarks=marks
+        prediction, cameras=tuple(prediction.cameras[v] for v in views),
+        T_s_c=prediction.T_s_c[views], landmarks=marks,
     )  # fmt: skip
 
 
@@ -235,43 +238,43 @@ def test_the_loop_view_is_swept_against_what_is_near():
 def exact_tracks(n=60, seed=0, wrong=0):
     """Points before three views and a loop view, pixels exact but for `wrong` of the loop's."""
     rng = np.random.default_rng(seed)
-    K = np.tile(pinhole.from_hfov(80, 640, 240), (3, 1, 1))
+    camera = Perspective.from_hfov(80, 640, 240)
     T_s_c = np.tile(np.eye(4), (3, 1, 1))
     T_s_c[1, :3, 3], T_s_c[2, :3, 3] = [0.1, 0, 3.0], [1.0, 0, 0.2]
     z = rng.uniform(8, 50, n)
     points = np.c_[rng.uniform(-0.6, 0.6, n) * z, rng.uniform(-0.2, 0.2, n) * z, z]
-    seen = [pinhole.project(K[0], se3.transform(se3.inverse(T), points)) for T in T_s_c]
-    loop_uv = pinhole.project(K[0], se3.transform(se3.inverse(T_QUERY_LOOP), points))
+    seen = [camera.project(se3.transform(se3.inverse(T), points)) for T in T_s_c]
+    loop_uv = camera.project(se3.transform(se3.inverse(T_QUERY_LOOP), points))
     loop_uv[:wrong] += rng.uniform(20, 60, (wrong, 2))
     point, view = np.tile(np.arange(n), 3), np.repeat([0, 1, 2], n)
-    return K, T_s_c, LoopTracks(point, view, np.concatenate(seen), loop_uv), points
+    return (camera,) * 3, T_s_c, LoopTracks(point, view, np.concatenate(seen), loop_uv), points
 
 
 def test_exact_tracks_give_the_exact_pose_through_wrong_matches():
-    K, T_s_c, tracks, points = exact_tracks(wrong=20)
-    pose = locate(K, T_s_c, tracks)
+    cameras, T_s_c, tracks, points = exact_tracks(wrong=20)
+    pose = locate(cameras, T_s_c, tracks)
     assert np.allclose(pose.T_s_c, T_QUERY_LOOP, atol=1e-6)
     assert np.array_equal(pose.inlier, np.arange(60) >= 20)
     assert pose.kept.all() and np.allclose(pose.points_s, points, rtol=1e-6)
 
 
 def test_an_observation_off_its_point_is_dropped_and_the_point_kept():
-    K, T_s_c, tracks, points = exact_tracks()
+    cameras, T_s_c, tracks, points = exact_tracks()
     uv = tracks.uv.copy()
     uv[5] += [3.0, 8.0]
-    pose = locate(K, T_s_c, replace(tracks, uv=uv))
+    pose = locate(cameras, T_s_c, replace(tracks, uv=uv))
     assert pose is not None and not pose.kept[5]
     assert np.allclose(pose.points_s[6:], points[6:], rtol=1e-6)
 
 
 @pytest.mark.parametrize(("n", "wrong"), [(15, 0), (60, 40)])
 def test_too_few_agreeing_points_give_no_pose(n, wrong):
-    K, T_s_c, tracks, _ = exact_tracks(n, wrong=wrong)
-    assert locate(K, T_s_c, tracks) is None
+    cameras, T_s_c, tracks, _ = exact_tracks(n, wrong=wrong)
+    assert locate(cameras, T_s_c, tracks) is None
 
 
 def test_points_in_one_strip_give_no_pose():
-    K, T_s_c, tracks, _ = exact_tracks()
+    cameras, T_s_c, tracks, _ = exact_tracks()
     left = tracks.loop_uv[:, 0] < 160
     one_side = left[tracks.point]
     kept, point = np.unique(tracks.point[one_side], return_inverse=True)
@@ -284,4 +287,4 @@ def test_points_in_one_strip_give_no_pose():
         loop_uv=np.tile(strip.loop_uv, (4, 1)),
     )
     assert len(dense.loop_uv) > loop_view.MIN_INLIERS
-    assert locate(K, T_s_c, dense) is None
+    assert locate(cameras, T_s_c, dense) is None

@@ -7,6 +7,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import window
 from calm_edge.backbones.bundle.problem import project
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import layout
 from calm_edge.types import Hints, Prediction
 from tests.backbones.bundle.exact_window import SIZE, theta_of, turn
@@ -21,9 +22,12 @@ def hints_of(m):
 
 def prediction_of(made):
     state = made.truth
-    K = np.stack([layout.camera_matrix(state.theta, e, *SIZE[e]) for e in (0, 1)])
+    cameras = [
+        Perspective.from_matrix(layout.camera_matrix(state.theta, e, *SIZE[e]), *SIZE[e])
+        for e in (0, 1)
+    ]
     return Prediction(
-        K=K[made.m.eye],
+        cameras=tuple(cameras[e] for e in made.m.eye),
         T_s_c=se3.inverse(state.T_c_s),
         landmarks=window.to_landmarks(state, made.m),
     )

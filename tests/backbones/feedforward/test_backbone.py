@@ -16,6 +16,7 @@ from calm_edge.backbones.onnx.precision import pinned
 from calm_edge.backbones.onnx.verdict import Verdict
 from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config, merge
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Hints
 from tests.backbones.painted_model import FOV, SIZE, centres, paint, write_model
 
@@ -59,9 +60,9 @@ def test_a_window_that_fits_is_one_run(folder):
     assert found == pytest.approx(centre - centre[0], abs=0.05)
     width, height = SIZE
     fx, fy = width / 2 / np.tan(FOV[1] / 2), height / 2 / np.tan(FOV[0] / 2)
-    assert p.K[3] == pytest.approx(
-        np.array([[fx, 0, (width - 1) / 2], [0, fy, (height - 1) / 2], [0, 0, 1]]), rel=1e-5
-    )
+    expected = Perspective(fx, fy, (width - 1) / 2, (height - 1) / 2, width, height)
+    assert p.cameras[3].matrix == pytest.approx(expected.matrix, rel=1e-5)
+    assert (p.cameras[3].width, p.cameras[3].height) == SIZE
     assert p.depth.shape == (8, 32, 64) and p.landmarks is None
 
 
@@ -102,7 +103,7 @@ def test_missing_views_of_a_fixed_number_are_filled_up(folder, tmp_path):
     (fixed / "manifest.toml").write_text(text)
     centre = centres(2)
     p = opened(fixed).infer(paint(centre), hints_of(2))
-    assert len(p.K) == len(p.T_s_c) == len(p.depth) == len(p.confidence) == 4
+    assert len(p.cameras) == len(p.T_s_c) == len(p.depth) == len(p.confidence) == 4
     unit = unit_of(centre[[0, 1, 2, 3, 3, 3]])
     assert p.T_s_c[:, :3, 3] * unit == pytest.approx(centre - centre[0], abs=0.05)
 
@@ -111,7 +112,7 @@ def test_pictures_of_two_sizes(folder):
     centre = centres(2)
     images = paint(centre[:2]) + paint(centre[2:], (96, 64))
     p = opened(folder).infer(images, hints_of(2))
-    assert p.K[0, 0, 2] == pytest.approx(63.5) and p.K[2, 0, 2] == pytest.approx(47.5)
+    assert p.cameras[0].cx == pytest.approx(63.5) and p.cameras[2].cx == pytest.approx(47.5)
     assert p.depth.shape[0] == 4 and (p.depth > 0).mean() > 0.99
 
 

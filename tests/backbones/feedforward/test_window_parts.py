@@ -9,6 +9,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.feedforward.decode.decoder import Decoded
 from calm_edge.backbones.feedforward.window_parts import around, overlap, split, stitch
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.geometry.similarity import Similarity
 
 
@@ -55,9 +56,10 @@ def window(n: int, seed: int = 0) -> Decoded:
     """Random poses and depth in the frame of view 0."""
     rng = np.random.default_rng(seed)
     T = se3.exp(rng.normal(0, 0.4, (n, 6)))
-    K = np.tile(np.diag([100.0, 100.0, 1.0]), (n, 1, 1)) + rng.random((n, 1, 1))
+    focals = (100 + rng.random(n)).tolist()
+    cameras = tuple(Perspective(f, f, 3.5, 2.5, 8, 6) for f in focals)
     depth = rng.uniform(2, 9, (n, 6, 8)).astype(np.float32)
-    return Decoded(K, se3.inverse(T[0]) @ T, depth, rng.random((n, 6, 8)).astype(np.float32))
+    return Decoded(cameras, se3.inverse(T[0]) @ T, depth, rng.random((n, 6, 8)).astype(np.float32))
 
 
 def of_part(whole: Decoded, part, scale: float, noise: float = 0.0, seed: int = 0) -> Decoded:
@@ -68,7 +70,8 @@ def of_part(whole: Decoded, part, scale: float, noise: float = 0.0, seed: int = 
     depth = whole.depth[part] * scale * np.exp(noise * rng.normal(size=whole.depth[part].shape))
     own = Similarity(scale, np.eye(3), np.zeros(3)).poses(T)
     own = own @ se3.exp(noise * rng.normal(size=(len(part), 6)))
-    return Decoded(whole.K[part], own, depth.astype(np.float32), whole.strength[part])
+    cameras = tuple(whole.cameras[i] for i in part)
+    return Decoded(cameras, own, depth.astype(np.float32), whole.strength[part])
 
 
 @pytest.mark.parametrize("cap", [2, 3, 6, 11])
@@ -80,7 +83,7 @@ def test_stitched_parts_are_the_whole(cap):
     found = stitch(12, parts, solved)
     assert found.T_s_c == pytest.approx(whole.T_s_c, abs=1e-5)
     assert found.depth == pytest.approx(whole.depth, rel=1e-5)
-    assert np.array_equal(found.K, whole.K) and np.array_equal(found.strength, whole.strength)
+    assert found.cameras == whole.cameras and np.array_equal(found.strength, whole.strength)
 
 
 def test_noise_is_averaged_over_what_is_shared():

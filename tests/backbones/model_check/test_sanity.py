@@ -23,6 +23,7 @@ from calm_edge.backbones.onnx.manifest import (
     PoseOutput,
 )
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from tests.backbones.raw_scene import make_scene
 
 SIZE = (96, 64)
@@ -34,12 +35,13 @@ def decoded_scene(shrunk: int = 1) -> Decoded:
     u = (np.arange(SIZE[0] // shrunk) + 0.5) * shrunk - 0.5
     v = (np.arange(SIZE[1] // shrunk) + 0.5) * shrunk - 0.5
     depth = np.stack([scene.z(i, *np.meshgrid(u, v)) for i in range(3)]).astype(np.float32)
-    return Decoded(scene.K, scene.T_s_c(), depth, np.zeros_like(depth))
+    cameras = tuple(Perspective.from_matrix(K, *SIZE) for K in scene.K)
+    return Decoded(cameras, scene.T_s_c(), depth, np.zeros_like(depth))
 
 
 @pytest.mark.parametrize("shrunk", [1, 4])
 def test_exact_depth_and_poses_agree(shrunk):
-    result = reprojection(decoded_scene(shrunk), SIZE)
+    result = reprojection(decoded_scene(shrunk))
     assert result.disagreement < 0.01 and result.covisible > 0.5
     assert result.inverted > 3 * result.disagreement
     check_reprojection(result)
@@ -49,7 +51,7 @@ def test_inverted_poses_are_named():
     scene = decoded_scene()
     wrong = replace(scene, T_s_c=se3.inverse(scene.T_s_c))
     with pytest.raises(ManifestError, match=r"output\.pose\.direction is wrong"):
-        check_reprojection(reprojection(wrong, SIZE))
+        check_reprojection(reprojection(wrong))
 
 
 def test_depth_of_another_scale_than_the_poses_is_an_error():
@@ -57,20 +59,20 @@ def test_depth_of_another_scale_than_the_poses_is_an_error():
     scene.depth[1] *= 1.5
     scene.depth[2] *= 0.6
     with pytest.raises(ManifestError, match=r"between views, more than 20%"):
-        check_reprojection(reprojection(scene, SIZE))
+        check_reprojection(reprojection(scene))
 
 
 def test_views_without_common_pixels_are_an_error():
     scene = decoded_scene()
     scene.T_s_c[1:, 0, 3] += 1000.0 * np.arange(1, 3)
     with pytest.raises(ManifestError, match=r"0% of the pixels fall into another view"):
-        check_reprojection(reprojection(scene, SIZE))
+        check_reprojection(reprojection(scene))
 
 
 def test_a_single_view_passes():
     scene = decoded_scene()
-    alone = Decoded(scene.K[:1], scene.T_s_c[:1], scene.depth[:1], scene.strength[:1])
-    check_reprojection(reprojection(alone, SIZE))
+    alone = Decoded(scene.cameras[:1], scene.T_s_c[:1], scene.depth[:1], scene.strength[:1])
+    check_reprojection(reprojection(alone))
 
 
 def test_outputs_must_be_finite_and_match_their_encoding():

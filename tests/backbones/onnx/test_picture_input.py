@@ -10,6 +10,7 @@ import pytest
 
 from calm_edge.backbones.onnx.manifest import InputSpec
 from calm_edge.backbones.onnx.picture_input import fit_pictures, input_tensor
+from calm_edge.geometry.camera import Perspective
 
 SPEC = InputSpec("x", "NCHW", "rgb", "width", size_px=56, multiple=14)
 
@@ -55,13 +56,14 @@ def test_intrinsics_follow_a_pixel_into_the_input_and_back(multiple_by, size_px)
     off = []
     top, left = max(0, fit.offset[1]), max(0, fit.offset[0])
     for row, column in zip(range(top + 4, top + 14), range(left + 4, left + 14), strict=True):
-        # K of a camera with its principal point at that input pixel
-        K = fit.intrinsics(np.array([[50.0, 0, column], [0, 60.0, row], [0, 0, 1]]))
-        off.append(K[:2, 2] - tensor[[2, 1], row, column])
+        # a camera with its principal point at that input pixel
+        camera = fit.camera(Perspective(50.0, 60.0, column, row, *fit.input))
+        assert (camera.width, camera.height) == fit.picture
+        off.append((camera.cx, camera.cy) - tensor[[2, 1], row, column])
     # grey levels are in quarter pixels, and resizing rounds down
     assert np.abs(np.mean(off, 0)).max() < 0.15
     sx, sy = fit.scale
-    assert K[0, 0] == pytest.approx(50 / sx) and K[1, 1] == pytest.approx(60 / sy)
+    assert camera.fx == pytest.approx(50 / sx) and camera.fy == pytest.approx(60 / sy)
 
 
 def test_the_image_centre_maps_to_the_input_centre():
@@ -69,8 +71,8 @@ def test_the_image_centre_maps_to_the_input_centre():
     for width in (42, 84, 168):
         fit = fit_pictures(replace(SPEC, size_px=width), [(84, 42)])[0]
         middle = (np.array(fit.input) - 1) / 2
-        K = fit.intrinsics(np.array([[9.0, 0, middle[0]], [0, 9.0, middle[1]], [0, 0, 1]]))
-        assert K[:2, 2] == pytest.approx([41.5, 20.5])
+        camera = fit.camera(Perspective(9.0, 9.0, *middle, *fit.input))
+        assert (camera.cx, camera.cy) == pytest.approx((41.5, 20.5))
 
 
 def test_positions_agree_with_a_resized_map():

@@ -1,15 +1,17 @@
 """Sub-maps of one known drive, each in a frame, unit and projective bend of its own."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bench.baselines.overlap import Correspondences
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.types import Submap
 
 N_MAX, N_OVERLAP = 15, 3
-K = pinhole.from_hfov(80, 640, 320)
+CAMERA = Perspective.from_hfov(80, 640, 320)
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,9 @@ def drive(T_w_p: np.ndarray, scale_log_sigma: float = 0.3, bend: float = 0.0) ->
             H[3, :3] = bend * rng.uniform(-1, 1, 3) / scale
         T_s_p = se3.inverse(T_w_p[start]) @ T_w_p[list(ids)]
         T_s_p[:, :3, 3] *= scale
-        Ks = np.tile(K, (len(ids), 1, 1))
+        cameras: tuple[Camera, ...] = (CAMERA,) * len(ids)
         if bend:
-            Ks, T_s_p = bent(H, Ks, T_s_p)
+            cameras, T_s_p = bent(H, cameras, T_s_p)
         submaps.append(
             Submap(
                 id=k,
@@ -70,9 +72,9 @@ def drive(T_w_p: np.ndarray, scale_log_sigma: float = 0.3, bend: float = 0.0) ->
                 n_overlap=N_OVERLAP if k else 0,
                 t_ns=np.array(ids, np.int64) * 100_000_000,
                 T_s_c_raw=T_s_p,
-                K_raw=Ks,
+                cameras_raw=cameras,
                 T_s_c=T_s_p,
-                K=Ks,
+                cameras=cameras,
                 scale=1 / scale,
                 T_w_s=np.eye(4),
                 focal_log_sigma=np.full(2, np.inf),
@@ -82,11 +84,28 @@ def drive(T_w_p: np.ndarray, scale_log_sigma: float = 0.3, bend: float = 0.0) ->
     return Drive(T_w_p, submaps, np.array(T_s_w))
 
 
-def bent(H: np.ndarray, Ks: np.ndarray, T_s_p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """K (N, 3, 3) and poses (N, 4, 4) whose projections see H's points where the old saw theirs."""
-    K_out, T_out = [], []
-    for K_i, T in zip(Ks, T_s_p, strict=True):
-        P = K_i @ np.linalg.inv(T)[:3] @ np.linalg.inv(H)
+@dataclass(frozen=True, slots=True)
+class Skewed(Perspective):
+    """A pinhole camera with a skew, which a homography leaves in a projection matrix."""
+
+    skew: float = 0.0
+
+    @property
+    def matrix(self) -> np.ndarray:
+        return np.array([[self.fx, self.skew, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    def project(self, p_c: np.ndarray) -> np.ndarray:
+        q = p_c @ self.matrix.T
+        return np.asarray(q[..., :2] / q[..., 2:])
+
+
+def bent(
+    H: np.ndarray, cameras: Sequence[Camera], T_s_p: np.ndarray
+) -> tuple[tuple[Camera, ...], np.ndarray]:
+    """Cameras and poses (N, 4, 4) that see H's points where the old saw theirs."""
+    cameras_out, T_out = [], []
+    for camera, T in zip(cameras, T_s_p, strict=True):
+        P = camera.matrix @ np.linalg.inv(T)[:3] @ np.linalg.inv(H)
         M = P[:, :3] * np.sign(np.linalg.det(P[:, :3]))
         # by Cholesky: M M^T = K K^T with K upper triangular
         flip = np.eye(3)[::-1]
@@ -94,5 +113,7 @@ def bent(H: np.ndarray, Ks: np.ndarray, T_s_p: np.ndarray) -> tuple[np.ndarray, 
         K_new = flip @ lower @ flip
         R = np.linalg.solve(K_new, M)
         T_out.append(se3.compose(R.T, -np.linalg.solve(P[:, :3], P[:, 3])))
-        K_out.append(K_new / K_new[2, 2])
-    return np.array(K_out), np.array(T_out)
+        K = K_new / K_new[2, 2]
+        optics = K[0, 0], K[1, 1], K[0, 2], K[1, 2], camera.width, camera.height
+        cameras_out.append(Skewed(*optics, skew=K[0, 1]))
+    return tuple(cameras_out), np.array(T_out)

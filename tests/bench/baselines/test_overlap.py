@@ -7,7 +7,8 @@ import pytest
 
 from bench.baselines import overlap
 from bench.baselines.overlap import BaselineError
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Landmarks, Prediction, Submap
 from tests.bench.baselines.chains import drive
 from tests.drives import curved
@@ -17,7 +18,7 @@ SMALL = (40, 80)
 DRIVE = drive(curved(30))
 A, B = DRIVE.submaps[:2]
 VIEWS_A, VIEWS_B = overlap.common_views(A, B)
-K = pinhole.from_hfov(80, *SIZE)
+CAMERA = Perspective.from_hfov(80, *SIZE)
 
 
 def wall_depth(T_w_c: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -26,7 +27,7 @@ def wall_depth(T_w_c: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     y, x = np.mgrid[:height, :width]
     share = np.array([width, height]) / SIZE
     uv = (np.stack([x, y], -1) + 0.5) / share - 0.5
-    rays = pinhole.back_project(K, uv, np.ones(shape)) @ T_w_c[:3, :3].T
+    rays = CAMERA.back_project(uv, np.ones(shape)) @ T_w_c[:3, :3].T
     normal = np.array([-0.3, -0.2, 1.0])
     return np.asarray((60 - normal @ T_w_c[:3, 3]) / (rays @ normal))
 
@@ -36,7 +37,7 @@ def prediction(submap: Submap) -> Prediction:
     depth = np.stack([wall_depth(T, SMALL) for T in T_w_p]) / submap.scale
     n = len(T_w_p)
     return Prediction(
-        K=np.tile(K, (n, 1, 1)),
+        cameras=(CAMERA,) * n,
         T_s_c=submap.T_s_c_raw,
         depth=depth.astype(np.float32),
         confidence=np.ones((n, *SMALL), np.float32),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bench.baselines import sl4
 from bench.baselines.overlap import BaselineError, Correspondences
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
 from tests.bench.baselines.chains import drive, moved, points
 from tests.drives import curved
 
@@ -117,7 +117,7 @@ def test_cameras_project_the_moved_points_where_they_saw_them(seed: int) -> None
     assert np.allclose(T_w_c[:, :3, 3], moved(H, centres), atol=1e-7)
     # and some calibration sees the same pixels from there
     p_s = se3.transform(submap.T_s_c_raw[3], points(50))
-    uv = pinhole.project(submap.K_raw[3], points(50))
+    uv = submap.cameras_raw[3].project(points(50))
     p_c = se3.transform(se3.inverse(T_w_c[3]), moved(H, p_s))
     homogeneous = np.column_stack([uv, np.ones(50)])
     K_left, *_ = np.linalg.lstsq(p_c / p_c[:, 2:], homogeneous, rcond=None)

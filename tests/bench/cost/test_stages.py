@@ -15,6 +15,7 @@ from bench.tables import kept
 from calm_edge.config import Config, FrontendConfig
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import project_each
 from calm_edge.recording.window_record import of_window
 from calm_edge.types import CalmEdgeError
 
@@ -92,7 +93,7 @@ def test_the_landmarks_are_thinned_but_remain_matches():
     assert marks.index.max() < len(marks.points_s)
     T_c_s = se3.inverse(submap.T_s_c_raw[marks.view])
     seen = (T_c_s[:, :3, :3] @ marks.points_s[marks.index][..., None])[..., 0] + T_c_s[:, :3, 3]
-    uv = (submap.K_raw[marks.view] @ (seen / seen[:, 2:])[..., None])[:, :2, 0]
+    uv = project_each(submap.cameras_raw, marks.view, seen)
     assert np.abs(uv - marks.uv).max() < 1e-2
 
 

@@ -30,8 +30,10 @@ def test_the_sequence_folder_has_the_colour_eyes_times_truth_and_optics(
         seconds = (SequenceFolder(out).t_ns(eye) - 10**9) / 1e9
         np.testing.assert_allclose(seconds, 0.1037 * np.arange(trees.N), atol=1e-9)
     truth = read_truth(out)
-    assert truth.K is not None
-    np.testing.assert_allclose(truth.K[1], [[40, 0, 31], [0, 40, 9], [0, 0, 1]], atol=1e-9)
+    assert truth.cameras is not None
+    np.testing.assert_allclose(
+        truth.cameras[1].matrix, [[40, 0, 31], [0, 40, 9], [0, 0, 1]], atol=1e-9
+    )
     # of camera 2, in the world of its own first pose
     camera_2 = curve(trees.N).copy()
     camera_2[:, :3, 3] += camera_2[:, :3, :3] @ [0.06, 0.01, 0]

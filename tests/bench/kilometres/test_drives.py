@@ -89,4 +89,7 @@ def test_a_rendered_drives_folder_is_a_drive(tmp_path):
     drive = drives.rendered(tmp_path, Config())
     assert np.allclose(drive.scene.T_p_a, scene.T_p_a, atol=1e-6)
     assert np.allclose(drive.scene.T_w_p, se3.inverse(scene.T_w_p[0]) @ scene.T_w_p, atol=1e-6)
-    assert drive.scene.K[1, 0, 0] == 310 and drive.scene.size.tolist() == [[640, 200], [640, 240]]
+    assert drive.scene.cameras[1].fx == 310 and drive.scene.size.tolist() == [
+        [640, 200],
+        [640, 240],
+    ]

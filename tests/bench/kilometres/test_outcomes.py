@@ -54,14 +54,14 @@ def test_a_run_is_measured_with_its_focals(tmp_path):
     backbone = predictions.cached(drive, dials, tmp_path)
     one = outcomes.measure(drive, "street", 1, backbone, OPEN, OURS, None, Config())
     assert one.failed == "" and one.missing == 0 and one.focals is not None
-    true = drive.scene.K[:, 0, 0]
+    true = np.array([camera.fx for camera in drive.scene.cameras])
     np.testing.assert_allclose(one.focals.true, true)
     np.testing.assert_allclose(one.focals.raw, true * np.expm1(0.05), rtol=1e-6)
     np.testing.assert_allclose(one.focals.mean, true * np.exp(0.05), rtol=1e-6)
     seen = []
     runs.run(drive, backbone, OURS, inspect=seen.append)
     held = seen[0].intrinsics
-    assert one.focals.held == tuple(held.K[:, 0, 0]) and one.focals.damping == tuple(held.damping)
+    assert one.focals.held == tuple(held.focals) and one.focals.damping == tuple(held.damping)
 
 
 def test_where_nothing_is_searched_there_are_no_focals(tmp_path):

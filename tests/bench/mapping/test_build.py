@@ -5,7 +5,7 @@ import pytest
 
 from bench.mapping.build import WAVE, Built, raw_points, warped
 from calm_edge.config import MappingConfig
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
 from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.spool import Spool
 from tests.mapping import scene
@@ -18,8 +18,8 @@ def lifted(piece, depth, view):
     """(h, w, 3) raw points of one view."""
     height, width = depth.shape[1:]
     xy = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(float)
-    K = pinhole.resized(piece.submap.K_raw[view], width / IMAGE[0], height / IMAGE[1])
-    p_c = pinhole.back_project(K, xy, depth[view].astype(float))
+    camera = piece.submap.cameras_raw[view].scaled(width / IMAGE[0], height / IMAGE[1])
+    p_c = camera.back_project(xy, depth[view].astype(float))
     return se3.transform(piece.submap.T_s_c_raw[view], p_c)
 
 
@@ -56,7 +56,8 @@ def test_raw_points_are_the_mapped_ones_in_the_raw_unit(tmp_path):
     p_w = se3.transform(piece.submap.T_w_s, 2.5 * raw.astype(float))
     assert scene.distance_to_scene(STREET, p_w).max() < 1e-2
     # what a rectification did to the sub-map is not in the raw points
-    bent = dataclasses.replace(piece.submap, K=piece.submap.K * 1.1)
+    cameras = tuple(camera.with_focal(1.1 * camera.fx) for camera in piece.submap.cameras)
+    bent = dataclasses.replace(piece.submap, cameras=cameras)
     np.testing.assert_array_equal(
         raw_points(dataclasses.replace(built, submaps=(bent,)), 0, config, scene.SPACING), raw
     )

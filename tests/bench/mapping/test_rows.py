@@ -17,6 +17,7 @@ from calm_edge.config import MappingConfig
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import back_project_each
 from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.spool import Spool
 from tests.mapping import scene
@@ -41,10 +42,9 @@ def truth(pieces):
         mapper_points = p.views(12.0)
         view, y, x = np.nonzero(mapper_points.usable)
         uv = mapper_points.to_image(view, np.stack([x, y], -1))
-        ray = np.concatenate([uv, np.ones((len(uv), 1))], -1)
-        ray = (np.linalg.inv(mapper_points.K)[view] @ ray[..., None])[..., 0]
         z = 1 / mapper_points.inverse_depth[view, y, x].astype(float)
-        p_s = (mapper_points.T_s_c[view, :3, :3] @ (ray * z[:, None])[..., None])[..., 0]
+        p_c = back_project_each(mapper_points.cameras, view, uv, z)
+        p_s = (mapper_points.T_s_c[view, :3, :3] @ p_c[..., None])[..., 0]
         p_s += mapper_points.T_s_c[view, :3, 3]
         points.append(se3.transform(p.submap.T_w_s, p_s))
     return Truth(t_ns, T_w_c, None, np.concatenate(points).astype(np.float32))

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from bench.model.truth import PosedDepth
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.types import Bytes, Float
 
 SIZE = (320, 200)
@@ -23,23 +24,25 @@ def texture(seed: int = 0) -> Bytes:
     return np.asarray(np.clip(128 + 35 * out, 0, 255), np.uint8)
 
 
-def view(K: Float, T_w_c: Float, plane: Bytes) -> tuple[Bytes, PosedDepth]:
+def view(camera: Camera, T_w_c: Float, plane: Bytes) -> tuple[Bytes, PosedDepth]:
     """The plane z = DISTANCE, 30 px a unit, seen by a camera: its picture and its depth."""
     width, height = SIZE
     v, u = np.mgrid[:height, :width]
     uv = np.stack([u.ravel(), v.ravel()], 1).astype(np.float64)
-    ray = pinhole.back_project(K, uv, np.ones(len(uv))) @ T_w_c[:3, :3].T
+    ray = camera.back_project(uv, np.ones(len(uv))) @ T_w_c[:3, :3].T
     along = (DISTANCE - T_w_c[2, 3]) / ray[:, 2]
     p_w = T_w_c[:3, 3] + along[:, None] * ray
     place = (p_w[:, :2] * 30 + np.array([450, 300])).astype(np.float32).reshape(height, width, 2)
     gray = cv2.remap(plane, place, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     z = along.astype(np.float32).reshape(height, width)
-    return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8), PosedDepth(K, T_w_c, z)
+    return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8), PosedDepth(
+        camera, T_w_c, z
+    )
 
 
-def camera(focal: float = 250.0) -> Float:
-    """K (3, 3) px of SIZE."""
-    return pinhole.matrix(focal, focal, (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)
+def camera(focal: float = 250.0) -> Camera:
+    """A camera of SIZE."""
+    return Perspective(focal, focal, (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2, *SIZE)
 
 
 def pose(x: float = 0.0, z: float = 0.0, roll_deg: float = 0.0) -> Float:

@@ -29,16 +29,16 @@ FRAMES = 12
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A rectified clip that drives along a textured plane."""
-    out, K, plane = tmp_path_factory.mktemp("clip"), camera(), texture()
+    out, of_eyes, plane = tmp_path_factory.mktemp("clip"), camera(), texture()
     poses = [pose(z=0.05 * k) for k in range(FRAMES)]
     for eye in (0, 1):
         (out / f"cam{eye}").mkdir()
         for k, T in enumerate(poses):
-            image, _ = view(K, T @ pose(x=SPACING * eye), plane)
+            image, _ = view(of_eyes, T @ pose(x=SPACING * eye), plane)
             cv2.imwrite(str(out / f"cam{eye}" / f"{k:06d}.png"), image)
         (out / f"times{eye}.txt").write_text("".join(f"{0.4 * k}\n" for k in range(FRAMES)))
     np.savetxt(out / "poses0.txt", [T[:3].ravel() for T in poses])
-    row = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *SIZE]
+    row = [of_eyes.fx, of_eyes.fy, of_eyes.cx, of_eyes.cy, *SIZE]
     np.savetxt(out / "calib.txt", [row, row])
     return out
 

@@ -11,18 +11,19 @@ from bench.rivals import orbslam3
 from bench.rivals.calibration import Calibration, true_calibration
 from bench.rivals.environment import RivalRun
 from bench.rivals.orbslam3_process import read_final
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Perspective
 from calm_edge.trajectories import quaternions
 from tests.bench.rivals.test_calibration import RIG, write
 
 
 def test_its_settings_hold_the_whole_kit() -> None:
-    K = np.stack([pinhole.matrix(500, 501, 320, 120), pinhole.matrix(600, 601, 310, 125)])
-    text = orbslam3.settings(Calibration(K, RIG, (640, 240)), 10.0)
+    size = 640, 240
+    cameras = Perspective(500, 501, 320, 120, *size), Perspective(600, 601, 310, 125, *size)
+    text = orbslam3.settings(Calibration(cameras, RIG, size), 10.0)
     value = dict(re.findall(r"^([\w.]+): ([-\d.e]+)$", text, re.MULTILINE))
-    for eye, matrix in enumerate(K, 1):
+    for eye, camera in enumerate(cameras, 1):
         said = [float(value[f"Camera{eye}.{key}"]) for key in ("fx", "fy", "cx", "cy")]
-        assert said == [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
+        assert said == [camera.fx, camera.fy, camera.cx, camera.cy]
     assert (value["Camera.width"], value["Camera.height"]) == ("640", "240")
     assert value["loopClosing"] == "0"
     (data,) = re.findall(r"data: \[(.*)\]", text)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bench.scripted import ScriptedScene, Street
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Float, Hints
 from tests.drives import PERIOD_NS, START_NS, curved
 
@@ -19,8 +20,7 @@ def street(n: int = 60, turn: float = 0.0) -> ScriptedScene:
         t_ns=START_NS + PERIOD_NS * np.arange(n),
         T_w_p=T,
         T_p_a=T_P_A,
-        K=np.stack([pinhole.from_hfov(80, 640, 200), pinhole.from_hfov(90, 640, 240)]),
-        size=np.array([[640, 200], [640, 240]]),
+        cameras=(Perspective.from_hfov(80, 640, 200), Perspective.from_hfov(90, 640, 240)),
         street=Street.along(T),
     )
 

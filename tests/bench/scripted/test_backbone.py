@@ -7,7 +7,8 @@ from bench.scripted import ScriptedBackbone, ScriptedErrors
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config, merge
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import project_each
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Hints
 from tests.drives import PERIOD_NS, START_NS, T_P_A, curved, scene
@@ -29,7 +30,7 @@ def test_without_errors_it_plays_the_truth_at_any_stamp():
     true_a = se3.inverse(T[4]) @ se3.interpolate_at(np.arange(30), T, np.arange(4, 10) + 0.17)
     assert np.allclose(prediction.T_s_c[:6], true_p, atol=1e-12)
     assert np.allclose(prediction.T_s_c[6:], true_a @ T_P_A, atol=1e-9)
-    assert np.array_equal(prediction.K, SCENE.K[hints().eyes])
+    assert prediction.cameras == tuple(SCENE.cameras[eye] for eye in hints().eyes)
     assert prediction.depth is None
 
 
@@ -41,7 +42,7 @@ def test_landmarks_project_where_they_were_seen():
     p_s = marks.points_s[marks.index]
     T_c_s = se3.inverse(prediction.T_s_c)[marks.view]
     p_c = (T_c_s[:, :3, :3] @ p_s[..., None])[..., 0] + T_c_s[:, :3, 3]
-    assert np.abs(pinhole.project(prediction.K[marks.view], p_c) - marks.uv).max() < 1e-3
+    assert np.abs(project_each(prediction.cameras, marks.view, p_c) - marks.uv).max() < 1e-3
 
 
 def test_depth_of_two_views_is_one_surface():
@@ -53,8 +54,8 @@ def test_depth_of_two_views_is_one_surface():
     heights = []
     for view in (0, 3, 8):
         width, height = SCENE.size[hints().eyes[view]]
-        K = pinhole.resized(prediction.K[view], w / width, h / height)
-        p_c = pinhole.back_project(K, pixels, prediction.depth[view].astype(float))
+        camera = prediction.cameras[view].scaled(w / width, h / height)
+        p_c = camera.back_project(pixels, prediction.depth[view].astype(float))
         p_w = se3.transform(T[4], se3.transform(prediction.T_s_c[view], p_c) / scale)
         heights.append(p_w[-1, :, 1])
     floor = T[:, 1, 3].max() + 1.65
@@ -65,7 +66,7 @@ def test_depth_of_two_views_is_one_surface():
     ("errors", "moved"),
     [
         (ScriptedErrors(scale_log_sigma=3.0), "scale"),
-        (ScriptedErrors(focal_log_error=(0.1, -0.2)), "K"),
+        (ScriptedErrors(focal_log_error=(0.1, -0.2)), "focal"),
         (ScriptedErrors(rotation_sigma_rad=0.01, translation_sigma=0.02), "poses"),
         (ScriptedErrors(match_sigma_px=0.5), "uv"),
         (ScriptedErrors(depth_warp=0.1), "depth"),
@@ -80,7 +81,7 @@ def test_each_error_moves_what_it_names_and_nothing_else(errors, moved):
         exact.T_s_c[1:6, :3, 3], axis=1
     )
     ratio = wrong.depth / exact.depth
-    assert (moved == "K") == (not np.array_equal(exact.K, wrong.K))
+    assert (moved == "focal") == (exact.cameras != wrong.cameras)
     assert (moved == "uv") == (not np.array_equal(exact.landmarks.uv, wrong.landmarks.uv))
     if moved == "scale":
         assert np.ptp(step) < 1e-9 and abs(step[0] - 1) > 0.01
@@ -90,8 +91,9 @@ def test_each_error_moves_what_it_names_and_nothing_else(errors, moved):
         assert 0.01 < twist[:, :3].std() < 0.03 and 0.005 < twist[:, 3:].std() < 0.015
     else:
         assert np.array_equal(exact.T_s_c, wrong.T_s_c)
-    if moved == "K":
-        assert wrong.K[[0, -1], 0, 0] / exact.K[[0, -1], 0, 0] == pytest.approx(np.exp([0.1, -0.2]))
+    if moved == "focal":
+        ratios = [wrong.cameras[i].fx / exact.cameras[i].fx for i in (0, -1)]
+        assert ratios == pytest.approx(np.exp([0.1, -0.2]))
     if moved == "depth":
         assert 0.02 < np.abs(ratio - 1).max() <= 0.1 + 1e-6
         assert np.abs(np.diff(ratio, axis=2)).max() < 0.05
@@ -129,7 +131,7 @@ def test_a_folder_is_a_scene(tmp_path):
     asked = Hints(eyes=np.array([0, 0, 1]), t_ns=ORIGIN_NS + np.array([0, 250_000_000, 0]))
     prediction = backbone.infer([], asked)
     assert np.allclose(prediction.T_s_c[1:], [T[1], T_P_A], atol=1e-9)
-    assert prediction.K[:, 1, 1].tolist() == [201, 201, 151]
+    assert [camera.fy for camera in prediction.cameras] == [201, 201, 151]
 
 
 def test_a_folder_of_poses_alone_takes_defaults(tmp_path):

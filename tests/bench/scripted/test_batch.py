@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from bench.scripted import DEPTH_STRIDE, ScriptedBackbone, ScriptedErrors
-from calm_edge.geometry import pinhole, se3
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import project_each
 from tests.bench.scripted.street_drive import batch, street, truth
 
 SCENE = street(turn=0.01)
@@ -23,7 +24,7 @@ def reprojected(prediction):
     marks = prediction.landmarks
     T = se3.inverse(prediction.T_s_c)[marks.view]
     p_c = (T[:, :3, :3] @ marks.points_s[marks.index, :, None])[..., 0] + T[:, :3, 3]
-    return np.linalg.norm(pinhole.project(prediction.K[marks.view], p_c) - marks.uv, axis=1)
+    return np.linalg.norm(project_each(prediction.cameras, marks.view, p_c) - marks.uv, axis=1)
 
 
 def test_landmarks_are_where_they_were_seen():
@@ -71,7 +72,7 @@ def test_equal_hints_are_equal_predictions():
     )
     assert np.array_equal(one.T_s_c, two.T_s_c)
     assert np.array_equal(one.landmarks.uv, two.landmarks.uv)
-    assert not np.allclose(one.K, other.K)
+    assert one.cameras[0].fx != pytest.approx(other.cameras[0].fx)
 
 
 def depth(hints, **dials):
@@ -83,9 +84,9 @@ def true_depth(hints, view):
     width, height = SCENE.size.min(0) // DEPTH_STRIDE
     small = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2) * 1.0
     eye = hints.eyes[view]
-    K = pinhole.resized(SCENE.K[eye], width / SCENE.size[eye][0], height / SCENE.size[eye][1])
+    camera = SCENE.cameras[eye].scaled(width / SCENE.size[eye][0], height / SCENE.size[eye][1])
     T = SCENE.T_w_c(hints.eyes, hints.t_ns)[[view]]
-    return SCENE.surface(K[None], T, small[None])[0].reshape(height, width)
+    return SCENE.surface([camera], T, small[None])[0].reshape(height, width)
 
 
 def test_with_the_right_focal_depth_is_the_surface():

@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 
 from bench.scripted.street import CAMERA_HEIGHT_M, Street
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Perspective
 from tests.drives import circle, curved
 
-K = pinhole.from_hfov(80, 640, 200)
+CAMERA = Perspective.from_hfov(80, 640, 200)
 UV = np.stack(np.meshgrid(np.arange(0, 640, 16), np.arange(0, 200, 8)), -1).reshape(-1, 2) * 1.0
 
 
 def cast(street, T):
-    rays = pinhole.back_project(K, UV, np.ones(len(UV))) @ T[:3, :3].T
+    rays = CAMERA.back_project(UV, np.ones(len(UV))) @ T[:3, :3].T
     z = street.depth(rays, T[:3, 3])
     return z, T[:3, 3] + rays * np.where(np.isfinite(z), z, 0.0)[:, None]
 

@@ -15,6 +15,7 @@ from calm_edge.backbones.feedforward.decode.intrinsics import intrinsics
 from calm_edge.backbones.feedforward.decode.pose import poses
 from calm_edge.backbones.onnx.manifest import Outputs
 from calm_edge.backbones.onnx.picture_input import Fit
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Float32, Prediction
 
 
@@ -22,12 +23,12 @@ from calm_edge.types import Float, Float32, Prediction
 class Decoded:
     """Decoded outputs of one run: N views, frame of the first view, unit of the network.
 
-    K: (N, 3, 3) px of the images. T_s_c: (N, 4, 4) camera -> first view. depth: (N, h, w) z-depth
+    cameras: N, of the images. T_s_c: (N, 4, 4) camera -> first view. depth: (N, h, w) z-depth
     on the grid of the network's input, 0 unknown. strength: (N, h, w) confidence in any unit,
     larger is better, -inf for none.
     """
 
-    K: Float
+    cameras: tuple[Camera, ...]
     T_s_c: Float
     depth: Float32
     strength: Float32
@@ -38,12 +39,12 @@ def decode(outputs: Outputs, raw: Mapping[str, NDArray[Any]], fits: Sequence[Fit
 
     Raises BackboneError for wrong shapes and for invalid poses, intrinsics or depth.
     """
-    K_input = intrinsics(outputs, raw, fits)
-    depth = geometry.z_depth(outputs.geometry, raw, K_input, fits)
+    of_input = intrinsics(outputs, raw, fits)
+    depth = geometry.z_depth(outputs.geometry, raw, of_input)
     if not depth.any():
         raise BackboneError("the network's depth is zero or not finite everywhere")
     return Decoded(
-        K=np.stack([fit.intrinsics(K) for fit, K in zip(fits, K_input, strict=True)]),
+        cameras=tuple(fit.camera(c) for fit, c in zip(fits, of_input, strict=True)),
         T_s_c=poses(outputs.pose, raw[outputs.pose.name], len(fits)),
         depth=depth,
         strength=geometry.strength(outputs.confidence, raw, depth.shape),
@@ -55,7 +56,7 @@ def prediction(decoded: Decoded, fits: Sequence[Fit], notices: tuple[str, ...] =
     depth = geometry.on_picture_grid(decoded.depth, fits, 0.0)
     strength = geometry.on_picture_grid(decoded.strength, fits, -np.inf)
     return Prediction(
-        K=decoded.K,
+        cameras=decoded.cameras,
         T_s_c=decoded.T_s_c,
         depth=depth,
         confidence=geometry.percentiles(strength, depth),

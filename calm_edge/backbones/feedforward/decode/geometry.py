@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calm_edge.backbones.feedforward.decode.arrays import of_views
 from calm_edge.backbones.onnx.manifest import ConfidenceOutput, GeometryOutput
 from calm_edge.backbones.onnx.picture_input import Fit
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Float32
 
 # lower bound of exp(x) for expp1 before taking the logarithm
@@ -20,13 +20,13 @@ _WEAKEST = 1e-30
 
 
 def z_depth(
-    spec: GeometryOutput, raw: Mapping[str, NDArray[Any]], K: Float, fits: Sequence[Fit]
+    spec: GeometryOutput, raw: Mapping[str, NDArray[Any]], cameras: Sequence[Camera]
 ) -> Float32:
     """Decode z-depth (N, h, w) on the grid of the output, unit of the network, 0 unknown.
 
-    K: (N, 3, 3) px of the input. Raises BackboneError for a wrong shape.
+    cameras: N, of the input. Raises BackboneError for a wrong shape.
     """
-    n = len(fits)
+    n = len(cameras)
     if spec.encoding == "point_map":
         z = of_views(spec.name, raw[spec.name], n, (None, None, 3))[..., 2]
     else:
@@ -35,22 +35,19 @@ def z_depth(
         if spec.rays:
             rays = of_views(spec.rays, raw[spec.rays], n, (*z.shape[1:], 3))
         else:
-            rays = _rays(K, z.shape[1:], fits[0].input)
+            rays = _rays(cameras, z.shape[1:])
         with np.errstate(all="ignore"):
             z = z * rays[..., 2] / np.linalg.norm(rays, axis=-1)
     return np.where(np.isfinite(z) & (z > 0), z, 0).astype(np.float32)
 
 
-def _rays(K: Float, shape: tuple[int, ...], size: tuple[int, int]) -> Float:
-    """Rays (N, h, w, 3), z = 1, through the pixels of a map of `shape` over the input.
-
-    size: width, height of the input, px.
-    """
-    (h, w), (width, height) = shape, size
+def _rays(cameras: Sequence[Camera], shape: tuple[int, ...]) -> Float:
+    """Rays (N, h, w, 3), z = 1, through the pixels of a map of `shape` over the input."""
+    (h, w), width, height = shape, cameras[0].width, cameras[0].height
     u = (np.arange(w) + 0.5) * (width / w) - 0.5
     v = (np.arange(h) + 0.5) * (height / h) - 0.5
     uv = np.stack(np.meshgrid(u, v), -1)
-    return np.stack([pinhole.back_project(k, uv, np.ones((h, w))) for k in K])
+    return np.stack([camera.back_project(uv, np.ones((h, w))) for camera in cameras])
 
 
 def strength(

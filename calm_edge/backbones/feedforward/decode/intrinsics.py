@@ -1,4 +1,4 @@
-"""Decode intrinsics to K in pixels of the network's input."""
+"""Decode intrinsics to cameras of the network's input."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.feedforward.decode.arrays import of_views
 from calm_edge.backbones.onnx.manifest import Outputs
 from calm_edge.backbones.onnx.picture_input import Fit
-from calm_edge.geometry import pinhole
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.types import Float
 
 # Robust fit: minimum pixels, iterations of reweighting, and Huber's threshold in robust sigmas
@@ -22,32 +22,33 @@ ROUNDS = 4
 HUBER = 1.345
 
 
-def intrinsics(outputs: Outputs, raw: Mapping[str, NDArray[Any]], fits: Sequence[Fit]) -> Float:
-    """Decode K (N, 3, 3), px of the input, pixel centres at integers. Raises BackboneError."""
+def intrinsics(
+    outputs: Outputs, raw: Mapping[str, NDArray[Any]], fits: Sequence[Fit]
+) -> tuple[Camera, ...]:
+    """Decode N cameras of the input; a skew is dropped. Raises BackboneError."""
     spec, n = outputs.intrinsics, len(fits)
     size = fits[0].input
     if spec.encoding == "pixels":
-        K = of_views(spec.name, raw[spec.name], n, (3, 3)).copy()
+        K = of_views(spec.name, raw[spec.name], n, (3, 3))
+        rows = K[:, [0, 1, 0, 1], [0, 1, 2, 2]]
         if spec.pixel_origin == "corner":
-            K[:, :2, 2] -= 0.5
+            rows[:, 2:] -= 0.5
     elif spec.encoding == "fov":
         name = spec.name or outputs.pose.name
         fov = of_views(name, raw[name], n, (2,) if spec.name else (9,))[:, -2:]
-        K = _of_fov(fov, size)
+        rows = _of_fov(fov, size)
     else:
         name = outputs.geometry.rays or outputs.geometry.name
         rays = of_views(name, raw[name], n, (None, None, 3))
         free = spec.principal_point == "free"
-        K = np.stack([solved(r, fit, free) for r, fit in zip(rays, fits, strict=True)])
-    focal = K[:, [0, 1], [0, 1]]
-    if not (np.isfinite(K).all() and (focal > 0).all()):
+        rows = np.stack([solved(r, fit, free) for r, fit in zip(rays, fits, strict=True)])
+    if not (np.isfinite(rows).all() and (rows[:, :2] > 0).all()):
         raise BackboneError("the network's intrinsics are not finite or a focal is not positive")
-    K[:, [1, 2, 2, 2], [0, 0, 1, 2]] = 0, 0, 0, 1
-    return K
+    return tuple(Perspective(fx, fy, cx, cy, *size) for fx, fy, cx, cy in rows.tolist())
 
 
 def _of_fov(fov: Float, size: tuple[int, int]) -> Float:
-    """K (N, 3, 3) from fields of view (N, 2), vertical and horizontal [rad].
+    """fx, fy, cx, cy (N, 4), px, from fields of view (N, 2), vertical and horizontal [rad].
 
     size: width, height px. The principal point is the image centre. Raises BackboneError.
     """
@@ -55,12 +56,12 @@ def _of_fov(fov: Float, size: tuple[int, int]) -> Float:
         raise BackboneError("the network's field of view is outside 0 to 180 degrees")
     width, height = size
     focal = np.array([height, width]) / 2 / np.tan(fov / 2)
-    middle = (width - 1) / 2, (height - 1) / 2
-    return np.stack([pinhole.matrix(fx, fy, *middle) for fy, fx in focal])
+    middle = np.tile([(width - 1) / 2, (height - 1) / 2], (len(fov), 1))
+    return np.concatenate([focal[:, ::-1], middle], 1)
 
 
 def solved(rays: Float, fit: Fit, free: bool) -> Float:
-    """Fit K (3, 3), px of the input, to rays or points (h, w, 3), camera axes, robustly.
+    """Fit fx, fy, cx, cy (4,), px of the input, to rays or points (h, w, 3), camera axes, robustly.
 
     Regresses the slopes x/z, which have noise, on the pixel coordinates, which have none; the
     reverse would bias the focal length low. free: fit the principal point; False: image centre.
@@ -79,7 +80,7 @@ def solved(rays: Float, fit: Fit, free: bool) -> Float:
     U, V = np.broadcast_to(u, (h, w)), np.broadcast_to(v[:, None], (h, w))
     fx, cx = _line(U[good], x[good], (width - 1) / 2, free)
     fy, cy = _line(V[good], y[good], (height - 1) / 2, free)
-    return pinhole.matrix(fx, fy, cx, cy)
+    return np.array([fx, fy, cx, cy])
 
 
 def _inside(positions: Float, fit: Fit, axis: int) -> NDArray[np.bool_]:

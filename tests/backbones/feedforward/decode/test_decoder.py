@@ -22,7 +22,7 @@ from calm_edge.backbones.onnx.manifest import (
     PoseOutput,
 )
 from calm_edge.backbones.onnx.picture_input import fit_pictures
-from tests.backbones.raw_scene import RawScene, make_scene, turn
+from tests.backbones.raw_scene import RawScene, make_scene, matrices, turn
 
 # images of two sizes: the two cameras are placed differently in the input
 SIZES = [(160, 96), (160, 96), (120, 90)]
@@ -152,7 +152,7 @@ def test_intrinsics_and_depth(spec, intrinsics, geometry, reduced):
     """Off-centre principal points, two image sizes, maps at half the resolution."""
     outputs = Outputs(POSES[1], intrinsics, geometry)
     scene, fits, out = decoded(outputs, spec, (4.0, -3.0), reduced)
-    assert pytest.approx(scene.K, rel=1e-4, abs=1e-3) == out.K
+    assert pytest.approx(scene.K, rel=1e-4, abs=1e-3) == matrices(out.cameras)
     whole = prediction(out, fits)
     assert whole.depth.dtype == whole.confidence.dtype == np.float32
     h, w = whole.depth.shape[1:]
@@ -175,7 +175,7 @@ def test_intrinsics_of_a_field_of_view(named):
     intrinsics = IntrinsicsOutput("fov", "fov" if named else "")
     outputs = Outputs(POSES[0], intrinsics, DEPTH)
     out = decode(outputs, raw_outputs(scene, fits), fits)
-    assert pytest.approx(scene.K, rel=1e-5, abs=1e-4) == out.K
+    assert pytest.approx(scene.K, rel=1e-5, abs=1e-4) == matrices(out.cameras)
 
 
 def test_pixels_may_count_from_the_centre():
@@ -184,15 +184,15 @@ def test_pixels_may_count_from_the_centre():
     raw = raw_outputs(scene, fits)
     raw["K"][:, :2, 2] -= 0.5
     outputs = replace(PLAIN, intrinsics=replace(PIXELS, pixel_origin="centre"))
-    assert pytest.approx(scene.K, rel=1e-5) == decode(outputs, raw, fits).K
+    assert pytest.approx(scene.K, rel=1e-5) == matrices(decode(outputs, raw, fits).cameras)
 
 
 def test_the_principal_point_can_be_fixed_at_the_centre():
     outputs = Outputs(POSES[1], replace(SOLVED, principal_point="centre"), POINTS)
     scene, _, out = decoded(outputs, offset_px=(4.0, -3.0))
-    for K, (width, height) in zip(out.K, SIZES, strict=True):
-        assert K[:2, 2] == pytest.approx([(width - 1) / 2, (height - 1) / 2])
-    assert out.K[:, 0, 0] == pytest.approx(scene.K[:, 0, 0], rel=0.05)
+    for camera, (width, height) in zip(out.cameras, SIZES, strict=True):
+        assert (camera.cx, camera.cy) == pytest.approx(((width - 1) / 2, (height - 1) / 2))
+    assert matrices(out.cameras)[:, 0, 0] == pytest.approx(scene.K[:, 0, 0], rel=0.05)
 
 
 def test_padded_pixels_are_ignored():
@@ -206,7 +206,7 @@ def test_padded_pixels_are_ignored():
         raw["points"][view, :top, :, :2] *= 0.5
         raw["points"][view, bottom:, :, :2] *= 0.5
     out = decode(Outputs(POSES[1], SOLVED, POINTS), raw, fits)
-    assert pytest.approx(scene.K, rel=1e-4, abs=1e-3) == out.K
+    assert pytest.approx(scene.K, rel=1e-4, abs=1e-3) == matrices(out.cameras)
 
 
 def test_solving_is_robust_to_outliers_and_noise():
@@ -221,7 +221,9 @@ def test_solving_is_robust_to_outliers_and_noise():
     points[:, 0, :4] = np.nan
     raw["points"] = points
     out = decode(Outputs(POSES[1], SOLVED, POINTS), raw, fits)
-    assert out.K[:, [0, 1], [0, 1]] == pytest.approx(scene.K[:, [0, 1], [0, 1]], rel=0.02)
+    assert matrices(out.cameras)[:, [0, 1], [0, 1]] == pytest.approx(
+        scene.K[:, [0, 1], [0, 1]], rel=0.02
+    )
 
 
 @pytest.mark.parametrize("encoding", ["expp1", "logit", "raw"])

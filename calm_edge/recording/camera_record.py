@@ -1,0 +1,51 @@
+"""Cameras as JSON in the header of a record, and those of records that held matrices instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+from calm_edge.geometry.camera import Camera, Perspective
+from calm_edge.geometry.fisheye import Fisheye
+from calm_edge.recording.errors import RecordingError
+from device.frame import Eye
+
+MODELS: dict[str, type[Camera]] = {"perspective": Perspective, "fisheye": Fisheye}
+# arrays (N, 3, 3) px in the updates of version 0.1.0, and the fields that took their place
+_MATRICES = {
+    "prediction.K": "prediction.cameras",
+    "submap.K_raw": "submap.cameras_raw",
+    "submap.K": "submap.cameras",
+}
+
+
+def encode(camera: Camera) -> dict[str, Any]:
+    """The model's name and every field; floats survive JSON exactly."""
+    model = next(name for name, kind in MODELS.items() if isinstance(camera, kind))
+    return {"model": model, **asdict(camera)}
+
+
+def decode(value: Any) -> Camera:
+    """The inverse of `encode`; raises RecordingError."""
+    try:
+        fields = dict(value)
+        kind = MODELS[fields.pop("model")]
+        return kind(**{**fields, "distortion": tuple(fields["distortion"])})
+    except (KeyError, TypeError, ValueError) as error:
+        raise RecordingError(f"camera {value!r}: not understood ({error})") from None
+
+
+def replace_matrices(
+    header: dict[str, Any], arrays: dict[str, Any], size_of: Callable[[Eye], tuple[int, int]]
+) -> None:
+    """Turns the matrices of an update of version 0.1.0 into encoded pinhole cameras, in place.
+
+    size_of: width, height [px] of an eye's pictures, asked only where there are matrices.
+    """
+    n, m = (len(header.get(f"submap.{eye}_ids", ())) for eye in ("primary", "assistant"))
+    for name, field in _MATRICES.items():
+        if name in arrays:
+            sizes = [size_of(Eye(n <= view < n + m)) for view in range(len(arrays[name]))]
+            each = zip(arrays.pop(name), sizes, strict=True)
+            header[field] = [encode(Perspective.from_matrix(K, *size)) for K, size in each]
