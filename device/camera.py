@@ -46,7 +46,7 @@ class CameraSpec:
     """Which device serves as which eye, and the requested image mode.
 
     address: in the syntax of the driver. width_px, height_px, rate_hz: requests; the camera
-    may choose its nearest mode. stale_after_ms: time without a frame after which it is stale.
+    may choose its nearest mode.
     """
 
     eye: Eye
@@ -55,7 +55,6 @@ class CameraSpec:
     width_px: int = 1280
     height_px: int = 720
     rate_hz: float = 10.0
-    stale_after_ms: float = 500.0
     controls: CameraControls = CameraControls()
 
     @property
@@ -114,10 +113,6 @@ class Camera(Protocol):
 
         Stamps strictly increase. An unplugged camera yields None until it is found again.
         """
-        ...
-
-    def latest(self, max_age_ns: int) -> Frame | None:
-        """Return the newest frame and discard older ones; None if older than max_age_ns."""
         ...
 
     def stop(self) -> None:

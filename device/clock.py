@@ -34,23 +34,6 @@ class SystemClock:
             time.sleep(left_ns / NS_PER_S)
 
 
-class ManualClock:
-    """A clock for tests: it advances only by sleep_until_ns() and advance()."""
-
-    def __init__(self, now_ns: int = 0) -> None:
-        self._now_ns = now_ns
-
-    def now_ns(self) -> int:
-        return self._now_ns
-
-    def sleep_until_ns(self, t_ns: int) -> None:
-        self._now_ns = max(self._now_ns, t_ns)
-
-    def advance(self, duration_ns: int) -> None:
-        """Advance the clock by duration_ns >= 0."""
-        self._now_ns += duration_ns
-
-
 class RateKeeper:
     """Time a loop at `hz` by absolute deadlines, so that delays do not accumulate.
 

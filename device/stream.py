@@ -42,9 +42,3 @@ class Stream:
         )
         self.newest = dataclasses.replace(frame, t_ns=t_ns) if clamped else frame
         return self.newest
-
-    def fresh(self, now_ns: int, max_age_ns: int) -> Frame | None:
-        """Return the newest frame, or None if it is older than max_age_ns."""
-        if self.newest is None or now_ns - self.newest.t_ns > max_age_ns:
-            return None
-        return self.newest

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from calm_edge.config import Config
-from calm_edge.daemon.source import Source, live, replayed
+from calm_edge.daemon.source import Source, live, of_sequence
 from device.camera_thread import CameraState, CameraThread
 from device.errors import DeviceError
-from device.frame import Eye, Frame
+from device.frame import Frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +33,7 @@ class Kit:
         """Open the source of its frames; raises CameraError, SequenceError."""
         if self.sequence is None:
             return live(self.config)
-        from calm_edge.recording.sequence_folder import SequenceFolder
-
-        folder = SequenceFolder(self.sequence)
-        epoch_ns = min(int(folder.t_ns(eye)[0]) for eye in Eye)
-        return replayed(folder.frames, epoch_ns, True, self.config, str(self.sequence))
+        return of_sequence(self.sequence, True)
 
     def absent(self) -> str:
         """Return why there are not two cameras to test, in words; empty when there are."""

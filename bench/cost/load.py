@@ -150,7 +150,7 @@ def replay(
     )
     count = round(seconds * RATE_HZ)
     source = replayed(
-        lambda eye: frames(pictures[eye], eye, count), EPOCH_NS, True, config, "enlarged drive"
+        lambda eye: frames(pictures[eye], eye, count), EPOCH_NS, True, "enlarged drive"
     )
     watch = Watch([share * seconds for share in kills])
     with tempfile.TemporaryDirectory(prefix="calm-edge-load-") as place:

@@ -89,9 +89,9 @@ def open_source(arguments: argparse.Namespace, config: Config) -> Source:
 
     paced = arguments.pace == "realtime"
     if arguments.sequence is not None:
-        return source.of_sequence(arguments.sequence, paced, config)
+        return source.of_sequence(arguments.sequence, paced)
     if arguments.replay is not None:
-        return source.of_recording(arguments.replay, paced, config)
+        return source.of_recording(arguments.replay, paced)
     if not paced:
         raise ConfigError("--pace lockstep: needs a replay; add --sequence or --replay")
     return source.live(config)

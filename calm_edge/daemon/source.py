@@ -52,28 +52,21 @@ class Source:
 
 
 def replayed(
-    frames: Callable[[Eye], Iterable[Frame]],
-    epoch_ns: int,
-    paced: bool,
-    config: Config,
-    description: str,
+    frames: Callable[[Eye], Iterable[Frame]], epoch_ns: int, paced: bool, description: str
 ) -> Source:
     """Stored frames of both eyes with their stamps, the first of which is epoch_ns.
 
     paced: in real time; else as fast as they are read.
     """
     clock = TimelineClock(epoch_ns)
-    stale_after_ms = config.capture.stale_after_ms
 
     def cameras() -> tuple[Camera, Camera]:
         clock.restart()
         primary, assistant = (
             open_camera(
-                CameraSpec(eye, "replay", description, stale_after_ms=stale_after_ms),
+                CameraSpec(eye, "replay", description),
                 clock,
                 frames=_as_camera(frames(eye)),
-                epoch_ns=epoch_ns,
-                origin_ns=epoch_ns,
                 paced=paced,
             )
             for eye in Eye
@@ -91,21 +84,21 @@ def _as_camera(frames: Iterable[Frame]) -> Iterator[Frame]:
         raise CameraError(str(error)) from error
 
 
-def of_sequence(folder: Path, paced: bool, config: Config) -> Source:
+def of_sequence(folder: Path, paced: bool) -> Source:
     """The images of a sequence folder; raises CalmEdgeError."""
     sequence = SequenceFolder(folder)
     epoch_ns = min(int(sequence.t_ns(eye)[0]) for eye in Eye)
-    return replayed(sequence.frames, epoch_ns, paced, config, str(folder))
+    return replayed(sequence.frames, epoch_ns, paced, str(folder))
 
 
-def of_recording(path: Path, paced: bool, config: Config) -> Source:
+def of_recording(path: Path, paced: bool) -> Source:
     """The frames of a recording; raises RecordingError."""
     recording = Recording(path)
     stamps = [recording.frame_times(eye) for eye in Eye]
     if not all(len(t) for t in stamps):
         raise RecordingError(f"{path}: has no frames of both eyes; choose another recording")
     epoch_ns = min(int(t.min()) for t in stamps)
-    return replayed(recording.frames, epoch_ns, paced, config, str(path))
+    return replayed(recording.frames, epoch_ns, paced, str(path))
 
 
 def live(config: Config) -> Source:
@@ -118,8 +111,7 @@ def live(config: Config) -> Source:
 
     def spec(eye: Eye, text: str) -> CameraSpec:
         size = capture.width_px, capture.height_px
-        timing = capture.rate_hz, capture.stale_after_ms
-        return CameraSpec(eye, *parse_address(text), *size, *timing, controls)
+        return CameraSpec(eye, *parse_address(text), *size, capture.rate_hz, controls)
 
     specs = spec(Eye.PRIMARY, capture.primary), spec(Eye.ASSISTANT, capture.assistant)
 

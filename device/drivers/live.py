@@ -111,12 +111,6 @@ class LiveCamera(ABC):
                 return None
         return None
 
-    def latest(self, max_age_ns: int) -> Frame | None:
-        """Return the newest buffered frame, or else the last one read if it is recent enough."""
-        while self.read(0.0) is not None:
-            pass
-        return self._stream.fresh(self._clock.now_ns(), max_age_ns) if self._running else None
-
     def stop(self) -> None:
         """Stop streaming and close the device."""
         self._running = False

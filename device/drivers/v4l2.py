@@ -7,7 +7,7 @@ from device.clock import Clock
 from device.drivers.live import LiveCamera, RawFrame
 from device.drivers.v4l2_controls import ControlKeeper
 from device.drivers.v4l2_device import VideoDevice
-from device.drivers.v4l2_ioctl import LinuxVideoIO, PixelFormat, VideoIO
+from device.drivers.v4l2_ioctl import LinuxVideoIO, VideoIO
 from device.drivers.v4l2_nodes import explain, find, identity
 from device.drivers.v4l2_pixels import decode
 
@@ -26,11 +26,6 @@ class V4l2Camera(LiveCamera):
         self._device: VideoDevice | None = None
         self._keeper = ControlKeeper(spec.name, spec.controls)
         self._settings: dict[str, int | float | str] = {}
-
-    @property
-    def format(self) -> PixelFormat | None:
-        """The negotiated pixel format and size; None while not connected."""
-        return self._device.format if self._device else None
 
     @property
     def settings(self) -> dict[str, int | float | str]:

@@ -46,7 +46,6 @@ class Control:
     minimum: int
     maximum: int
     step: int
-    default: int
     flags: int
 
     def nearest(self, value: int) -> int:
@@ -93,12 +92,12 @@ def list_controls(io: VideoIO, fd: int) -> Iterator[Control]:
             if error.errno in (errno.EINVAL, errno.ENOTTY):
                 return
             raise
-        number, kind, name, least, most, step, default, flags = QUERY.unpack(argument)
+        number, kind, name, least, most, step, _, flags = QUERY.unpack(argument)
         if number <= last:
             return
         last = number
         if kind != TYPE_CLASS and not flags & FLAG_DISABLED:
-            yield Control(number, text(name), least, most, step, default, flags)
+            yield Control(number, text(name), least, most, step, flags)
 
 
 def get_control(io: VideoIO, fd: int, control: int) -> int | None:

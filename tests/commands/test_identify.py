@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from calm_edge.commands.identify import POLL_NS, TIMEOUT_NS, IdentifyError, by_unplugging
-from device.clock import ManualClock
+from tests.manual_clock import ManualClock
 
 A, B, C = "v4l2:usb-1", "v4l2:usb-2", "v4l2:usb-3"
 

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from device.camera import DRIVERS, Camera, CameraSpec, open_camera
-from device.clock import ManualClock
 from device.frame import Eye, Frame
 from tests.device.fake_oak import FakeOak, encoded
 from tests.device.fake_video import JPEG, MONOTONIC, FakeCamera, FakeVideoIO, Shot
+from tests.manual_clock import ManualClock
 
 PERIOD_NS = 100_000_000
 START_NS = 7_000_000_000
@@ -21,11 +21,9 @@ Build = Callable[[ManualClock, Shots], Camera]
 
 
 def replay(clock: ManualClock, shots: Shots) -> Camera:
-    """Recorded an hour ago; the timeline begins at the moment of start()."""
-    recorded_ns = 3_600_000_000_000
-    frames = [Frame(Eye.ASSISTANT, s, recorded_ns + t, JPEG % s) for s, t in shots]
-    spec = CameraSpec(Eye.ASSISTANT, "replay")
-    return open_camera(spec, clock, frames=frames, epoch_ns=recorded_ns)
+    """A clock that runs on the time of the stamps."""
+    frames = [Frame(Eye.ASSISTANT, s, clock.now_ns() + t, JPEG % s) for s, t in shots]
+    return open_camera(CameraSpec(Eye.ASSISTANT, "replay"), clock, frames=frames)
 
 
 def v4l2(clock: ManualClock, shots: Shots) -> Camera:
@@ -109,26 +107,6 @@ def test_timeout_gives_none_at_its_time_and_loses_nothing(build: Build, clock: M
     assert frame is not None and frame.sequence == 1
 
 
-def test_latest_passes_over_older_frames(build: Build, clock: ManualClock) -> None:
-    camera = build(clock, STEADY)
-    camera.start()
-    clock.advance(int(3.5 * PERIOD_NS))
-    frame = camera.latest(PERIOD_NS)
-    assert frame is not None and frame.sequence == 3
-    following = camera.read(1.0)
-    assert following is not None and following.sequence == 4
-
-
-def test_latest_is_none_once_the_newest_frame_is_stale(build: Build, clock: ManualClock) -> None:
-    camera = build(clock, [(0, 0)])
-    camera.start()
-    assert camera.latest(PERIOD_NS) is not None
-    clock.advance(PERIOD_NS)
-    assert camera.latest(PERIOD_NS) is not None
-    clock.advance(1)
-    assert camera.latest(PERIOD_NS) is None
-
-
 def test_gaps_are_counted_as_drops(build: Build, clock: ManualClock) -> None:
     camera = build(clock, [(s, s * PERIOD_NS) for s in (0, 1, 4, 5, 7)])
     camera.start()
@@ -147,7 +125,6 @@ def test_stop_is_idempotent_and_ends_the_frames(build: Build, clock: ManualClock
     camera.stop()
     assert not camera.connected
     assert camera.read(1.0) is None
-    assert camera.latest(10 * PERIOD_NS) is None
     assert camera.stats().frames == 1
 
 

@@ -20,9 +20,9 @@ from calm_edge.daemon.state import Standing
 from calm_edge.recording.health import WriterHealth
 from device.camera import CameraStats
 from device.camera_thread import CameraState
-from device.clock import ManualClock
 from device.frame import Eye
 from device.service import NullNotifier
+from tests.manual_clock import ManualClock
 
 S = 10**9
 WELL = HubStatus(

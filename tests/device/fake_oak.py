@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from device.camera import CameraControls
-from device.clock import ManualClock
 from device.drivers.oak import load
 from device.drivers.oak_pipeline import SocketRequest
 from device.errors import CameraError
+from tests.manual_clock import ManualClock
 
 
 def encoded(sequence: int, t_ns: int, data: bytes) -> Any:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from device.clock import ManualClock
 from device.drivers.v4l2_identity import NodeFacts
+from tests.manual_clock import ManualClock
 
 JPEG = b"\xff\xd8 picture %d \xff\xd9"
 MONOTONIC = 0x2000

@@ -3,10 +3,10 @@ from __future__ import annotations
 import pytest
 
 from device.camera import DRIVERS, CameraSpec, open_camera, parse_address
-from device.clock import ManualClock
 from device.drivers.replay import ReplayCamera
 from device.errors import CameraError
 from device.frame import Eye
+from tests.manual_clock import ManualClock
 
 
 def test_open_camera_passes_options_to_the_driver() -> None:

@@ -7,16 +7,17 @@ import pytest
 
 from device.camera import CameraSpec
 from device.camera_thread import CameraState, CameraThread
-from device.clock import Clock, ManualClock, SystemClock
+from device.clock import Clock, SystemClock
 from device.drivers.replay import ReplayCamera
 from device.drivers.v4l2 import V4l2Camera
 from device.errors import CameraError
 from device.frame import Eye, Frame, UnreadableImage
 from tests.device.fake_video import FakeVideoIO
+from tests.manual_clock import ManualClock
 
 
-def frames(n: int, period_ns: int = 1_000_000) -> list[Frame]:
-    return [Frame(Eye.PRIMARY, k, k * period_ns, b"x") for k in range(n)]
+def frames(n: int, period_ns: int = 1_000_000, start_ns: int = 0) -> list[Frame]:
+    return [Frame(Eye.PRIMARY, k, start_ns + k * period_ns, b"x") for k in range(n)]
 
 
 def threaded(source: object, clock: Clock | None = None, **options: int) -> CameraThread:
@@ -33,7 +34,8 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_frames_arrive_in_order_and_only_once() -> None:
-    thread = threaded(frames(30), SystemClock())
+    clock = SystemClock()
+    thread = threaded(frames(30, start_ns=clock.now_ns()), clock)
     thread.start()
     got: list[Frame] = []
     while thread.state is CameraState.RUNNING:
@@ -80,7 +82,8 @@ def test_start_raises_if_the_camera_is_missing() -> None:
 
 
 def test_stop_is_quick_and_idempotent_and_closes_the_camera() -> None:
-    thread = threaded(frames(3, period_ns=10**12), SystemClock(), capacity=4)
+    clock = SystemClock()
+    thread = threaded(frames(3, 10**12, clock.now_ns()), clock, capacity=4)
     thread.start()
     until(lambda: len(thread.drain()) == 1)
     began = time.monotonic()

@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from device.clock import ManualClock, RateKeeper, SystemClock
+from device.clock import RateKeeper, SystemClock
 from device.errors import DeviceError
+from tests.manual_clock import ManualClock
 
 MS = 1_000_000
 

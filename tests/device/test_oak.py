@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from device.camera import CameraControls, CameraSpec
-from device.clock import ManualClock, SystemClock
+from device.clock import SystemClock
 from device.drivers import oak
 from device.drivers.oak import DevicePipeline, OakCamera, parse
 from device.drivers.oak_pipeline import Queue, SocketRequest
@@ -22,6 +22,7 @@ from device.errors import CameraError
 from device.frame import Eye
 from tests.device.fake_oak import FakeOak, encoded
 from tests.device.fake_video import JPEG
+from tests.manual_clock import ManualClock
 
 S = 1_000_000_000
 MS = 1_000_000

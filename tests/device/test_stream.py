@@ -38,14 +38,6 @@ def test_gaps_in_the_sequence_are_drops() -> None:
     assert stream.stats.drops == 2
 
 
-def test_a_frame_exactly_at_the_age_limit_is_fresh() -> None:
-    stream = Stream()
-    assert stream.fresh(0, 100) is None
-    newest = stream.admit(frame(0, 50), 50)
-    assert stream.fresh(150, 100) is newest
-    assert stream.fresh(151, 100) is None
-
-
 def test_each_counter_is_separate() -> None:
     stream = Stream()
     stream.count("reconnects")

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from device.camera import CameraControls, CameraSpec
-from device.clock import ManualClock
 from device.drivers.v4l2 import V4l2Camera
 from device.errors import CameraError
 from device.frame import Eye, Frame
 from tests.device.fake_video import ERROR, JPEG, MONOTONIC, FakeCamera, FakeVideoIO, Shot, yuyv
 from tests.device.test_v4l2_controls import EXPOSURE, EXPOSURE_AUTO, webcam
+from tests.manual_clock import ManualClock
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -185,14 +185,6 @@ def test_start_without_the_camera_raises() -> None:
     io = FakeVideoIO(clock, {})
     with pytest.raises(CameraError, match="primary camera v4l2:usb-3: not found"):
         V4l2Camera(CameraSpec(Eye.PRIMARY, "v4l2", "usb-3"), clock, io=io).start()
-
-
-def test_format_is_the_one_the_camera_chose() -> None:
-    bench = Bench(size=(640, 480))
-    form = bench.camera.format
-    assert form is not None and (form.width_px, form.height_px) == (640, 480)
-    bench.camera.stop()
-    assert bench.camera.format is None
 
 
 def test_a_streaming_camera_without_frames_is_reopened() -> None:

@@ -151,15 +151,8 @@ def run(hours: float, speed: float, folder: Path) -> dict[str, object]:
 
     def cameras() -> tuple[Camera, Camera]:
         clock.restart()
-        stale_ms = 500.0 * speed
         first, second = (
-            open_camera(
-                CameraSpec(eye, "replay", "wall", stale_after_ms=stale_ms),
-                clock,
-                frames=frames_of(eye, n, made),
-                epoch_ns=START_NS,
-                origin_ns=START_NS,
-            )
+            open_camera(CameraSpec(eye, "replay", "wall"), clock, frames=frames_of(eye, n, made))
             for eye in Eye
         )
         return first, second

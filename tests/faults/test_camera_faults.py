@@ -9,9 +9,9 @@ import numpy as np
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
 from device.camera import CameraSpec, open_camera
-from device.clock import ManualClock
 from device.frame import Eye
 from tests.device.fake_video import FakeCamera, FakeVideoIO, Shot
+from tests.manual_clock import ManualClock
 from tests.recording import samples
 
 S, MS = 1_000_000_000, 1_000_000

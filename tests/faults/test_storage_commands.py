@@ -73,7 +73,7 @@ def test_recover_has_a_target_of_its_own(
 
 def test_a_camera_that_does_not_open_leaves_no_empty_drive(drive: Path, tmp_path: Path) -> None:
     config = config_for(drive)
-    source = of_sequence(drive, True, config)
+    source = of_sequence(drive, True)
 
     class Absent(ReplayCamera):
         def start(self) -> None:

@@ -107,7 +107,7 @@ class LyingCamera:
 def lying_stamps(drive: Path, n: int, folder: Path, kind: str) -> Row:
     """kind: `from the future`, `backwards` or `without a clock`."""
     config = config_for(drive)
-    source = of_sequence(drive, True, config)
+    source = of_sequence(drive, True)
 
     def cameras() -> tuple[Camera, Camera]:
         primary, assistant = source.open()

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from device.clock import ManualClock
 from hil_tests.vm import power_cut
+from tests.manual_clock import ManualClock
 
 
 def test_the_guests_clock_is_that_of_the_smallest_difference(

@@ -46,7 +46,7 @@ def record(
     "watchdog" at every tick that had a frame or a pose, and may do harm.
     """
     config = config or config_for(folder)
-    source = source or of_sequence(folder, not lockstep, config)
+    source = source or of_sequence(folder, not lockstep)
     now_ns = source.clock.now_ns
     lines: list[str] = []
     recording = RecordingOutput(

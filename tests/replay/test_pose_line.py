@@ -22,8 +22,8 @@ from calm_edge.recording.reader import Recording
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import PoseStatus
 from device.camera import Camera, CameraSpec, open_camera
-from device.clock import ManualClock
 from device.frame import Eye, Frame
+from tests.manual_clock import ManualClock
 from tests.replay.daemon_run import config_for, record
 from tests.replay.small_drive import write_drive
 
