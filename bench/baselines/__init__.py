@@ -1,1 +1,1 @@
-"""The linear alignments the paper compares with, on the same sub-maps; for evaluation only."""
+"""Alignments the paper compares with (VII), on the same sub-maps."""

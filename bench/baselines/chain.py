@@ -1,4 +1,4 @@
-"""A list of sub-maps into one world by any pairwise alignment: a row of the paper's tables."""
+"""Chain sub-maps into one world by a pairwise alignment, as the paper's baselines do (VII)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """How two sub-maps are tied and what their cameras become.
+    """A pairwise alignment.
 
     place: (previous, new, correspondences) -> T_previous_new (4, 4). poses: (T_w_s, sub-map) ->
-    T_w_c (N, 4, 4). Both raise BaselineError. group: of the pose graph that loops need.
+    T_w_c (N, 4, 4). Both raise BaselineError. group: of the pose graph with loops.
     """
 
     name: str
@@ -39,7 +39,7 @@ ALIGNMENTS = {
 
 @dataclass(frozen=True, slots=True)
 class LoopOverlap:
-    """Two sub-maps, by their place in the list, that saw a picture in common; previous < new."""
+    """Correspondences of two sub-maps with a common picture, by index; previous < new."""
 
     previous: int
     new: int
@@ -48,12 +48,12 @@ class LoopOverlap:
 
 @dataclass(frozen=True, slots=True)
 class BaselineResult:
-    """Where an alignment put the primary keyframes; a row of a table even when it failed.
+    """Poses of the primary keyframes by an alignment, or the reason of its failure.
 
-    keyframe_ids (N,), t_ns (N,): each keyframe once, in the first sub-map that holds it. T_w_c:
-    (N, 4, 4), None when `failed` says why not. transforms: (S, 4, 4) homogeneous, raw sub-map
-    points -> world; those placed before a failure. The world is the first sub-map's frame, its
-    unit the world unit of the first sub-map's own scale. loops: how many were closed.
+    keyframe_ids, t_ns: (N,), each keyframe once, by the first sub-map with it. T_w_c: (N, 4, 4),
+    None if `failed`. transforms: (S, 4, 4) homogeneous, raw sub-map points -> world, of the
+    sub-maps placed before a failure. World: frame and scale of the first sub-map. loops: number
+    closed.
     """
 
     name: str
@@ -65,7 +65,7 @@ class BaselineResult:
     loops: int = 0
 
     def transform_points(self, k: int, points_s: Float) -> Float:
-        """Raw points (..., 3) of the k-th sub-map -> world; IndexError where it was not placed."""
+        """Raw points (..., 3) of sub-map k -> world; raises IndexError if it is not placed."""
         T = self.transforms[k]
         moved = points_s @ T[:3, :3].T + T[:3, 3]
         with np.errstate(all="ignore"):
@@ -78,11 +78,11 @@ def chain(
     overlaps: Iterable[Correspondences],
     loops: Iterable[LoopOverlap] = (),
 ) -> BaselineResult:
-    """Places every sub-map by its predecessor, then closes loops if there are any.
+    """Place each sub-map by its predecessor, then close the loops.
 
-    overlaps: between sub-maps k - 1 and k for k = 1, 2 ...; may be lazy, one is held at a time.
-    Never raises what the data cause, a lazy overlap's CalmEdgeError included: the result then says
-    how it failed. A loop that cannot be aligned is left out and logged.
+    overlaps: between sub-maps k - 1 and k for k = 1, 2 ...; may be lazy. A CalmEdgeError, also of
+    a lazy overlap, is not raised but becomes `failed`. Loops that cannot be aligned are logged and
+    left out.
     """
     rows = [(k, view) for k, views in enumerate(_first_views(submaps)) for view in views]
     keyframe_ids = np.array([submaps[k].primary_ids[view] for k, view in rows], np.int64)
@@ -90,7 +90,7 @@ def chain(
     transforms: list[Float] = []
     T_w_c, failed, closed = None, "", 0
     try:
-        # what an alignment makes of broken input is found by looking at its result
+        # non-finite results are detected below
         with np.errstate(all="ignore"):
             ties = _ties(alignment, submaps, overlaps, transforms)
             closures = _closures(alignment, submaps, loops)
@@ -105,7 +105,7 @@ def chain(
 
 
 def _first_views(submaps: Sequence[Submap]) -> list[list[int]]:
-    """The primary views of each sub-map whose keyframe no earlier one has."""
+    """Primary views of each sub-map with keyframes that are in no earlier one."""
     seen: set[int] = set()
     views = []
     for submap in submaps:
@@ -120,7 +120,7 @@ def _ties(
     overlaps: Iterable[Correspondences],
     transforms: list[Float],
 ) -> list[pose_graph.Tie]:
-    """Fills `transforms` as far as it gets."""
+    """Fill `transforms`, as far as possible, and return the ties."""
     if not submaps:
         raise BaselineError("there is no sub-map")
     transforms.append(np.diag([submaps[0].scale] * 3 + [1.0]))
@@ -133,7 +133,7 @@ def _ties(
         T = _placed(alignment, submaps[k - 1], submaps[k], matches)
         T_w_s = transforms[-1] @ T
         if not (np.isfinite(T_w_s).all() and np.linalg.det(T_w_s) > 0):
-            raise BaselineError(f"sub-map {submaps[k].id}: the chain is not finite any more")
+            raise BaselineError(f"sub-map {submaps[k].id}: the chained transform is not finite")
         transforms.append(T_w_s)
         ties.append(pose_graph.Tie(k - 1, k, T))
     return ties
@@ -147,7 +147,7 @@ def _closures(
         try:
             T = _placed(alignment, submaps[loop.previous], submaps[loop.new], loop.matches)
         except BaselineError as error:
-            log.warning("%s: a loop is left out: %s", alignment.name, error)
+            log.warning("%s: loop left out: %s", alignment.name, error)
             continue
         closures.append(pose_graph.Tie(loop.previous, loop.new, T))
     return closures
@@ -166,7 +166,7 @@ def _poses(
     transforms: Sequence[Float],
     rows: Sequence[tuple[int, int]],
 ) -> Float:
-    """T_w_c (N, 4, 4) of the rows (sub-map, view)."""
+    """T_w_c (N, 4, 4) of `rows` (sub-map, view)."""
     T_w_c = []
     for submap, T_w_s in zip(submaps, transforms, strict=True):
         try:

@@ -1,4 +1,4 @@
-"""The points that two sub-maps hold of the same pixels: what a linear alignment fits."""
+"""Points of two sub-maps at the same pixels: the correspondences that an alignment fits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from calm_edge.types import CalmEdgeError, Float, Int, Landmarks, Prediction, Su
 STRIDE = 2
 # VGGT-Long drops pixels below a tenth of the smaller of the two median confidences.
 CONFIDENCE_SHARE = 0.1
-# KLT starts at other corners in each window: within this they see the same thing.
+# Each window detects its own corners: within this distance they are the same point.
 SAME_PIXEL_PX = 0.5
 
 
@@ -24,7 +24,7 @@ class BaselineError(CalmEdgeError):
 
 @dataclass(frozen=True, slots=True)
 class Correspondences:
-    """M points in two sub-maps: previous (M, 3), new (M, 3), each in its own frame and raw unit.
+    """M points in two sub-maps, (M, 3) each, in their own frames and raw units.
 
     weight: (M,) > 0, the geometric mean of both confidences.
     """
@@ -34,21 +34,21 @@ class Correspondences:
     weight: Float
 
     def finite(self) -> Correspondences:
-        """Those that are numbers."""
+        """Correspondences with finite values and positive weight."""
         all_columns = np.column_stack([self.previous, self.new, self.weight])
         keep = np.isfinite(all_columns).all(1) & (self.weight > 0)
         return Correspondences(self.previous[keep], self.new[keep], self.weight[keep])
 
     def unit(self) -> float:
-        """Mean distance of the previous sub-map's points from its frame's origin, raw unit.
+        """Mean distance of the previous sub-map's points from its origin, raw unit.
 
-        Thresholds published for models that put this distance to one are multiples of it.
+        Published thresholds are for scenes normalised by it.
         """
         return float(np.linalg.norm(self.previous, axis=1).mean())
 
 
 def common_views(previous: Submap, new: Submap) -> tuple[Int, Int]:
-    """Batch indices (V,) and (V,) of the primary keyframes that are in both sub-maps."""
+    """Batch indices (V,) in each sub-map of their common primary keyframes."""
     ids = [i for i in new.primary_ids if i in previous.primary_ids]
     return (
         np.array([previous.primary_ids.index(i) for i in ids], np.int64),
@@ -57,9 +57,9 @@ def common_views(previous: Submap, new: Submap) -> tuple[Int, Int]:
 
 
 def loop_views(match: Submap, query: Submap, match_id: int) -> tuple[Int, Int]:
-    """The primary keyframe `match_id` in its own sub-map and as the query's loop keyframe (IV-D).
+    """View of keyframe `match_id` in its own sub-map and of the query's loop keyframe (IV-D).
 
-    Raises BaselineError where one of them lacks it.
+    Raises BaselineError if one lacks it.
     """
     last = query.n_primary + len(query.assistant_ids)
     if match_id not in match.primary_ids or last >= len(query.T_s_c_raw):
@@ -75,10 +75,10 @@ def correspondences(
     size: Int,
     stride: int = STRIDE,
 ) -> Correspondences:
-    """By depth where both have it, else by landmarks; none where both have neither.
+    """Correspondences by depth if both have it, else by landmarks, else none.
 
     views_previous, views_new: (V,) batch indices of the same V pictures. size: (2,) their width
-    and height, px. Raises BaselineError where depth comes without confidence.
+    and height, px. Raises BaselineError for depth without confidence.
     """
     if previous.depth is not None and new.depth is not None:
         return from_depth(previous, views_previous, new, views_new, size, stride)
@@ -93,11 +93,11 @@ def from_depth(
     size: Int,
     stride: int = STRIDE,
 ) -> Correspondences:
-    """Every `stride`-th depth pixel of the common pictures, lifted by each sub-map's own cameras.
+    """Every `stride`-th depth pixel of the common pictures, back-projected by its own camera.
 
-    A pixel that one of them has no depth of, or that either trusts less than CONFIDENCE_SHARE of
-    the lower median, is left out. Depth maps of different sizes meet at the nearest pixel.
-    Arguments as in `correspondences`; raises BaselineError without depth or confidence.
+    Pixels without depth in either, or with a confidence below CONFIDENCE_SHARE of the lower median,
+    are left out. Depth maps of different sizes are sampled at the nearest pixel. Arguments as in
+    `correspondences`; raises BaselineError without depth or confidence.
     """
     parts = [_none()]
     for view_previous, view_new in zip(views_previous, views_new, strict=True):
@@ -120,7 +120,7 @@ def from_depth(
 def from_landmarks(
     previous: Prediction, views_previous: Int, new: Prediction, views_new: Int
 ) -> Correspondences:
-    """Landmarks that are each other's nearest in a common picture, within SAME_PIXEL_PX."""
+    """Landmarks that are mutual nearest neighbours in a common picture, within SAME_PIXEL_PX."""
     if previous.landmarks is None or new.landmarks is None:
         return _none()
     parts = [_none()]
@@ -140,7 +140,7 @@ def from_landmarks(
 def _lifted(
     prediction: Prediction, view: int, uv: Float, size: Int
 ) -> tuple[Float, NDArray[np.float64]]:
-    """Points (M, 3) of image pixels uv (M, 2), sub-map frame, and confidence, 0 if unknown."""
+    """Points (M, 3) in the sub-map frame of pixels uv (M, 2), and confidence, 0 without depth."""
     depth, confidence = _maps(prediction)
     height, width = depth.shape[1:]
     xy = np.rint((uv + 0.5) * (np.array([width, height]) / size) - 0.5).astype(np.int64)
@@ -154,7 +154,7 @@ def _lifted(
 
 def _maps(prediction: Prediction) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     if prediction.depth is None or prediction.confidence is None:
-        raise BaselineError("a prediction has no depth or no confidence; densify it first")
+        raise BaselineError("a prediction has depth or confidence missing")
     return prediction.depth, prediction.confidence
 
 

@@ -1,4 +1,4 @@
-"""Loops of a chain of sub-maps: a pose graph over the sub-maps on Sim(3) or SL(4), by GTSAM."""
+"""Pose graph of sub-maps on Sim(3) or SL(4) with loops, by GTSAM."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from bench.baselines.sl4 import special
 from calm_edge.geometry.similarity import Similarity
 from calm_edge.types import Float
 
-# VGGT-SLAM's sigma of every component; VGGT-Long weighs every edge and component alike too.
+# Sigma of all components in VGGT-SLAM; VGGT-Long also weighs all edges and components equally.
 SIGMA = 0.05
 _HELD = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Tie:
-    """A measured T_previous_new (4, 4) between two sub-maps, by their place in the list."""
+    """A measured T_previous_new (4, 4) between two sub-maps, by index."""
 
     previous: int
     new: int
@@ -30,11 +30,11 @@ class Tie:
 def optimise(
     group: Literal["sim3", "sl4"], T_w_s: Float, ties: Sequence[Tie], loops: Sequence[Tie]
 ) -> Float:
-    """T_w_s (S, 4, 4) at the optimum, the first where it was; raises BaselineError.
+    """T_w_s (S, 4, 4) at the optimum, the first fixed; raises BaselineError.
 
-    No robust kernels, as published: with one, the true loop of a long drive is an outlier.
-    Lengths are divided by the median step between sub-maps, as if the model normalised its
-    scenes: all components of an error then weigh alike in any unit.
+    Without robust kernels, as published: these would reject the true loop of a long drive. Lengths
+    are divided by the median step between sub-maps, so that all components of an error have equal
+    weight in any unit, as in a normalised scene.
     """
     import gtsam
 
@@ -72,7 +72,7 @@ def _similarity(T: Float) -> Any:
     import gtsam
 
     if not (np.isfinite(T).all() and np.linalg.det(T[:3, :3]) > 0):
-        raise BaselineError("the pose graph got what is no similarity")
+        raise BaselineError("the pose graph got a transform that is no similarity")
     s = Similarity.from_matrix(T)
     # gtsam's acts as scale (R p + t)
     return gtsam.Similarity3(gtsam.Rot3(s.R), s.t / s.scale, s.scale)

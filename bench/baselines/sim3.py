@@ -1,4 +1,4 @@
-"""Sim(3): each sub-map by the similarity of the overlap, as VGGT-Long does.
+"""Sim(3) alignment of a sub-map by its overlap, as in VGGT-Long.
 
 Deng et al., "VGGT-Long: Chunk it, Loop it, Align it", 2025: iteratively reweighted least squares
 with Huber weights on the points of the common pictures, weighted by confidence; Sim(3) loops.
@@ -13,20 +13,20 @@ from calm_edge.geometry.similarity import Similarity, align
 from calm_edge.types import Float, Submap
 
 ITERATIONS = 5
-# Published: 0.1 where the mean distance of a scene's points is one.
+# Published value, for a mean distance of the scene's points of one.
 HUBER_DELTA = 0.1
 # Huber's constant times the ratio of sigma to the median distance of a 3-D Gaussian.
 _DELTA_PER_MEDIAN = 1.345 / 1.538
-# Below this share of the largest extent, the points are a line and leave their roll open.
+# Below this ratio of extents the points are a line, which leaves the roll undetermined.
 _LINE = 1e-6
 
 
 def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
     """T_previous_new (4, 4) = [[scale R, t], [0, 1]] between raw frames; raises BaselineError.
 
-    The scale is the ratio of the weighted spreads, as published: unlike the least-squares one it
-    does not shrink with noise. Huber's delta is the published one or, where the median residual
-    says that the points agree better than that, less.
+    The scale is the ratio of the weighted spreads, as published: unlike the least-squares scale it
+    does not shrink with noise. Huber's delta is the published one, or smaller where the median
+    residual is.
     """
     matches = matches.finite()
     if len(matches.weight) < 3:
@@ -48,7 +48,7 @@ def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
 def poses(T_w_s: Float, submap: Submap) -> Float:
     """T_w_c (N, 4, 4) of every view of a sub-map placed by T_w_s (4, 4); raises BaselineError."""
     if not (np.isfinite(T_w_s).all() and np.linalg.det(T_w_s[:3, :3]) > 0):
-        raise BaselineError("the similarity is not one any more")
+        raise BaselineError("the transform is no similarity")
     return Similarity.from_matrix(T_w_s).poses(submap.T_s_c_raw)
 
 

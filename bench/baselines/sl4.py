@@ -1,4 +1,4 @@
-"""SL(4): each sub-map by the homography of the overlap, as VGGT-SLAM does.
+"""SL(4) alignment of a sub-map by a homography of its overlap, as in VGGT-SLAM.
 
 Maggio et al., "VGGT-SLAM: Dense RGB SLAM Optimized on the SL(4) Manifold", 2025: 4x4 homographies
 from five-point samples, of determinant one; poses by decomposing the moved projection matrices.
@@ -13,13 +13,13 @@ from bench.baselines.overlap import BaselineError, Correspondences
 from calm_edge.types import Float, Submap
 
 SAMPLES = 300
-# Published: 0.01 where the mean distance of a scene's points is one.
+# Published value, for a mean distance of the scene's points of one.
 INLIER_DISTANCE = 0.01
 SEED = 0
-# Points a sample is scored on, and points the homography is fitted to.
+# Points to score a sample on, and to fit the homography to.
 _SCORED, _FITTED = 500, 1000
 _REFITS = 2
-# Where two homographies fit equally well to this share, the points leave it open.
+# Below this ratio of singular values the homography is undetermined.
 _OPEN = 1e-7
 
 
@@ -51,9 +51,9 @@ def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
 
 
 def poses(T_w_s: Float, submap: Submap) -> Float:
-    """T_w_c (N, 4, 4) of K [R | t] T_w_s^-1 of every view; raises BaselineError.
+    """T_w_c (N, 4, 4) of the projections K [R | t] T_w_s^-1 of all views; raises BaselineError.
 
-    The calibration that the homography leaves in the projection matrices is split off and dropped.
+    Decomposes each projection; the calibration part, which the homography changes, is dropped.
     """
     with np.errstate(all="ignore"):
         try:
@@ -72,7 +72,7 @@ def poses(T_w_s: Float, submap: Submap) -> Float:
 
 
 def special(H: Float) -> Float:
-    """H (4, 4) scaled to det 1; raises BaselineError where it mirrors space or is not finite."""
+    """H (4, 4) scaled to det 1; raises BaselineError for a reflection or non-finite values."""
     determinant = np.linalg.det(H) if np.isfinite(H).all() else np.nan
     if not determinant > 0:
         raise BaselineError(f"the homography's determinant is {determinant:.3g}, not above 0")
@@ -88,7 +88,7 @@ def homogeneous(p: Float) -> Float:
 
 
 def _normalisation(p: Float) -> Float:
-    """(4, 4) moving points (N, 3) about the origin, at a mean distance of sqrt(3)."""
+    """(4, 4) that centres points (N, 3) and scales their mean distance to sqrt(3)."""
     centre = p.mean(0)
     distance = float(np.linalg.norm(p - centre, axis=1).mean())
     if distance == 0:
@@ -99,12 +99,12 @@ def _normalisation(p: Float) -> Float:
 
 
 def _best_sample(source: Float, target: Float, limit: float, rng: np.random.Generator) -> Float:
-    """The homography of five points that most points (N, 4) agree with."""
+    """The homography of five sampled points with the most inliers among points (N, 4)."""
     rows = rng.integers(0, len(source), (SAMPLES, 5))
     B, B_target = _basis(source[rows]), _basis(target[rows])
     volume, volume_target = np.linalg.det(B), np.linalg.det(B_target)
     usable = np.isfinite(B).all((1, 2)) & np.isfinite(B_target).all((1, 2))
-    # four points in a plane, one point twice or a mirrored sample: no candidate
+    # degenerate (coplanar or repeated points) and mirrored samples are no candidates
     usable &= (np.abs(volume) > 1e-9) & (np.abs(volume_target) > 1e-9)
     usable &= volume * volume_target > 0
     if not usable.any():
@@ -116,7 +116,7 @@ def _best_sample(source: Float, target: Float, limit: float, rng: np.random.Gene
 
 
 def _basis(points: Float) -> Float:
-    """(B, 4, 4) taking the unit vectors and their sum to five points (B, 5, 4); NaN if flat."""
+    """(B, 4, 4) that map unit vectors and their sum to five points (B, 5, 4); NaN if coplanar."""
     corners = np.swapaxes(points[:, :4], 1, 2)
     flat = np.abs(np.linalg.det(corners)) < 1e-9
     corners = np.where(flat[:, None, None], np.eye(4), corners)
@@ -134,7 +134,7 @@ def _distance(H: Float, source: Float, target: Float) -> Float:
 
 
 def _direct_linear(source: Float, target: Float) -> Float:
-    """The homography that minimises target_w (H source)_i - target_i (H source)_w."""
+    """Direct linear transform: H that minimises target_w (H source)_i - target_i (H source)_w."""
     n = len(source)
     A = np.zeros((n, 3, 4, 4))
     for i in range(3):
@@ -143,7 +143,7 @@ def _direct_linear(source: Float, target: Float) -> Float:
     # five points are one row short of the 16 columns: the last row of Vt is then their null space
     _, singular, Vt = np.linalg.svd(A.reshape(3 * n, 16), full_matrices=n == 5)
     if singular[14] <= _OPEN * singular[0]:
-        raise BaselineError("the common points leave the homography open; SL(4) needs depth")
+        raise BaselineError("the common points do not determine the homography; SL(4) needs depth")
     return np.asarray(Vt[-1].reshape(4, 4))
 
 

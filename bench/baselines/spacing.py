@@ -1,4 +1,4 @@
-"""The paper's own placement (IV-B) between two sub-maps: what the baselines are compared with."""
+"""The paper's placement (IV-B) between two sub-maps, as an alignment to compare with."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from calm_edge.types import Float, Submap
 def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
     """T_previous_new (4, 4) = [[scale R, t], [0, 1]] between raw frames; raises BaselineError.
 
-    The scale is the ratio of what the camera spacing made of both sub-maps, the pose the first
-    common picture's; the points are not looked at.
+    The scale is the ratio of both sub-maps' scales by the camera spacing, the pose that of the
+    first common picture; points are not used.
     """
     views_previous, views_new = common_views(previous, new)
     if not len(views_new):

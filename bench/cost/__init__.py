@@ -1,1 +1,1 @@
-"""What a sub-map costs, stage by stage and over a long drive; measured, never asserted."""
+"""Time and memory: of each stage, over a long drive, and under load."""

@@ -1,4 +1,4 @@
-"""A drive of any length without a data set: a winding, hilly circuit driven lap after lap."""
+"""Synthetic drive of any length: laps on a winding, hilly circuit."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Bytes, Float, Keyframe, LoopClosure, SubmapWindow
 from device.frame import Eye, Frame
 
-# Keyframes a lap, one a metre or so: the same place comes again exactly that many later.
+# Keyframes per lap, about one per metre; a place returns after exactly this many.
 LAP = 1800
 PERIOD_NS, START_NS = 100_000_000, 5_000_000_000
 ASSISTANT_LATE_NS = 17_000_000
 SIZE = (544, 208)
 T_P_A = se3.exp(np.array([0.5, 0.02, 0.05, 0.02, -0.06, -0.03]))
-# Sub-maps between two closures of the pose graph, and how wrong these are (world units, rad).
+# Sub-maps between two loop closures, and the sigma of their errors (world units, rad).
 CLOSURE_EVERY = 5
 _CLOSURE_SIGMA = np.array([0.05, 0.05, 0.05, 0.005, 0.005, 0.005])
 
 
 def lap() -> Float:
-    """T_w_p (LAP, 4, 4): closed, about a metre a step, bends of both hands, 3 m up and down."""
+    """T_w_p (LAP, 4, 4) of a closed lap: steps of about 1 m, bends both ways, 3 m up and down."""
     fine = np.linspace(0, 2 * np.pi, 40 * LAP, endpoint=False)
     radius = 240 * (1 + 0.25 * np.cos(3 * fine) + 0.05 * np.sin(11 * fine))
     path = np.stack([radius * np.sin(fine), 3 * np.cos(2 * fine), radius * np.cos(fine)], -1)
@@ -41,7 +41,7 @@ def lap() -> Float:
 
 
 def scene(n: int) -> ScriptedScene:
-    """The truth of n keyframes, in a room: ground and a dome."""
+    """Ground truth of n keyframes in a convex room: ground and a dome."""
     T_w_p = lap()[np.arange(n) % LAP]
     return ScriptedScene(
         t_ns=START_NS + PERIOD_NS * np.arange(n),
@@ -52,12 +52,12 @@ def scene(n: int) -> ScriptedScene:
 
 
 def n_keyframes(n_submaps: int, config: FrontendConfig) -> int:
-    """Of either eye, in so many whole windows."""
+    """Number of keyframes of either eye in `n_submaps` whole windows."""
     return config.n_max + (n_submaps - 1) * (config.n_max - config.n_overlap)
 
 
 def windows(n_submaps: int, config: FrontendConfig) -> Iterator[SubmapWindow]:
-    """Whole windows in order, made when asked for: a drive held in memory would be measured too."""
+    """Yield whole windows in order; lazy, so that the memory measured holds no drive."""
     new = config.n_max - config.n_overlap
     held: dict[Eye, list[Keyframe]] = {eye: [] for eye in Eye}
     for k in range(n_submaps):
@@ -77,7 +77,7 @@ def windows(n_submaps: int, config: FrontendConfig) -> Iterator[SubmapWindow]:
 
 
 def closures(n_keyframes: int, every: int) -> list[LoopClosure]:
-    """True returns to where the car was a lap ago, one in `every` keyframes, with some noise."""
+    """True loop closures over one lap, one in `every` keyframes, with noise."""
     rng = np.random.default_rng(0)
     return [
         LoopClosure(query, query - LAP, se3.exp(_CLOSURE_SIGMA * rng.standard_normal(6)))
@@ -86,7 +86,7 @@ def closures(n_keyframes: int, every: int) -> list[LoopClosure]:
 
 
 def _picture(eye: Eye, number: int) -> Bytes:
-    """Smooth noise, for no place to look like another; black, and no memory, for the assistant."""
+    """Smooth noise, different at each place; for the assistant black, without memory."""
     width, height = SIZE
     if eye is Eye.ASSISTANT:
         return np.broadcast_to(np.zeros((), np.uint8), (height, width, 3))

@@ -1,4 +1,4 @@
-"""What the joint optimum of a long drive costs, beside the live path and on it."""
+"""Time and memory of the joint optimum of a long drive, beside the live path and on it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calm_edge.posegraph.optimum import optimum
 from calm_edge.types import CalmEdgeError, Submap
 
 MOST_MS = 0.5
-# So many times as much a keyframe, four times as long, passes for linear.
+# Largest ratio of time per keyframe, at four times the length, that passes as linear.
 LINEAR = 1.5
 
 
@@ -26,16 +26,16 @@ LINEAR = 1.5
 class Optimisation:
     """One joint optimum of the first keyframes of the drive.
 
-    cpu_s: of the optimum, beside the live path. asked_s, taken_s: on the live path, the snapshot
-    before and moving every sub-map after. believed: of the loops.
+    cpu_s: of the optimum, beside the live path. snapshot_s, update_s: on the live path, taking the
+    snapshot before and moving all sub-maps after. accepted: number of loops.
     """
 
     keyframes: int
     loops: int
-    believed: int
+    accepted: int
     cpu_s: float
-    asked_s: float
-    taken_s: float
+    snapshot_s: float
+    update_s: float
 
     @property
     def ms_a_keyframe(self) -> float:
@@ -43,7 +43,7 @@ class Optimisation:
 
 
 class _Beside:
-    """Keeps what is asked, as an optimiser in its own process would, and solves when told."""
+    """Optimiser that keeps the request, like one in its own process, and solves it in `solve`."""
 
     def __init__(self) -> None:
         self.snapshot: Snapshot | None = None
@@ -65,12 +65,12 @@ class _Beside:
 
 
 def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) -> list[Optimisation]:
-    """The final graph's optimum at several lengths, without loops and with one a few sub-maps.
+    """Optima of the final graph at several lengths, without and with loops.
 
-    Of the sub-maps before correction, which for this model would only bend them.
+    Uses the sub-maps before correction, since this uncoupled model has no errors to correct.
     """
     scaled = _uncorrected(course)
-    _optimise(course.config, scaled[:2], with_loops=False)  # loads what is loaded once
+    _optimise(course.config, scaled[:2], with_loops=False)  # first call: loads GTSAM
     runs = []
     for with_loops in (False, True):
         for share in shares:
@@ -79,9 +79,9 @@ def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) ->
 
 
 def peak_bytes(course: Course, deadline_s: float = 300.0) -> int:
-    """The most memory the optimiser's own process takes over the whole drive with its loops.
+    """Peak memory of the optimiser's process on the whole drive with loops.
 
-    Raises CalmEdgeError where it has no answer in time.
+    Raises CalmEdgeError without an answer in time.
     """
     atlas, _ = _graph(course.config, _uncorrected(course), with_loops=True)
     beside, end = Spawned(), time.monotonic() + deadline_s
@@ -99,7 +99,7 @@ def peak_bytes(course: Course, deadline_s: float = 300.0) -> int:
 
 
 def snapshot(course: Course) -> Snapshot:
-    """The whole drive with its loops, as an optimiser would be asked."""
+    """Optimiser request of the whole drive with loops."""
     atlas, _ = _graph(course.config, _uncorrected(course), with_loops=True)
     beside = _Beside()
     atlas.request_optimum(beside)
@@ -108,7 +108,7 @@ def snapshot(course: Course) -> Snapshot:
 
 
 def _uncorrected(course: Course) -> list[Submap]:
-    """In world units. What the uncoupled model says of poses is right as it is."""
+    """Sub-maps in world units with the raw poses, which are right in the uncoupled model."""
     plain = [
         replace(s, T_s_c=s.T_s_c_raw, cameras=s.cameras_raw, scale=1.0) for s in course.submaps
     ]
@@ -116,7 +116,7 @@ def _uncorrected(course: Course) -> list[Submap]:
 
 
 def _graph(config: Config, submaps: Sequence[Submap], *, with_loops: bool) -> tuple[Atlas, int]:
-    """The sub-maps placed, and how many loops were closed."""
+    """Atlas of the placed sub-maps, and the number of loops."""
     atlas = Atlas(config)
     for submap in submaps:
         atlas.add(submap)
@@ -141,26 +141,26 @@ def _optimise(config: Config, submaps: Sequence[Submap], with_loops: bool) -> Op
     return Optimisation(
         keyframes=submaps[-1].primary_ids[-1] + 1,
         loops=n_loops,
-        believed=int(beside.solved.optimum.loops.sum()),
+        accepted=int(beside.solved.optimum.loops.sum()),
         cpu_s=solved - asked,
-        asked_s=asked - start,
-        taken_s=taken - solved,
+        snapshot_s=asked - start,
+        update_s=taken - solved,
     )
 
 
 def table(
     runs: Sequence[Optimisation], command: str, estimator_bytes: float, optimiser_bytes: float
 ) -> Table:
-    """A row a length, without and with loops; bytes: of both processes at the longest."""
+    """One row for each length, without and with loops; bytes: of both processes at the longest."""
     rows = [
         (
             run.keyframes,
             run.loops,
-            run.believed,
+            run.accepted,
             run.cpu_s,
             run.ms_a_keyframe,
-            1e3 * run.asked_s,
-            1e3 * run.taken_s,
+            1e3 * run.snapshot_s,
+            1e3 * run.update_s,
         )
         for run in runs
     ]
@@ -185,17 +185,17 @@ def table(
         ),
     )
     notes = (
-        "processor time; the optimum is computed in a process of its own, triggers that pile up "
-        "are one",
-        "on the live path: the snapshot it is computed from, and moving every sub-map after it",
-        f"memory: {estimator_bytes / 1e6:.0f} MB of this process after the drive, "
-        f"{optimiser_bytes / 1e6:.0f} MB the optimiser's own at its most; capture and tracker, "
-        "which run apart, not counted, nor the windows `bundle` keeps to solve again",
+        "processor time; the optimum is computed in a separate process, which merges pending "
+        "requests",
+        "on the live path: the snapshot before the optimum, and moving all sub-maps after it",
+        f"memory: {estimator_bytes / 1e6:.0f} MB of this process after the drive, peak of the "
+        f"optimiser {optimiser_bytes / 1e6:.0f} MB; without capture, tracker and the windows that "
+        "`bundle` keeps to solve again",
     )
     columns = (
         "keyframes",
         "loops",
-        "believed",
+        "accepted",
         "s",
         "ms a keyframe",
         "snapshot, live ms",

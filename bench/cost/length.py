@@ -1,4 +1,4 @@
-"""What a sub-map costs as a drive grows long: time and memory."""
+"""Time and memory per sub-map as a drive grows long."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from calm_edge.estimator.localizer import Localizer
 from calm_edge.report import curves
 from calm_edge.types import CalmEdgeError, Float, Hints, KitBelief, Prediction, Submap
 
-# From here on every cap is reached: 1,000 places are thinned, 200 sub-maps tell the clock.
+# Sub-map from which all caps are reached: 1,000 places, 200 sub-maps for the time offset.
 SETTLED = 300
 ENDS = 200
-# Growth of the live cost over the whole drive, of its mean, that passes for none.
+# Largest growth of the live cost over the drive, as a share of its mean, that passes as none.
 FLAT_SHARE = 0.1
 MOST_MB = 600
-# What `bundle` knows of a kit: two eyes of four numbers, a rig of six, a clock.
+# Size of the kit vector: four terms per eye, six of the rig, one time offset.
 _KIT = 15
-# Landmarks a sub-map, seen by nearly every view of the room: some 7,000 observations.
+# Landmarks per sub-map, seen by nearly all views of the room: about 7,000 observations.
 _LANDMARKS = 350
 
 
 class TeachingBackbone:
-    """A scripted backbone, uncoupled to be cheap, that teaches of the kit as `bundle` does.
+    """Scripted backbone, uncoupled for speed, with kit evidence and landmarks like `bundle`.
 
-    It gives about as many landmarks too: what they cost is part of the search.
+    The number of landmarks matters: it determines the time of the search.
     """
 
     name = "scripted"
@@ -48,7 +48,7 @@ class TeachingBackbone:
         self._backbone = backbone
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """As the backbone's, with evidence and fewer landmarks."""
+        """The scripted prediction with kit evidence and fewer landmarks."""
         prediction = self._backbone.infer(images, hints)
         marks = prediction.landmarks
         assert marks is not None
@@ -66,16 +66,16 @@ class TeachingBackbone:
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
-        """As the backbone's."""
+        """As the scripted backbone."""
         return self._backbone.densify(images, hints, prediction)
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """One drive, sub-map by sub-map (S,), and what is left of it.
+    """Measurements of one drive by sub-map (S,), and its final state.
 
-    stage_ms: processor time by stage, the model's own (`infer`) apart; what no stage holds is
-    `rest`. rss: bytes of this process after each. replaced: those where all were placed anew.
+    stage_ms: processor time by stage without the model's (`infer`); `rest`: outside all stages.
+    rss: memory of this process, bytes. replaced: sub-maps at which all poses were replaced.
     """
 
     stage_ms: dict[str, Float]
@@ -87,20 +87,20 @@ class Course:
 
     @property
     def live_ms(self) -> Float:
-        """(S,) everything but the model."""
+        """(S,) all but the model."""
         return np.asarray(np.sum(list(self.stage_ms.values()), axis=0))
 
 
 def rss() -> int:
-    """Bytes of this process that are in memory."""
+    """Resident memory of this process, bytes."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return pages * resource.getpagesize()
 
 
 def drive(n_submaps: int, config: Config | None = None, seed: int = 0) -> Course:
-    """Runs the Localizer over the circuit; needs ten sub-maps for a fit, raises CalmEdgeError."""
+    """Run the Localizer over the circuit; raises CalmEdgeError below ten sub-maps."""
     if n_submaps < 10:
-        raise CalmEdgeError(f"--submaps {n_submaps}: 10 or more, or nothing can be fitted")
+        raise CalmEdgeError(f"--submaps {n_submaps}: at least 10 are needed to fit a line")
     spacing_m = float(np.linalg.norm(circuit.T_P_A[:3, 3]))
     config = merge(config or Config(), {"scale": {"spacing_m": spacing_m}})
     scene = circuit.scene(circuit.n_keyframes(n_submaps, config.frontend))
@@ -109,7 +109,7 @@ def drive(n_submaps: int, config: Config | None = None, seed: int = 0) -> Course
     stages: dict[str, Float] = {}
     memory, replaced = np.zeros(n_submaps), np.zeros(n_submaps, bool)
     rest, epoch = np.zeros(n_submaps), 0
-    # on a machine shared with others only the processor's time is the drive's own
+    # processor time: other load of the machine does not count
     with mock.patch.object(localizer_module, "perf_counter", time.process_time):
         for k, window in enumerate(circuit.windows(n_submaps, config.frontend)):
             start = time.process_time()
@@ -127,23 +127,23 @@ def drive(n_submaps: int, config: Config | None = None, seed: int = 0) -> Course
 
 
 def growth(values: Float, settled: int) -> float:
-    """What a straight line through values (S,) from `settled` on gains over all of S."""
+    """Growth over all S of a straight line fitted to values (S,) from `settled` on."""
     x = np.arange(settled, len(values))
     return float(np.polyfit(x, values[settled:], 1)[0] * len(values))
 
 
 def table(course: Course, command: str) -> Table:
-    """A row a stage of the live path, and of memory: at the start, once settled, at the end."""
+    """One row for each stage of the live path and for memory: at the start, settled, at the end."""
     n = len(course.infer_ms)
     settled, ends = min(SETTLED, n // 2), min(ENDS, n // 5)
     new = course.config.frontend.n_max - course.config.frontend.n_overlap
-    placed_anew = course.replaced
-    once = np.where(placed_anew, np.nan, course.live_ms)
+    replaced = course.replaced
+    once = np.where(replaced, np.nan, course.live_ms)
     once = np.where(np.isnan(once), np.nanmedian(once), once)
     series = [
         ("live cost, ms", course.live_ms),
         *((f"  {stage}, ms", ms) for stage, ms in course.stage_ms.items()),
-        ("live cost where nothing was placed anew, ms", once),
+        ("live cost without replacement of all poses, ms", once),
         ("memory, MB", course.rss / 1e6),
     ]
     rows = []
@@ -172,14 +172,14 @@ def table(course: Course, command: str) -> Table:
         f"{n} sub-maps of {course.config.frontend.n_max} + {course.config.frontend.n_max} "
         f"keyframes; processor time of one core without the model and without the joint optimum; "
         f"load average {os.getloadavg()[0]:.1f}",
-        f"the line is fitted from sub-map {settled}, where every cap is reached; the model played "
-        f"costs {course.infer_ms.mean():.0f} ms a sub-map and is not counted",
+        f"the line is fitted from sub-map {settled}, where all caps are reached; the scripted "
+        f"model takes {course.infer_ms.mean():.0f} ms a sub-map and is not counted",
         f"state: {state:,.0f} bytes a keyframe of the primary",
-        f"{int(placed_anew.sum())} times every sub-map was placed anew, as the focals or the clock "
-        f"became better known; the last time at sub-map "
-        f"{int(np.flatnonzero(placed_anew).max(initial=0))}",
-        "no loop is closed here, so nothing asks for the joint optimum; "
-        f"{(course.live_ms + course.infer_ms).sum() / 1e3:.0f} s of the processor in all",
+        f"all poses were replaced {int(replaced.sum())} times, as focals or time offset became "
+        f"better known; the last time at sub-map "
+        f"{int(np.flatnonzero(replaced).max(initial=0))}",
+        "without loops, hence without joint optima; "
+        f"{(course.live_ms + course.infer_ms).sum() / 1e3:.0f} s of processor time in all",
     )
     columns = ("", f"first {ends}", f"from {settled}", f"last {ends}", "most", f"line over {n}")
     title = "Over a long drive of the scripted model"
@@ -187,7 +187,7 @@ def table(course: Course, command: str) -> Table:
 
 
 def plot(course: Course) -> str:
-    """SVG: cost a sub-map, its running mean, that of the longest stages, and memory."""
+    """SVG of the cost per sub-map, running means of it and of the longest stages, and memory."""
     figure, axes = curves._figure(10, 4.2)
     live = course.live_ms
     x = np.arange(len(live))
@@ -215,5 +215,5 @@ def plot(course: Course) -> str:
 
 
 def _running(values: Float, reach: int = 25) -> Float:
-    """(S,) mean of the values up to `reach` before and after each."""
+    """Moving average (S,) over `reach` values before and after each."""
     return np.asarray(uniform_filter1d(values, 2 * reach + 1, mode="nearest"))

@@ -39,17 +39,19 @@ from device.service import NullNotifier
 
 KEYFRAMES = 4500
 TICK_MS, AGE_MS, CORE_SHARE = 5.0, 150.0, 0.25
-# of the capture threads, as the package's configuration sets it
+# real-time priority of the capture threads in the package's configuration
 PRIORITY = 10
-# of the run, when the estimator is killed
+# times at which the estimator is killed, as shares of the run
 KILLS = (1 / 3, 2 / 3)
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """lost: frames that are not in the files. core_share: processor time of the capture process,
-    recording included, over the time frames came; tracker_share: of the
-    tracker's. load: the machine's average after it. priority: real-time, of the capture threads.
+    """One replay.
+
+    asked, lost: frames sent, and frames missing in the files. core_share, tracker_share: processor
+    time of the capture process (with recording) and of the tracker, over wall time. load: load
+    average at the end. priority: real-time priority of the capture threads, 0 for none.
     """
 
     name: str
@@ -63,7 +65,7 @@ class Run:
 
 
 class Watch(NullNotifier):
-    """Times the capture process from its first frame to its last; kills the estimator when due."""
+    """Times the capture process from first to last frame; kills the estimator at given times."""
 
     def __init__(self, kill_at_s: list[float]) -> None:
         self._kill_at_s = kill_at_s
@@ -85,14 +87,14 @@ class Watch(NullNotifier):
         self.core_share = cpu_s / wall_s
         if self.hub is not None:
             self.tracker_share = cpu_seconds(self.hub.tracker.child.pid) / wall_s
-            # the windows that wait are not what is measured
+            # pending windows are not measured: do not wait for them
             self.hub.impatient = True
 
 
 def granted(priority: int) -> int:
-    """The priority where this user may ask for it, else 0."""
+    """`priority` if this user may set it, else 0."""
     refused: list[str | None] = []
-    # of a thread alone, which ends with it
+    # in a thread, since the priority stays with it
     thread = threading.Thread(target=lambda: refused.append(realtime.request(priority)))
     thread.start()
     thread.join()
@@ -100,14 +102,14 @@ def granted(priority: int) -> int:
 
 
 def cpu_seconds(pid: int) -> float:
-    """Of the processor, user and system, since the process began."""
+    """Processor time of a process, user and system."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager
 def optimising(keyframes: int) -> Iterator[None]:
-    """A long graph is optimised meanwhile; raises CalmEdgeError where it cannot begin."""
+    """Optimise a long graph meanwhile; raises CalmEdgeError if that does not start."""
     program = "bench.cost.load_graph"
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen(
@@ -118,7 +120,7 @@ def optimising(keyframes: int) -> Iterator[None]:
         try:
             assert child.stdout is not None
             if child.stdout.readline() != b"ready\n":
-                raise CalmEdgeError(f"{program}: did not begin; see above")
+                raise CalmEdgeError(f"{program}: did not start; see its message above")
             yield
             if child.poll() is not None:
                 raise CalmEdgeError(f"{program}: ended early ({child.returncode})")
@@ -133,12 +135,12 @@ def replay(
     priority: int,
     kills: tuple[float, ...] = (),
 ) -> Run:
-    """The daemon over that many seconds of frames."""
+    """Run the daemon on `seconds` of frames."""
     config = merge(
         Config(),
         {
             "scale": {"spacing_m": 0.5},
-            # far more windows than can be solved, on any machine
+            # more windows than any machine can solve
             "frontend": {"max_keyframe_gap_s": 0.1},
             "capture": {
                 "rate_hz": float(RATE_HZ),
@@ -172,7 +174,7 @@ def replay(
 
 
 def table(runs: list[Run], command: str) -> Table:
-    """A row a run, and what was promised of each."""
+    """One row for each replay, with its promises."""
     rows, checks = [], []
     for each in runs:
         tick, result = each.result.tick, each.result
@@ -215,18 +217,18 @@ def table(runs: list[Run], command: str) -> Table:
         ]
     seconds = runs[0].asked / 2 / RATE_HZ
     notes = (
-        f"each run {seconds:.0f} s; the demo drive enlarged to {SIZE[0]}x{SIZE[1]} and brought to "
-        f"{RATE_HZ} Hz by optical flow, there and back; a keyframe each 0.1 s, so that the "
-        "estimator never rests",
-        f"{os.cpu_count()} cores, shared with whatever else ran: see the load average; the capture "
+        f"each run {seconds:.0f} s; the demo drive enlarged to {SIZE[0]}x{SIZE[1]} and "
+        f"interpolated to {RATE_HZ} Hz by optical flow, forwards and backwards; a keyframe every "
+        "0.1 s, so that the estimator is always busy",
+        f"{os.cpu_count()} cores, shared with other load: see the load average; the capture "
         + (
             f"threads at real-time priority {runs[0].priority}, as the package sets it"
             if runs[0].priority
             else "process at ordinary priority, without real-time scheduling"
         ),
-        "the processor time is that of the whole capture process: replay, capture, recording",
-        "poses: of the primary's frames; not tracked: recorded, but the tracker was behind, or the "
-        "pose would have been late",
+        "processor time of the whole capture process: replay, capture, recording",
+        "poses: of the primary's frames; not tracked: recorded, but the tracker was behind or the "
+        "pose too late",
     )
     columns = (
         "meanwhile",

@@ -1,7 +1,6 @@
-"""`python -m bench.cost.load_graph KEYFRAMES`: optimises a long graph for ever.
+"""Child process that optimises a graph of KEYFRAMES again and again: load for `cost.load`.
 
-What the optimiser's process does after a loop of a long drive, again and again; `ready` on stdout
-once it has begun.
+Prints `ready` when it starts.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from bench.cost import joint_optimum, length
 from calm_edge.config import Config
 from calm_edge.posegraph.optimum import optimum
 
-# the estimator's and the optimiser's own
+# niceness of the estimator and the optimiser
 NICE = 15
 
 
@@ -21,11 +20,13 @@ def main() -> None:
     frontend = Config().frontend
     new = frontend.n_max - frontend.n_overlap
     keyframes = int(sys.argv[1])
-    asked = joint_optimum.snapshot(length.drive((keyframes - frontend.n_overlap + new - 1) // new))
+    request = joint_optimum.snapshot(
+        length.drive((keyframes - frontend.n_overlap + new - 1) // new)
+    )
     os.nice(NICE)
     print("ready", flush=True)
     while True:
-        optimum(asked.problem, asked.state)
+        optimum(request.problem, request.state)
 
 
 if __name__ == "__main__":

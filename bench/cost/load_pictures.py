@@ -1,4 +1,4 @@
-"""A drive as two cameras of 1280x720 at 30 Hz would send it: JPEG, for as long as asked."""
+"""A drive as JPEG streams of two 1280x720 cameras at 30 Hz, of any duration."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from device.frame import Eye, Frame, jpeg
 SIZE = (1280, 720)
 RATE_HZ = 30
 EPOCH_NS = 5_000_000_000
-# of the drive, there and back again
+# frames of the drive used, played forwards and backwards
 MOST = 200
 _QUALITY = 85
-# what enlarging lacks: a camera's noise, and with it the bytes of its JPEG
+# sigma of added noise, for JPEG sizes like a camera's
 _NOISE = 3.0
 
 
 def enlarged(drive: Path, eye: Eye, folder: Path, most: int = MOST) -> list[Path]:
-    """Its first pictures cropped to 16:9, enlarged, and between them what optical flow says.
+    """First pictures of a drive, cropped to 16:9, enlarged and interpolated by optical flow.
 
-    Both eyes at the same moments, for backwards a late camera would be an early one. Made once and
-    kept in `folder`.
+    Both eyes at equal times: played backwards, a time offset would change sign. Made once and kept
+    in `folder`.
     """
     kept = folder / f"cam{int(eye)}"
     if not kept.is_dir():
@@ -49,7 +49,7 @@ def enlarged(drive: Path, eye: Eye, folder: Path, most: int = MOST) -> list[Path
 
 
 def frames(pictures: Sequence[Path], eye: Eye, count: int) -> Iterator[Frame]:
-    """So many frames at RATE_HZ from EPOCH_NS on; the drive goes to its end and backwards again."""
+    """Yield `count` frames at RATE_HZ from EPOCH_NS on, the drive forwards and backwards."""
     there_and_back = [*pictures, *pictures[-2:0:-1]]
     for k in range(count):
         t_ns = EPOCH_NS + round(k * 1e9 / RATE_HZ)
@@ -57,7 +57,7 @@ def frames(pictures: Sequence[Path], eye: Eye, count: int) -> Iterator[Frame]:
 
 
 def _between(images: Sequence[Bytes], taken_ns: Int, times_ns: Int) -> Iterator[Bytes]:
-    """The pictures (H, W, 3) at times between those they were taken at."""
+    """Interpolate pictures (H, W, 3) taken at taken_ns to times_ns."""
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     flow: Float | None = None
     at = -1

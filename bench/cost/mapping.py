@@ -15,11 +15,10 @@ from typing import Any
 from unittest import mock
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
+from bench.recorded import Dense, dense, read
 from bench.tables import OUT, Check, Table, publish
-from calm_edge.config import MappingConfig, merge, parse_assignment
+from calm_edge.config import MappingConfig
 from calm_edge.mapping import mapper as mapper_module
 from calm_edge.mapping import skeleton as skeleton_module
 from calm_edge.mapping.deform import Deformation
@@ -27,13 +26,10 @@ from calm_edge.mapping.fuse import Fusion
 from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.spool import Spool
 from calm_edge.mapping.voxel_filter import VoxelFilter
-from calm_edge.offline.densify import densified
-from calm_edge.offline.submaps import gather
-from calm_edge.recording.reader import Recording
-from calm_edge.types import CalmEdgeError, Float32, Submap
+from calm_edge.types import CalmEdgeError
 
 TARGET_S, PAPER_S = 0.30, 0.95
-# stage, and what runs it; stages do not overlap
+# name, and owner and attribute of the function timed
 STAGES: tuple[tuple[str, Any, str], ...] = (
     ("spool depth and colour", Spool, "write"),
     ("load depth", skeleton_module.Skeleton, "views"),
@@ -47,13 +43,15 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("apply it", Deformation, "apply"),
     ("one point a voxel", VoxelFilter, "admit"),
 )
-Piece = tuple[Submap, Float32, Float32, list[NDArray[np.uint8]]]
 
 
 @dataclass(slots=True)
 class Cost:
-    """seconds: of the processor, all sub-maps together, by stage. points: of their clouds before
-    the map is thinned. controls: of their plates."""
+    """Totals over all sub-maps.
+
+    seconds: processor time by stage. points: of the clouds before the map is thinned. controls:
+    control points of the thin plates.
+    """
 
     submaps: int = 0
     seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
@@ -63,7 +61,7 @@ class Cost:
 
 @contextmanager
 def timed_stages(cost: Cost) -> Iterator[None]:
-    """Adds the time of every stage to `cost`; of nested ones the inner one's counts as its own."""
+    """Add the time of each stage to `cost`; nested stages count for the inner one alone."""
     running: list[float] = []
 
     def timed(stage: str, work: Callable[..., Any]) -> Callable[..., Any]:
@@ -93,8 +91,8 @@ def timed_stages(cost: Cost) -> Iterator[None]:
             patch.stop()
 
 
-def measure(pieces: Sequence[Piece], config: MappingConfig, spacing: float, folder: Path) -> Cost:
-    """Maps the pieces in `folder` and takes the time; spacing: world units a map unit."""
+def measure(pieces: Sequence[Dense], config: MappingConfig, spacing: float, folder: Path) -> Cost:
+    """Map the sub-maps in `folder` and measure the time. spacing: world units per map unit."""
     cost = Cost(len(pieces))
     start = time.process_time()
     with timed_stages(cost):
@@ -111,7 +109,7 @@ def measure(pieces: Sequence[Piece], config: MappingConfig, spacing: float, fold
 
 
 def table(cost: Cost, command: str) -> Table:
-    """A row a stage, milliseconds a sub-map."""
+    """One row for each stage, milliseconds per sub-map."""
     n = max(1, cost.submaps)
     rows = [(stage, 1000 * seconds / n) for stage, seconds in cost.seconds.items()]
     total = sum(cost.seconds.values()) / n
@@ -130,27 +128,6 @@ def table(cost: Cost, command: str) -> Table:
     return Table("bench_mapping", title, command, ("stage", "ms"), tuple(rows), (check,), notes)
 
 
-def read_pieces(path: Path, assignments: Sequence[str]) -> tuple[list[Piece], MappingConfig, float]:
-    """The sub-maps of a recording with their depth, the mapping config and the spacing."""
-    recording = Recording(path)
-    config = recording.config
-    for text in assignments:
-        config = merge(config, parse_assignment(text))
-    drive = gather(recording, config, lambda text: print(text, file=sys.stderr))
-    pieces: list[Piece] = []
-    depths = densified(path, config, drive.windows, drive.updates)
-    for record, update, dense in zip(drive.windows, drive.updates, depths, strict=True):
-        if isinstance(dense, str):
-            print(dense, file=sys.stderr)
-            continue
-        images = [keyframe.frame.bgr() for keyframe in recording.window(record).keyframes()]
-        pieces.append((update.submap, *dense, images))
-        print(f"depth: sub-map {update.submap.id}", file=sys.stderr, flush=True)
-    if not pieces:
-        raise CalmEdgeError(f"{path}: no window has depth; nothing to measure")
-    return pieces, config.mapping, config.scale.spacing
-
-
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
     parser.add_argument("recording", type=Path)
@@ -161,7 +138,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Measure a recording, print and keep the table; 1 when it takes longer than promised."""
     cv2.setNumThreads(1)
-    pieces, config, spacing = read_pieces(options.recording, options.set)
+    recorded = read(options.recording, options.set)
+    pieces: list[Dense] = []
+    for found in dense(recorded):
+        if isinstance(found, str):
+            print(found, file=sys.stderr)
+        else:
+            pieces.append(found)
+    if not pieces:
+        raise CalmEdgeError(f"{options.recording}: no window has depth; nothing to measure")
+    config = recorded.config
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-        cost = measure(pieces, config, spacing, Path(folder))
+        cost = measure(pieces, config.mapping, config.scale.spacing, Path(folder))
     return publish(table(cost, options.command), options.out)

@@ -1,24 +1,22 @@
-"""The full sub-maps of a recording, with their pictures."""
+"""Full sub-maps of a recording, with their pictures."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bench import recorded
 from calm_edge.config import Config
-from calm_edge.offline.submaps import gather
-from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import CalmEdgeError, Landmarks, LocalizerUpdate, Submap, SubmapWindow
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A sub-map of the recording, in order. window: with its pictures as recorded."""
+    """A sub-map of a recording with its window."""
 
     record: WindowRecord
     update: LocalizerUpdate
@@ -40,10 +38,9 @@ class Piece:
 
 
 def read(path: Path, least: int) -> tuple[Config, list[Piece]]:
-    """The full sub-maps of a recording; raises CalmEdgeError where these are too few."""
-    recording = Recording(path)
-    drive = gather(recording, recording.config, lambda text: print(text, file=sys.stderr))
-    most = recording.config.frontend.n_max
+    """Read the sub-maps with all keyframes; raises CalmEdgeError where they are too few."""
+    _, recording, config, drive = recorded.read(path)
+    most = config.frontend.n_max
     found = [
         Piece(record, update, recording.window(record))
         for record, update in zip(drive.windows, drive.updates, strict=True)
@@ -55,4 +52,4 @@ def read(path: Path, least: int) -> tuple[Config, list[Piece]]:
             f"{path}: {len(found)} sub-maps of {most} + {most} keyframes; "
             f"{least} are needed, record a longer drive"
         )
-    return recording.config, found
+    return config, found

@@ -1,4 +1,4 @@
-"""What the stages of section V, IV and VI cost a sub-map, on pictures of a recording."""
+"""Time of the stages of sections V, IV and VI per sub-map, on the pictures of a recording."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 from bench.cost import mapping
 from bench.cost.clock import Clock, Measured
 from bench.cost.pieces import Piece, read
+from bench.recorded import Dense, Recorded, dense
 from bench.tables import Check, Table
 from calm_edge.config import Config, CorrectionConfig
 from calm_edge.correction.eye_search import EyeSearch
@@ -26,8 +27,9 @@ from calm_edge.estimator import scale
 from calm_edge.estimator.atlas import Atlas
 from calm_edge.loops.finder import PlaceLoops
 from calm_edge.loops.same_place import KnownKit
-from calm_edge.offline.densify import densified
+from calm_edge.offline.submaps import Drive
 from calm_edge.posegraph.optimiser import Immediate
+from calm_edge.recording.reader import Recording
 from calm_edge.types import (
     CalmEdgeError,
     GlobalIntrinsics,
@@ -37,39 +39,39 @@ from calm_edge.types import (
 )
 from device.frame import Eye
 
-# Sub-maps: whose group is made by SIFT, from landmarks, and those that are mapped.
+# Numbers of sub-maps with a test group from SIFT, with one from landmarks, and mapped.
 BY_SIFT, BY_LANDMARKS, MAPPED = 2, 7, 4
-# For what takes microseconds.
+# Of stages that take microseconds.
 REPEATS = 50
-# A focal so far off is corrected.
+# Factor of the focal length to correct.
 _OFF = 1.03
 # Keyframes and nanoseconds between a window and its return.
 _LATER, _LATER_NS = 10_000, 10**12
 
 
 def measure(path: Path) -> list[Measured]:
-    """Every stage; raises CalmEdgeError."""
+    """Measure all stages; raises CalmEdgeError."""
     config, pieces = read(path, BY_LANDMARKS)
     chosen = pieces[:: len(pieces) // BY_LANDMARKS][:BY_LANDMARKS]
     by_sift, _ = banks(chosen[:BY_SIFT], config.correction, by_sift=True)
     by_landmarks, groups = banks(chosen, config.correction, by_sift=False)
-    said = [*by_sift, *by_landmarks, *search(chosen, groups, config.correction)]
-    said.append(rectification(chosen, config))
-    said += placement(pieces, config)
-    said += look_up(pieces, config)
-    said.append(_mapping(path, pieces, config))
-    core = [stage for stage in said if stage.share]
+    rows = [*by_sift, *by_landmarks, *search(chosen, groups, config.correction)]
+    rows.append(rectification(chosen, config))
+    rows += placement(pieces, config)
+    rows += look_up(pieces, config)
+    rows.append(_mapping(path, pieces, config))
+    core = [stage for stage in rows if stage.share]
     cpu_s = sum(stage.share * stage.cpu_s for stage in core)
     wall_s = sum(stage.share * stage.wall_s for stage in core)
     name = "correction core, test bank excluded"
-    said.append(Measured(name, 1.12, 0.35, cpu_s, wall_s, 1, os.getloadavg()[0]))
-    return said
+    rows.append(Measured(name, 1.12, 0.35, cpu_s, wall_s, 1, os.getloadavg()[0]))
+    return rows
 
 
 def banks(
     pieces: Sequence[Piece], config: CorrectionConfig, *, by_sift: bool
 ) -> tuple[list[Measured], dict[Eye, list[BankGroup]]]:
-    """A group of each eye and sub-map, made in the shares in which the live path makes it."""
+    """Build a test group of each eye and sub-map, in the shares of work of the live path."""
     whole, share = Clock(), Clock()
     made: dict[Eye, list[BankGroup]] = {eye: [] for eye in Eye}
     for piece in pieces:
@@ -92,9 +94,9 @@ def banks(
             if group is not None:
                 made[eye].append(group)
     what = f"SIFT, <= {config.max_features} features" if by_sift else "landmarks"
-    asked = 3.0 if by_sift else 0.25
+    target_s = 3.0 if by_sift else 0.25
     rows = [
-        whole.measured(f"test bank, a group of an eye, {what}", 0.88, asked),
+        whole.measured(f"test bank, a group of an eye, {what}", 0.88, target_s),
         share.measured(f"  a share of it, {what} "),
     ]
     return rows, made
@@ -103,7 +105,7 @@ def banks(
 def search(
     pieces: Sequence[Piece], groups: dict[Eye, list[BankGroup]], config: CorrectionConfig
 ) -> list[Measured]:
-    """Both stages of the update, an eye, at a bank that is full or being filled."""
+    """Both stages of the update of one eye, at a bank that is full or being filled."""
     guess, judged = Clock(), Clock()
     for eye in Eye:
         held = EyeSearch(config)
@@ -128,7 +130,7 @@ def search(
 
 
 def rectification(pieces: Sequence[Piece], config: Config) -> Measured:
-    """Pose correction and scale, from the raw sub-map."""
+    """Pose correction and scale of a raw sub-map."""
     clock = Clock()
     for k in range(REPEATS):
         submap = pieces[k % len(pieces)].submap
@@ -145,7 +147,7 @@ def rectification(pieces: Sequence[Piece], config: Config) -> Measured:
 
 
 def placement(pieces: Sequence[Piece], config: Config) -> list[Measured]:
-    """Placement by poses alone, placing with what the graph notes, and the joint optimum."""
+    """Placement by poses alone, placement with the update of the graph, and the joint optimum."""
     atlas, place, add, pgo = Atlas(config), Clock(), Clock(), Clock()
     atlas.add(pieces[0].submap)
     for piece in pieces[1:]:
@@ -158,24 +160,24 @@ def placement(pieces: Sequence[Piece], config: Config) -> list[Measured]:
     keyframes = len(atlas.trajectory().keyframe_ids)
     optimiser = Immediate()
     atlas.request_optimum(optimiser)
-    optimiser.poll()  # loads what is loaded once
+    optimiser.poll()  # first call: loads GTSAM
     wall, cpu = time.perf_counter(), time.process_time()
     atlas.request_optimum(optimiser)
     optimiser.poll()
     pgo.add(time.process_time() - cpu, time.perf_counter() - wall, keyframes)
     return [
         place.measured("alignment, placement by poses only", 1e-4, 1e-4),
-        add.measured("  with what the pose graph notes", share=1.0),
+        add.measured("  with the update of the pose graph", share=1.0),
         pgo.measured("joint optimum, a keyframe", None, 5e-4),
     ]
 
 
 def look_up(pieces: Sequence[Piece], config: Config) -> list[Measured]:
-    """The look-up of a window without a candidate, and of its return, with one that is verified."""
+    """Loop look-up of a window without a candidate, and of its repetition with a verified one."""
     atlas = Atlas(config)
     first = atlas.add(pieces[0].submap)
     kit = KnownKit((first.cameras[0], first.cameras[first.n_primary]), atlas.T_p_a)
-    # no candidate is allowed: pictures are described and compared with every place, no more
+    # without candidates: describe the pictures and compare them with all places
     blind, finder = PlaceLoops(replace(config.loops, top_k=0)), PlaceLoops(config.loops)
     none, verified = Clock(), Clock()
     for piece in pieces:
@@ -196,7 +198,7 @@ def look_up(pieces: Sequence[Piece], config: Config) -> list[Measured]:
 
 
 def _returned(window: SubmapWindow, later: int) -> SubmapWindow:
-    """The same pictures, seen again much later."""
+    """The same pictures with later ids and stamps."""
 
     def moved(keyframes: Sequence[Keyframe]) -> tuple[Keyframe, ...]:
         return tuple(
@@ -210,15 +212,15 @@ def _returned(window: SubmapWindow, later: int) -> SubmapWindow:
 
 
 def _mapping(path: Path, pieces: Sequence[Piece], config: Config) -> Measured:
-    """Anchors and mapping of a few sub-maps in a row; their depth is computed first."""
+    """Anchors and mapping of consecutive sub-maps; their depth is computed before."""
     middle = max(0, (len(pieces) - MAPPED) // 2)
     some = pieces[middle : middle + MAPPED]
-    depths = densified(path, config, [p.record for p in some], [p.update for p in some])
-    mapped: list[mapping.Piece] = []
-    for piece, dense in zip(some, depths, strict=True):
-        if isinstance(dense, str):
-            raise CalmEdgeError(dense)
-        mapped.append((piece.submap, *dense, piece.images()))
+    drive = Drive([p.record for p in some], [p.update for p in some])
+    mapped: list[Dense] = []
+    for found in dense(Recorded(path, Recording(path), config, drive)):
+        if isinstance(found, str):
+            raise CalmEdgeError(found)
+        mapped.append(found)
     clock, spacing = Clock(), config.scale.spacing
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         wall = time.perf_counter()
@@ -227,20 +229,20 @@ def _mapping(path: Path, pieces: Sequence[Piece], config: Config) -> Measured:
     return clock.measured("anchors + mapping", 0.95, mapping.TARGET_S, share=1.0)
 
 
-def table(said: Sequence[Measured], command: str) -> Table:
-    """A row a stage."""
-    rows = [(m.name, m.paper_s, m.target_s, m.cpu_s, m.wall_s, m.n, m.load) for m in said]
+def table(measured: Sequence[Measured], command: str) -> Table:
+    """One row for each stage."""
+    rows = [(m.name, m.paper_s, m.target_s, m.cpu_s, m.wall_s, m.n, m.load) for m in measured]
     checks = [
         Check(m.name, f"<= {m.target_s:g} s", float(f"{m.cpu_s:.3g}"), m.cpu_s <= m.target_s)
-        for m in said
+        for m in measured
         if m.target_s is not None and m.n
     ]
     notes = (
-        "a sub-map of 15 + 15 keyframes; the paper's are 15 on a workstation; promises are held to "
-        "seconds of the processor, one thread, for the clock's include whatever else ran",
-        f"the core: {', '.join(f'{m.share:g} x {m.name.strip()}' for m in said if m.share)}",
-        "a guess is only kept, not scored, while `correction.refine` is on",
+        "a sub-map of 15 + 15 keyframes; the paper's has 15, on a workstation; promises are on "
+        "processor time of one thread, since wall time includes other load",
+        f"the core: {', '.join(f'{m.share:g} x {m.name.strip()}' for m in measured if m.share)}",
+        "with `correction.refine` a guess is stored without scoring",
     )
-    columns = ("stage", "paper s", "target s", "processor s", "clock s", "runs", "load")
+    columns = ("stage", "paper s", "target s", "processor s", "wall s", "runs", "load")
     title = "Stages of a sub-map, seconds"
     return Table("bench_stages", title, command, columns, tuple(rows), tuple(checks), notes)

@@ -1,34 +1,31 @@
-"""The sub-maps of a recording with depth and anchors, computed once for every row."""
+"""Sub-maps of a recording with depth and anchors, computed once for all rows."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from bench.baselines.overlap import Correspondences, common_views, correspondences
-from calm_edge.config import Config, MappingConfig
+from bench.recorded import Recorded, dense
+from calm_edge.config import MappingConfig
 from calm_edge.geometry import se3
 from calm_edge.mapping.cloud import submap_points
 from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.spool import Spool
 from calm_edge.mapping.views import prepare
-from calm_edge.offline.densify import densified
-from calm_edge.offline.submaps import Drive
-from calm_edge.recording.reader import Recording
 from calm_edge.types import Float32, Prediction, Submap
 
-# of the distortion, map units: about the range in which most of a sub-map's points lie
+# wavelength of the distortion, map units: about the range of most points of a sub-map
 WAVE = 40.0
 
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """The sub-maps of a drive with their anchors, and what baselines need of the same depth.
+    """Sub-maps of a drive with anchors, and the overlaps that baselines align by.
 
-    overlaps: between sub-maps k - 1 and k. skipped: why a window has no depth.
+    overlaps: between sub-maps k - 1 and k. skipped: reasons of windows without depth.
     """
 
     mapper: Mapper
@@ -38,26 +35,23 @@ class Built:
     skipped: tuple[str, ...]
 
 
-def build(
-    path: Path, recording: Recording, config: Config, drive: Drive, folder: Path, warp: float
-) -> Built:
-    """Depth, anchors and overlaps of every window, once for all rows.
+def build(recorded: Recorded, folder: Path, warp: float) -> Built:
+    """Compute depth, anchors and overlaps of all windows, once for all rows.
 
-    folder: scratch. warp: amplitude of a depth distortion put into every sub-map, see `warped`.
+    folder: scratch. warp: amplitude of a distortion added to the depth, see `warped`.
     """
+    config = recorded.config
     spacing = config.scale.spacing
     mapper = Mapper(config.mapping, spacing, folder, config.backbone.seed)
     submaps: list[Submap] = []
     overlaps: list[Correspondences] = []
     skipped: list[str] = []
     last: Prediction | None = None
-    depths = densified(path, config, drive.windows, drive.updates)
-    for record, update, dense in zip(drive.windows, drive.updates, depths, strict=True):
-        if isinstance(dense, str):
-            skipped.append(dense)
+    for found in dense(recorded):
+        if isinstance(found, str):
+            skipped.append(found)
             continue
-        images = [keyframe.frame.bgr() for keyframe in recording.window(record).keyframes()]
-        submap, (depth, confidence) = update.submap, dense
+        submap, depth, confidence, images = found
         depth = warped(submap, depth, images[0].shape[1::-1], warp, spacing)
         mapper.add(submap, depth, confidence, images)
         new = Prediction(submap.cameras_raw, submap.T_s_c_raw, depth, confidence)
@@ -67,18 +61,17 @@ def build(
             overlaps.append(correspondences(last, views[0], new, views[1], size))
         submaps.append(submap)
         last = new
-        print(f"depth and anchors: sub-map {submap.id}", file=sys.stderr, flush=True)
     return Built(mapper, Spool(folder), tuple(submaps), tuple(overlaps), tuple(skipped))
 
 
 def warped(
     submap: Submap, depth: Float32, size: tuple[int, int], amplitude: float, spacing: float
 ) -> Float32:
-    """Depth (N, h, w), raw unit, with the smooth distortion that VI is made for.
+    """Depth (N, h, w), raw unit, with a smooth distortion as section VI corrects it.
 
-    Each point's depth is off by a share of it, at most `amplitude`: a wave over the sub-map's
-    space, WAVE spacings long, the same from every view and another one in every sub-map. size:
-    (2,) width and height of the images, px. spacing: world units a map unit.
+    The relative error is a wave over the sub-map's space, at most `amplitude`, WAVE spacings long,
+    equal in all views and different in each sub-map. size: (2,) width and height of the images,
+    px. spacing: world units per map unit.
     """
     if not amplitude:
         return depth
@@ -96,9 +89,9 @@ def warped(
 
 
 def raw_points(built: Built, k: int, config: MappingConfig, spacing: float) -> Float32:
-    """The k-th sub-map's points (P, 3) as the backbone gave them: its own frame and unit.
+    """Points (P, 3) of the k-th sub-map before any correction, in its own frame and raw unit.
 
-    Range and voxel are those of our map, told in that unit.
+    Range and voxel size are those of our map in that unit.
     """
     submap = built.submaps[k]
     spooled = built.spool.depth(submap.id)

@@ -23,14 +23,12 @@ from bench.mapping.rows import (
     on_true_poses,
     ours,
 )
+from bench.recorded import read
 from bench.tables import OUT, Check, Table, publish
-from calm_edge.config import merge, parse_assignment
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.evaluation.estimate import from_recording, from_updates
 from calm_edge.evaluation.results import common_origin
 from calm_edge.evaluation.truth import Truth, read_truth
-from calm_edge.offline.submaps import gather
-from calm_edge.recording.reader import Recording
 from calm_edge.types import Int
 
 BASELINES = ("sim3", "sl4")
@@ -47,15 +45,12 @@ COLUMNS = (
 def measure(
     path: Path, truth: Truth, assignments: Sequence[str], align: str, warp: float
 ) -> list[Quality]:
-    """Every row of a recording; raises CalmEdgeError where it cannot be mapped or compared.
+    """Compute all rows of a recording; raises CalmEdgeError where it cannot be mapped or compared.
 
-    align: `se3` where metres count, else `sim3`. warp: distortion put into the depth.
+    align: `se3` or `sim3`, of map and truth. warp: distortion added to the depth.
     """
-    recording = Recording(path)
-    config = recording.config
-    for text in assignments:
-        config = merge(config, parse_assignment(text))
-    drive = gather(recording, config, lambda text: print(text, file=sys.stderr))
+    recorded = read(path, assignments)
+    config, drive = recorded.config, recorded.drive
     if not drive.updates:
         raise EvaluationError(f"{path}: no window could be solved; nothing to map")
     first_frame = from_recording(path).first_frame
@@ -67,7 +62,7 @@ def measure(
 
     with tempfile.TemporaryDirectory(prefix="mapping-") as scratch:
         folder = Path(scratch)
-        built = build(path, recording, config, drive, folder, warp)
+        built = build(recorded, folder, warp)
         whole = from_updates(str(path), drive.updates)
         cameras = Cameras(on_truth(whole.t_ns), whole.T_w_c[:, :3, 3], scale)
         rows = list(ours(built, config.mapping, built.submaps, cameras, truth, folder / "ours"))
@@ -87,7 +82,7 @@ def measure(
 
 
 def against(rows: Sequence[Quality]) -> tuple[Check, ...]:
-    """The promise: our map is nearer to the truth than each baseline's, by all three figures."""
+    """Promise: all three errors of our map are smaller than those of each baseline."""
     found = {row.name: row for row in rows}
     checks = []
     for alignment in (ALIGNMENTS[kind] for kind in BASELINES):
@@ -118,9 +113,9 @@ def table(rows: Sequence[Quality], name: str, command: str) -> Table:
     ]
     notes = (
         "accuracy: map to truth, completeness: truth to map, chamfer: their mean (paper VII-C)",
-        "one depth for all rows; every map is moved to the truth by its own cameras",
-        "seam: how far apart two sub-maps put an anchor that both have",
-        "true poses: each sub-map placed by the true pose of its central keyframe",
+        "all rows use one depth; each map is aligned with the truth by its own cameras",
+        "seam: distance between the positions that two sub-maps give an anchor they share",
+        "true poses: each sub-map is placed by the true pose of its central keyframe",
     )
     return Table(
         f"mapping_{name}",

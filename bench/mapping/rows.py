@@ -1,4 +1,4 @@
-"""A row of the table: a cloud, made one way, against the truth."""
+"""Rows of the map quality table: point clouds of variants and baselines against the truth."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from calm_edge.geometry.similarity import align
 from calm_edge.mapping.seams import SeamSummary, summary
 from calm_edge.types import Float, Float32, Int, Submap
 
-# a part of VI each; `rigid` keeps the anchors but lets them only turn and shift a sub-map
+# each without one part of section VI; infinite stiffness leaves a rigid motion by the anchors
 VARIANTS: tuple[tuple[str, dict[str, float | bool]], ...] = (
     ("full", {}),
     ("without suppression", {"suppress": False}),
@@ -32,7 +32,7 @@ VARIANTS: tuple[tuple[str, dict[str, float | bool]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """A row. error: None when nothing of the map lies near the path. failed: why there is none."""
+    """A row. error: None when no point lies near the path. failed: why there is no map."""
 
     name: str
     error: cloud.CloudError | None
@@ -42,8 +42,10 @@ class Quality:
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
-    """What moves a map to the truth: t_ns (N,) on the truth's clock and centres_w (N, 3) of its
-    primary cameras; in any unit if `scale`, else in metres."""
+    """Primary camera centres that align a map with the truth.
+
+    t_ns: (N,) on the truth's clock. centres_w: (N, 3), metres, or any unit if `scale`.
+    """
 
     t_ns: Int
     centres_w: Float
@@ -53,9 +55,9 @@ class Cameras:
 def judged(
     points_w: Iterable[Float32 | Float], cameras: Cameras, truth: Truth
 ) -> cloud.CloudError | None:
-    """A cloud, in pieces (P, 3), against the truth, moved there by its own cameras.
+    """Compare a cloud, in pieces (P, 3), with the truth after alignment by its cameras.
 
-    Raises EvaluationError where fewer than three cameras have a true pose.
+    Raises EvaluationError if fewer than MIN_POSES cameras have a true pose.
     """
     if truth.cloud is None:
         raise EvaluationError("the truth has no cloud.npy to compare the map with")
@@ -69,7 +71,7 @@ def judged(
 
 
 def on_true_poses(submaps: Sequence[Submap], t_ns: Int, truth: Truth) -> list[Submap]:
-    """The sub-maps as placed by the true pose of their central keyframe: no drift is left.
+    """Sub-maps placed by the true pose of their central keyframe, without drift.
 
     t_ns: (S,) stamp of that keyframe on the truth's clock. Raises EvaluationError without a pose.
     """
@@ -89,7 +91,7 @@ def ours(
     truth: Truth,
     folder: Path,
 ) -> Iterator[Quality]:
-    """A row a variant. placed: where the sub-maps are. folder: scratch."""
+    """One row for each variant. placed: the sub-maps with their poses. folder: scratch."""
     for name, switches in VARIANTS:
         mapper = built.mapper.variant(replace(config, **switches), folder / name)  # type: ignore[arg-type]
         tiles = [tile.points_w for tile in mapper.finish(placed)]
@@ -104,7 +106,7 @@ def baseline(
     t_ns: Int,
     truth: Truth,
 ) -> Quality:
-    """The row of a chain of linear alignments; t_ns: (N,) of its keyframes, the truth's clock."""
+    """The row of a chaining baseline; t_ns: (N,) of its keyframes on the truth's clock."""
     if result.T_w_c is None:
         return Quality(result.name, None, failed=result.failed)
     pieces = [

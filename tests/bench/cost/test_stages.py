@@ -100,7 +100,7 @@ def test_the_landmarks_are_thinned_but_remain_matches():
 def test_too_short_a_drive_is_one_clear_line(capsys):
     assert main(["cost", "--submaps", "3"]) == 1
     said = capsys.readouterr().err.strip()
-    assert said == "bench: --submaps 3: 10 or more, or nothing can be fitted"
+    assert said == "bench: --submaps 3: at least 10 are needed to fit a line"
 
 
 def test_growth_is_over_the_whole_drive_and_ignores_its_start():
@@ -122,7 +122,7 @@ def test_the_joint_optimum_is_taken_at_three_lengths_with_and_without_loops(cour
     runs = joint_optimum.optimisations(course)
     assert [r.keyframes for r in runs[:3]] == [39, 75, 147]
     assert [r.loops for r in runs] == [0, 0, 0, 0, 0, 1]
-    assert all(min(r.cpu_s, r.asked_s, r.taken_s) > 0 for r in runs)
+    assert all(min(r.cpu_s, r.snapshot_s, r.update_s) > 0 for r in runs)
     slow = Optimisation(1000, 0, 0, 0.6, 0.0, 0.0)
     fast = Optimisation(1000, 0, 0, 0.4, 0.0, 0.0)
     assert joint_optimum.table([fast], "", 1e8, 1e8).checks[0].passed
