@@ -1,4 +1,4 @@
-"""The focal a test bank asks for and how sure it is: Eq. Score minimised (past paper V-A)."""
+"""Focal of least Eq. Score on a test bank, and its uncertainty (an extension of paper V-A)."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from calm_edge.correction.test_bank import TestBank, focal_range
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float
 
-# Pairs of one window share their views, hence their noise: true errors of the minimum over what
-# independent matrices would claim, measured on synthetic turns (bench/cost/focal_search.py).
+# Factor on sigma because pairs of a window share views, so that their errors are correlated;
+# measured on synthetic turns (`python -m bench cost.search`).
 _SHARED_NOISE = 1.65
-# beyond it the verdict is "uninformative"; below, the damping follows the sigma
+# a bank with a larger sigma of log focal is uninformative
 INFORMATIVE_LOG_SIGMA = 0.1
-# a group less sure than this by itself is not heard: its minimum may lie anywhere
-_LONGEST_LOG_SIGMA = 0.3
-_SETTLED = 2e-3
+# a group with a larger sigma is not used: its minimum is arbitrary
+_MAX_GROUP_LOG_SIGMA = 0.3
+_CONVERGED = 2e-3
 _GRID = 24
 _REWEIGHTINGS = 3
-# median of a squared normal pair, over its mean
-_MEDIAN_OF_TWO = 2 * np.log(2)
+# median of chi-square with two degrees of freedom, the distribution of squared scores
+_CHI2_MEDIAN = 2 * np.log(2)
 
 
 @dataclass(frozen=True, slots=True)
 class BankFocal:
-    """The bank's own minimum. log_focal: of px. log_sigma: one sigma, inf where it cannot tell.
+    """Focal of least score on a bank. log_focal: [log px]. log_sigma: inf if uninformative.
 
-    weights: (P,) of the matrices in the score. model_noise: of the score, what their matches'
-    noise leaves unexplained.
+    weights: (P,) of the matrices in the mean score. model_noise: sigma of the score in excess of
+    the noise of the matches.
     """
 
     log_focal: float
@@ -41,12 +41,12 @@ class BankFocal:
 
 
 def minimise(bank: TestBank, shape: Camera, start: float, *, weighted: bool) -> BankFocal:
-    """The focal of least score. start: the best candidate's focal [px].
+    """Find the focal of least score. start: initial focal [px]. shape: the rest of K.
 
-    Plainly: of the mean score. weighted: each group's score, its matrices weighed by their
-    information, has its own minimum; these agree but for noise and for the principal point, which
-    errs alike in all of them and pulls each its own way, so their common focal is a generalised
-    mean. Information is found anew where that lies.
+    Not weighted: the minimum of the mean score. weighted: the minima of each group's score,
+    weighted by information, combined by generalised least squares. Their covariance contains the
+    noise of each group and the error of the principal point, which is common to all groups but
+    shifts each minimum differently. Iterated, as the information depends on the focal.
     """
     x, plain = float(np.log(start)), np.ones(len(bank.F))
     if not weighted:
@@ -55,7 +55,7 @@ def minimise(bank: TestBank, shape: Camera, start: float, *, weighted: bool) -> 
         return BankFocal(x, log_sigma, plain, model_noise)
     for _ in range(_REWEIGHTINGS):
         found, log_sigma, information, model_noise = _common(bank, shape, x)
-        converged, x = abs(found - x) < _SETTLED, found
+        converged, x = abs(found - x) < _CONVERGED, found
         if converged:
             break
     weights = information if information.any() else plain
@@ -63,18 +63,21 @@ def minimise(bank: TestBank, shape: Camera, start: float, *, weighted: bool) -> 
 
 
 def _common(bank: TestBank, shape: Camera, x: float) -> tuple[float, float, Float, float]:
-    """The groups' common log focal and its sigma, information (P,) and model noise, as at x."""
+    """Combined log focal of the groups, its sigma, information (P,) and model noise.
+
+    x: log focal at which information is computed.
+    """
     model_noise = _model_noise(bank, shape, x)
     information = bank.information(x, model_noise)
-    group, pulls = bank.group_of(), information[:, None] * bank.pull(x)
-    told = np.bincount(group, information, minlength=len(bank.groups))
-    (speaking,) = np.nonzero(told > _SHARED_NOISE**2 / _LONGEST_LOG_SIGMA**2)
-    if len(speaking) == 0:
-        everything = np.ones(len(group))
-        return _minimum(bank, shape, x, everything), float(np.inf), information, model_noise
-    minima = np.array([_minimum(bank, shape, x, information * (group == g)) for g in speaking])
-    pull = np.stack([pulls[group == g].sum(0) / told[g] for g in speaking])
-    inverse = np.linalg.inv(np.diag(_SHARED_NOISE**2 / told[speaking]) + pull @ pull.T)
+    group, shifts = bank.group_of(), information[:, None] * bank.centre_shift(x)
+    totals = np.bincount(group, information, minlength=len(bank.groups))
+    (used,) = np.nonzero(totals > _SHARED_NOISE**2 / _MAX_GROUP_LOG_SIGMA**2)
+    if len(used) == 0:
+        equal = np.ones(len(group))
+        return _minimum(bank, shape, x, equal), float(np.inf), information, model_noise
+    minima = np.array([_minimum(bank, shape, x, information * (group == g)) for g in used])
+    shift = np.stack([shifts[group == g].sum(0) / totals[g] for g in used])
+    inverse = np.linalg.inv(np.diag(_SHARED_NOISE**2 / totals[used]) + shift @ shift.T)
     found = float(inverse.sum(0) @ minima / inverse.sum())
     disagreement = (minima - found) @ inverse @ (minima - found) / max(len(minima) - 1, 1)
     sigma = float(np.sqrt(max(1.0, disagreement) / inverse.sum()))
@@ -85,7 +88,7 @@ def _common(bank: TestBank, shape: Camera, x: float) -> tuple[float, float, Floa
 
 
 def _minimum(bank: TestBank, shape: Camera, x: float, weights: Float) -> float:
-    """log focal [px] of the least weighted score: on a grid and at x, then between neighbours."""
+    """Log focal [log px] of least weighted score: a grid search including x, then refinement."""
     (used,) = np.nonzero(weights)
     F, weights = bank.F[used], weights[used]
 
@@ -105,10 +108,10 @@ def _minimum(bank: TestBank, shape: Camera, x: float, weights: Float) -> float:
 
 
 def _model_noise(bank: TestBank, shape: Camera, x: float) -> float:
-    """Of the score: added to the matches' noise it makes the typical score as large as it is."""
+    """Sigma of the score in excess of the noise of the matches, from the median score at x."""
     scores = spectral.score_at(shape, np.exp(x), bank.F)
     weights, noise = bank.information(x), bank.noise(x)
     if not weights.any():
         return 0.0
-    excess = np.median((scores**2 / _MEDIAN_OF_TWO - noise**2)[weights > 0])
+    excess = np.median((scores**2 / _CHI2_MEDIAN - noise**2)[weights > 0])
     return float(np.sqrt(max(excess, 0.0)))

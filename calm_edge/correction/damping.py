@@ -1,4 +1,4 @@
-"""How far a sub-map is drawn to the global intrinsics: the damping of V-C, in tenths."""
+"""Damping factor lambda of paper V-C: share of the focal error to correct, in tenths."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ STEP = 0.1
 
 
 def from_density(n_matrices: float, config: CorrectionConfig) -> float:
-    """The paper's: n_matrices / n_group over n_pair * n_feature."""
+    """Lambda of the paper: (n_matrices / n_group) / (n_pair * n_feature), rounded down."""
     density = n_matrices / config.n_group
     return _floored(density / (config.n_pair * config.n_feature))
 
 
 def from_guesses(n: int) -> float:
-    """1 - 1/n: with n guesses the common focal itself holds 1/n of each one's error."""
+    """1 - 1/n, rounded down: the mean of n guesses contains 1/n of the error of each."""
     wanted = 1 - 1 / max(n, 1)
     return 1.0 if wanted > 0.95 else _floored(wanted)
 

@@ -1,4 +1,4 @@
-"""What is held true of one eye: candidates, bank, and the two-stage update of paper V-A."""
+"""Intrinsic search of one camera: candidates, test bank and two-stage update (paper V-A)."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from calm_edge.correction.test_bank import BankGroup, TestBank
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float
 
-# older guesses are forgotten, so that a sub-map costs the same after an hour
+# older candidates are dropped, which bounds the time per sub-map
 MAX_CANDIDATES = 64
 
 
 class EyeSearch:
-    """One eye's guesses and bank, and the camera and damping the paper makes of them.
+    """Candidates and test bank of one camera, and the camera and damping estimated from them.
 
-    Without the config's `weighted` and `refine`: the paper's search. `camera` is the guess of least
-    mean score; a new guess is taken when it scores lower, a new group judges all again. `refine`:
-    the least score there is replaces the guess. `weighted`: `asked` is a measurement, for pool.py
-    to weigh against the guesses.
+    Without `weighted` and `refine` of the config it is the paper's search: `camera` is the
+    candidate of least mean score, updated by a new candidate with a lower score, and among all
+    candidates on a new test group. `refine`: `camera` has the focal that minimises the score.
+    `weighted`: `measured` is the bank's focal with a sigma, combined with candidates in pool.py.
     """
 
     def __init__(self, config: CorrectionConfig) -> None:
@@ -33,26 +33,26 @@ class EyeSearch:
         self.bank = TestBank(config)
         self._candidates: deque[Camera] = deque(maxlen=MAX_CANDIDATES)
         self._best: Camera | None = None
-        self.asked = BankFocal(0.0, float(np.inf), np.zeros(0), 0.0)
+        self.measured = BankFocal(0.0, float(np.inf), np.zeros(0), 0.0)
 
     @property
     def camera(self) -> Camera | None:
-        """The paper's choice; None before the first sub-map."""
+        """K_global of the paper; None before the first sub-map."""
         return self._best
 
     @property
     def log_focals(self) -> Float:
-        """(C,) log px of the guesses, oldest first."""
+        """Log focals (C,) [log px] of the candidates, oldest first."""
         return np.log([camera.fx for camera in self._candidates])
 
     @property
-    def is_informed(self) -> bool:
-        """Whether the bank's verdict is that it can tell the focal."""
-        return bool(np.isfinite(self.asked.log_sigma))
+    def is_informative(self) -> bool:
+        """Whether the test bank determines the focal."""
+        return bool(np.isfinite(self.measured.log_sigma))
 
     @property
     def damping(self) -> float:
-        """The paper's, by how many matrices there are (V-C)."""
+        """Damping of the paper, from the number of matrices (V-C)."""
         if not self.bank.groups:
             return 0.0
         if not self._config.adaptive_damping:
@@ -60,49 +60,49 @@ class EyeSearch:
         return damping.from_density(len(self.bank.F), self._config)
 
     def shape(self) -> Camera:
-        """The median guess: focal, aspect and principal point."""
+        """Medians of the candidates: focal, aspect ratio and principal point."""
         focal = float(np.exp(np.median(self.log_focals)))
         aspect = float(np.median([camera.fy / camera.fx for camera in self._candidates]))
         return replace(median(self._candidates), fx=focal, fy=focal * aspect)
 
     def add_candidate(self, camera: Camera) -> None:
-        """A sub-map's guess: stage one of the update."""
+        """Add the estimate of a sub-map: stage one of the update."""
         self._candidates.append(camera)
-        if self._best is None or self._beats(camera, self._best):
+        if self._best is None or self._is_better(camera, self._best):
             self._best = camera
 
     def add_group(self, group: BankGroup) -> None:
-        """Stage two: a group that gets into the bank judges every guess anew."""
+        """Add a test group and score all candidates again: stage two of the update."""
         shape, weighted = self.shape(), self._config.weighted
-        start = np.exp(self.asked.log_focal) if self.is_informed else shape.fx
-        if not self.bank.add(group, float(np.log(start)), self.asked.model_noise):
+        start = np.exp(self.measured.log_focal) if self.is_informative else shape.fx
+        if not self.bank.add(group, float(np.log(start)), self.measured.model_noise):
             return
-        self.asked = bank_focal.minimise(self.bank, shape, start, weighted=weighted)
+        self.measured = bank_focal.minimise(self.bank, shape, start, weighted=weighted)
         if self._config.refine:
-            self._best = shape.with_focal(float(np.exp(self.asked.log_focal)))
+            self._best = shape.with_focal(float(np.exp(self.measured.log_focal)))
         else:
-            self._best = self._least()
+            self._best = self._best_candidate()
 
-    def _beats(self, camera: Camera, held: Camera) -> bool:
+    def _is_better(self, camera: Camera, current: Camera) -> bool:
         if self._config.refine or not self.bank.groups:
             return False
-        new, old = self._scores([camera, held])
+        new, old = self._scores([camera, current])
         return bool(new < old)
 
     def _scores(self, cameras: Sequence[Camera]) -> Float:
-        """(C,) weighted mean scores of guesses."""
+        """Weighted mean scores (C,) of cameras."""
         scores = spectral.score_of(cameras, self.bank.F)
-        return np.asarray(np.average(scores, -1, self.asked.weights))
+        return np.asarray(np.average(scores, -1, self.measured.weights))
 
-    def _least(self) -> Camera:
-        """The guess of least score, the one held among them."""
-        held = [] if self._best is None else [self._best]
-        cameras = [*self._candidates, *held]
+    def _best_candidate(self) -> Camera:
+        """The camera of least score among the candidates and the current one."""
+        current = [] if self._best is None else [self._best]
+        cameras = [*self._candidates, *current]
         return cameras[int(np.argmin(self._scores(cameras)))]
 
 
 def median(cameras: Iterable[Camera]) -> Camera:
-    """The first of the cameras with the median focals and centre of all."""
+    """Camera with the median focals and principal point; the rest is that of the first one."""
     first, *rest = cameras
     rows = [(camera.fx, camera.fy, camera.cx, camera.cy) for camera in (first, *rest)]
     fx, fy, cx, cy = np.median(rows, 0).tolist()

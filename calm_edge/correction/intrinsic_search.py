@@ -1,4 +1,4 @@
-"""The online intrinsic search of paper V-A, both eyes, and the damping of V-C."""
+"""Online intrinsic search for both cameras (paper V-A), and their damping (V-C)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from calm_edge.correction.test_bank import GroupBuilder
 from calm_edge.types import Bytes, GlobalIntrinsics, Landmarks, Submap
 from device.frame import Eye
 
-# What is placed is corrected again when log focal moved by more than this, or by more than this
-# share of its own sigma: less is not known.
+# Change of log focal, absolute and as a share of its sigma, that both must be exceeded for
+# rectifying the sub-maps again.
 _MOVED_LOG = 0.005
 _MOVED_SIGMAS = 0.5
 
 
 class IntrinsicSearch:
-    """Owns what is held true of both eyes; a deterministic function of its sub-maps.
+    """Owner of the intrinsic search of both cameras; deterministic.
 
-    Its cost a sub-map does not grow: guesses are capped, pictures and landmarks let go. A group
-    is begun every `group_every` sub-maps and made in as many shares, the eyes in turn; once the
-    bank is full, n_group times as seldom.
+    Time per sub-map is bounded: candidates are limited, and images and landmarks not kept. A test
+    group is started every `group_every` sub-maps, alternating between the cameras, and built in as
+    many steps; with a full bank, n_group times less often.
     """
 
     def __init__(self, config: CorrectionConfig) -> None:
@@ -33,26 +33,26 @@ class IntrinsicSearch:
         self._eyes = {eye: EyeSearch(config) for eye in Eye}
         self._builders: dict[Eye, GroupBuilder] = {}
         self._count = 0
-        self._held: GlobalIntrinsics | None = None
+        self._current: GlobalIntrinsics | None = None
         self._applied: GlobalIntrinsics | None = None
 
     @property
     def intrinsics(self) -> GlobalIntrinsics | None:
-        """What is held true now; None until both eyes were seen."""
-        return self._held
+        """Current estimate; None until there are views of both cameras."""
+        return self._current
 
-    def _judged(self) -> GlobalIntrinsics | None:
+    def _estimate(self) -> GlobalIntrinsics | None:
         eyes = [self._eyes[eye] for eye in Eye]
         primary, assistant = (eye.camera for eye in eyes)
         if primary is None or assistant is None:
             return None
         damping = np.array([eye.damping for eye in eyes])
-        sigma = np.array([eye.asked.log_sigma for eye in eyes])
+        sigma = np.array([eye.measured.log_sigma for eye in eyes])
         if self._config.weighted:
-            told = np.array([eye.asked.log_focal for eye in eyes])
+            measured = np.array([eye.measured.log_focal for eye in eyes])
             n = min(len(eye.log_focals) for eye in eyes)
             guesses = np.stack([eye.log_focals[-n:] for eye in eyes], 1)
-            pool = pooled(guesses, told, sigma)
+            pool = pooled(guesses, measured, sigma)
             primary, assistant = (
                 eye.shape().with_focal(focal)
                 for eye, focal in zip(eyes, np.exp(pool.log_focal).tolist(), strict=True)
@@ -64,10 +64,10 @@ class IntrinsicSearch:
     def add(
         self, submap: Submap, landmarks: Landmarks | None, images: Sequence[Bytes] | None
     ) -> bool:
-        """One sub-map more; whether what is placed must be rectified again.
+        """Add a sub-map; returns whether all sub-maps must be rectified again.
 
-        The guess is submap.cameras_raw. landmarks: the backbone's, images: (H, W, 3) BGR, in batch
-        order; either may be None, and nothing is matched without both.
+        The candidates are submap.cameras_raw. landmarks: of the backbone. images: (H, W, 3) BGR
+        in batch order. Without both no test group is started.
         """
         for eye in Eye:
             views, ids = views_of(submap, eye)
@@ -83,17 +83,17 @@ class IntrinsicSearch:
         return self._has_changed()
 
     def finish(self) -> bool:
-        """Ends what groups are still being made; as `add`, whether to rectify again."""
+        """Finish the test groups being built; returns whether to rectify again, as `add`."""
         for eye in list(self._builders):
             self._close(eye)
         return self._has_changed()
 
     def _is_due(self, eye: Eye) -> bool:
         bank, every = self._eyes[eye].bank, self._config.group_every
-        # the eyes take turns, so that no sub-map pays for the features of both
+        # alternate between the cameras, so that no sub-map needs SIFT features of both
         turn = (every // 2) * int(eye)
         if len(bank.groups) >= self._config.n_group:
-            # only a better group still gets in, and most are not
+            # a full bank only accepts a better group, which is rare
             every *= self._config.n_group
         due = self._count % every == turn
         return due and eye not in self._builders and not bank.is_closed
@@ -120,8 +120,8 @@ class IntrinsicSearch:
             self._eyes[eye].add_group(group)
 
     def _has_changed(self) -> bool:
-        self._held = self._judged()
-        now, before = self._held, self._applied
+        self._current = self._estimate()
+        now, before = self._current, self._applied
         if now is None:
             return False
         if before is None:
@@ -137,7 +137,7 @@ class IntrinsicSearch:
 
 
 def views_of(submap: Submap, eye: Eye) -> tuple[list[int], list[int]]:
-    """Batch indices of an eye's views and their keyframe ids, a loop keyframe left out."""
+    """Batch indices and keyframe ids of a camera's views, without a loop keyframe."""
     if eye == Eye.PRIMARY:
         return list(range(submap.n_primary)), list(submap.primary_ids)
     first = submap.n_primary

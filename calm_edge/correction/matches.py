@@ -1,4 +1,4 @@
-"""Pixels that two views of a batch share: what fundamental matrices are estimated from (V-A)."""
+"""Matches between views of a batch, for the estimation of fundamental matrices (paper V-A)."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ from calm_edge.types import Bytes, Float, Float32, Int, Landmarks
 
 
 class PairMatches(Protocol):
-    """The matches within one batch; `view` is the batch index of an image."""
+    """Matches between any two views of a batch, given by their batch indices."""
 
     def pair(self, view_a: int, view_b: int) -> tuple[Float, Float]:
-        """uv_a (M, 2), uv_b (M, 2) px of the full image."""
+        """Matched pixels uv_a (M, 2), uv_b (M, 2) of the full images."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class LandmarkMatches:
-    """A backbone's own matches. index / uv: view -> landmarks (O,), sorted, and px (O, 2)."""
+    """Matches from the backbone's landmarks.
+
+    index: landmark ids (O,), sorted, by view. uv: their pixels (O, 2) by view.
+    """
 
     index: dict[int, Int]
     uv: dict[int, Float32]
 
     def pair(self, view_a: int, view_b: int) -> tuple[Float, Float]:
-        """Pixels of the landmarks both views saw, each (M, 2)."""
+        """Pixels (M, 2), (M, 2) of the landmarks observed in both views."""
         if view_a not in self.index or view_b not in self.index:
             return np.zeros((0, 2)), np.zeros((0, 2))
         _, in_a, in_b = np.intersect1d(
@@ -39,7 +42,7 @@ class LandmarkMatches:
 
 
 def from_landmarks(landmarks: Landmarks, views: Sequence[int] | None = None) -> LandmarkMatches:
-    """The matches of all views, or of the given ones."""
+    """Matches between all views, or between the given ones."""
     index, pixels = dict[int, Int](), dict[int, Float32]()
     for view in np.unique(landmarks.view) if views is None else views:
         (rows,) = np.nonzero(landmarks.view == view)
@@ -50,19 +53,22 @@ def from_landmarks(landmarks: Landmarks, views: Sequence[int] | None = None) -> 
 
 @dataclass(frozen=True, slots=True)
 class SiftMatches:
-    """SIFT features of some views, by view."""
+    """Matches of SIFT features. features: by view."""
 
     features: dict[int, sift.Features]
 
     def pair(self, view_a: int, view_b: int) -> tuple[Float, Float]:
-        """Pixels of mutual best matches that pass the ratio test, each (M, 2)."""
+        """Pixels (M, 2), (M, 2) of mutual nearest neighbours that pass the ratio test."""
         a, b = self.features[view_a], self.features[view_b]
         in_a, in_b = sift.match(a, b).T
         return a.uv[in_a].astype(np.float64), b.uv[in_b].astype(np.float64)
 
 
 def from_sift(images: Sequence[Bytes], views: Sequence[int], max_features: int) -> SiftMatches:
-    """The matches of images (H, W, 3) BGR by at most max_features each; views: their indices."""
+    """Matches of images (H, W, 3) BGR by up to max_features SIFT features each.
+
+    views: batch indices of the images.
+    """
     features = {}
     for image, view in zip(images, views, strict=True):
         gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)

@@ -1,10 +1,10 @@
-"""What the banks of both eyes and all guesses together say of the focals (past paper V-A).
+"""Posterior of both focals from the guesses of all sub-maps and both test banks (past paper V-A).
 
-A drive has one focal an eye, so no guess knows better than all of them: a sub-map's own deviation
-is error, whatever the bank can tell, and correcting it to the common focal is right from the second
-sub-map on. What all guesses share is the backbone's bias, and the bank is there to find it. One
-model looks through both eyes: how alike its guesses vary over the sub-maps is taken for how alike
-its bias is, so a bank that turned out telling for one eye helps the other.
+The focal is constant in a drive, so the deviation of a sub-map's guess from the median of all is
+an error to correct, even if the banks are uninformative. The error common to all guesses is the
+backbone's bias, which the banks measure. Since one network estimates both cameras, its biases are
+taken to be as correlated as its guesses are over the sub-maps: an informative bank of one camera
+thus corrects the other camera too.
 """
 
 from __future__ import annotations
@@ -16,19 +16,18 @@ import numpy as np
 from calm_edge.correction import damping
 from calm_edge.types import Float
 
-# One sigma of log focal that all guesses of a drive have in common: published models err by 3 to
-# 6 % on the mean of a drive.
+# Sigma of the bias in log focal: published models have an error of 3 to 6 % in the mean of a drive.
 BIAS_LOG_SIGMA = 0.06
-# Pairs of guesses after which their correlation is half believed, and the most of it ever believed.
-_HALF_BELIEVED = 5
-_MOST_ALIKE = 0.95
+# The sample correlation is shrunk to half at this number of guesses, and bounded.
+_SHRINKAGE_COUNT = 5
+_MAX_CORRELATION = 0.95
 _MAD_TO_SIGMA = 1.4826
-_LEAST_SPREAD = 1e-4
+_MIN_SIGMA = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
-    """log_focal (2,) [log px] and log_sigma (2,) an eye; damping, the same for both eyes."""
+    """Posterior of both cameras: log_focal (2,) [log px], log_sigma (2,), common damping."""
 
     log_focal: Float
     log_sigma: Float
@@ -36,28 +35,29 @@ class Pooled:
 
 
 def pooled(guesses: Float, bank_log_focal: Float, bank_log_sigma: Float) -> Pooled:
-    """The posterior of both log focals; inf in bank_log_sigma (2,) where a bank cannot tell.
+    """Gaussian posterior of the log focals of both cameras.
 
-    guesses: (C, 2) log px of the sub-maps, an eye a column, C >= 1. Prior: the guesses' medians,
-    with their scatter and a bias that is alike in both eyes; likelihood: the banks.
+    guesses: (C, 2) [log px], a row per sub-map, C >= 1; their medians are the prior, with their
+    scatter and a correlated bias as covariance. bank_log_focal, bank_log_sigma: (2,) measurements
+    of the banks, sigma inf for an uninformative one.
     """
-    middle = np.median(guesses, 0)
-    off = guesses - middle
-    spread = np.maximum(_MAD_TO_SIGMA * np.median(np.abs(off), 0), _LEAST_SPREAD)
+    median = np.median(guesses, 0)
+    deviation = guesses - median
+    sigma = np.maximum(_MAD_TO_SIGMA * np.median(np.abs(deviation), 0), _MIN_SIGMA)
     n = len(guesses)
-    alike = _alikeness(off)
-    shape = np.array([[1.0, alike], [alike, 1.0]])
-    prior = shape * (BIAS_LOG_SIGMA**2 + np.outer(spread, spread) / n)
-    told = np.where(np.isfinite(bank_log_sigma), bank_log_sigma, np.inf) ** -2.0
-    covariance = np.linalg.inv(np.linalg.inv(prior) + np.diag(told))
-    step = covariance @ (told * np.where(told > 0, bank_log_focal - middle, 0.0))
-    return Pooled(middle + step, np.sqrt(np.diag(covariance)), damping.from_guesses(n))
+    correlation = _correlation(deviation)
+    shape = np.array([[1.0, correlation], [correlation, 1.0]])
+    prior = shape * (BIAS_LOG_SIGMA**2 + np.outer(sigma, sigma) / n)
+    measured = np.where(np.isfinite(bank_log_sigma), bank_log_sigma, np.inf) ** -2.0
+    covariance = np.linalg.inv(np.linalg.inv(prior) + np.diag(measured))
+    step = covariance @ (measured * np.where(measured > 0, bank_log_focal - median, 0.0))
+    return Pooled(median + step, np.sqrt(np.diag(covariance)), damping.from_guesses(n))
 
 
-def _alikeness(off: Float) -> float:
-    """Correlation of both eyes' deviations (C, 2), drawn towards none while there are few."""
-    norm = float(np.sqrt((off**2).sum(0).prod()))
+def _correlation(deviation: Float) -> float:
+    """Correlation of the cameras' deviations (C, 2), shrunk towards zero for small C."""
+    norm = float(np.sqrt((deviation**2).sum(0).prod()))
     if norm == 0:
         return 0.0
-    measured = float(off[:, 0] @ off[:, 1]) / norm
-    return float(np.clip(measured, 0, _MOST_ALIKE)) * len(off) / (len(off) + _HALF_BELIEVED)
+    sample = float(np.clip(float(deviation[:, 0] @ deviation[:, 1]) / norm, 0, _MAX_CORRELATION))
+    return sample * len(deviation) / (len(deviation) + _SHRINKAGE_COUNT)

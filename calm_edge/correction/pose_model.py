@@ -1,9 +1,9 @@
-"""What a wrong focal did to a relative pose, taken back (paper V-B).
+"""Correction of relative poses for an error of the focal length (paper V-B).
 
-A pose is T_a_b (p_a = R p_b + t), its essential matrix E = [t]x R, so x_a^T K^-T E K^-1 x_b = 0.
-S = diag(s_x, s_y, 1) holds the ratios of the estimated focals to the true ones. The paper writes it
-K_est K^-1, which is diagonal in pixels counted from the principal point: both K share that point,
-and an error of it is none that this model can express.
+A pose is T_a_b (p_a = R p_b + t), its essential matrix E = [t]x R, x_a^T K^-T E K^-1 x_b = 0.
+S = diag(s_x, s_y, 1) are the ratios of estimated to true focals, K_est K^-1 in the paper, which is
+diagonal for pixel coordinates relative to a common principal point; an error of that point is not
+modelled.
 """
 
 from __future__ import annotations
@@ -19,37 +19,36 @@ from calm_edge.types import Float
 _I = np.eye(3)
 
 
-def damped_scaling(estimated: Camera, held: Camera, damping: float) -> Float:
-    """S' (3, 3) = I + damping (S - I), the part of the focal's error that is to be taken back.
+def damped_scaling(estimated: Camera, target: Camera, damping: float) -> Float:
+    """S' (3, 3) = I + damping (S - I), with S of the focals of two cameras (V-B, end of V-C).
 
-    Principal points are not looked at. damping: in [0, 1]. Paper V-B, last paragraph of V-C.
+    target: K_global. damping: in [0, 1]. Principal points are ignored.
     """
-    ratio = np.array([estimated.fx / held.fx, estimated.fy / held.fy])
+    ratio = np.array([estimated.fx / target.fx, estimated.fy / target.fy])
     return np.diag([*(1 + damping * (ratio - 1)), 1.0])
 
 
 def effective_camera(estimated: Camera, S: Float) -> Camera:
-    """The camera that poses corrected by S (3, 3) belong to: f_est / s an axis.
+    """Camera consistent with poses corrected by S (3, 3): focals divided by s_x and s_y.
 
-    The principal point stays as estimated. With S damped the focal stays between the estimated and
-    the held one.
+    With damping these are between the estimated and the target's. The principal point is kept.
     """
     s_x, s_y, _ = np.diagonal(S).tolist()
     return replace(estimated, fx=estimated.fx * (1 / s_x), fy=estimated.fy * (1 / s_y))
 
 
 def translation_simple(t: Float, S: Float) -> Float:
-    """S t, (..., 3) in the unit of t: right where the rotation is small (V-B)."""
+    """Corrected translation S t (..., 3), for small rotations (simplified form of V-B)."""
     return np.asarray((S @ t[..., None])[..., 0])
 
 
 def translation_general(t: Float, R: Float, S: Float) -> Float:
-    """The skew part of M = S^-1 [t]x R S^-1 R^-1, times s_x s_y: (..., 3) in the unit of t (V-B).
+    """Corrected translation (..., 3): skew part of M = S^-1 [t]x R S^-1 R^-1, times s_x s_y (V-B).
 
-    t (..., 3), R and S (..., 3, 3). As s_x s_y M = [S t]x (S R S^-1 R^-1), the factor that the
-    paper derives for R = I is right for every R: the bracket has trace 3 up to the square of
-    (focal error x rotation). Setting t_z to what was estimated would say the same where
-    t_z is large, and nothing where the motion is sideways.
+    t: (..., 3). R, S: (..., 3, 3). The paper derives the factor s_x s_y for R = I, but because of
+    s_x s_y M = [S t]x (S R S^-1 R^-1) it holds for any R: the trace of the bracket is 3 up to
+    second order in focal error times rotation. Normalising by t_z instead fails for sideways
+    motion.
     """
     S_inverse = np.linalg.inv(S)
     M = S_inverse @ se3.hat(t) @ R @ S_inverse @ np.swapaxes(R, -1, -2)
@@ -59,10 +58,10 @@ def translation_general(t: Float, R: Float, S: Float) -> Float:
 
 
 def rotation_error(t: Float, R: Float, S: Float) -> Float:
-    """Theta (..., 3) rad: the rotation vector by which R is wrong, to first order in S - I (V-B).
+    """Rotation error Theta (..., 3) [rad] due to the focal error, first order in S - I (V-B).
 
-    t (..., 3), R and S (..., 3, 3). Only the direction of t matters. Zero where t is zero: without
-    a baseline the epipolar constraint says nothing of it. Theta has no part along t.
+    t: (..., 3), only its direction matters. R, S: (..., 3, 3). Theta is orthogonal to t, and zero
+    for t = 0, where there is no epipolar constraint.
     """
     length = np.linalg.norm(t, axis=-1, keepdims=True)
     u = t / np.where(length > 0, length, 1.0)
@@ -72,5 +71,5 @@ def rotation_error(t: Float, R: Float, S: Float) -> Float:
 
 
 def corrected_rotation(t: Float, R: Float, S: Float) -> Float:
-    """Rodrigues(Theta)^T R, (..., 3, 3), of the estimated t (..., 3) and R (..., 3, 3) (V-B)."""
+    """Corrected rotation Rodrigues(Theta)^T R (..., 3, 3) from estimated t (..., 3) and R (V-B)."""
     return np.asarray(se3.so3_exp(-rotation_error(t, R, S)) @ R)

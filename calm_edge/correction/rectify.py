@@ -1,10 +1,11 @@
-"""A sub-map's poses and intrinsics under K_global instead of the backbone's own (paper V-C).
+"""Correct a sub-map's poses and intrinsics to K_global (paper V-C).
 
-The paper's rotation error is that of two views alone, where the epipolar constraint acts across
-the baseline. Between the eyes that baseline is sideways; but a whole window fixes the depth of its
-points along the path of travel, and with it the rig's rotation: a focal s times too long shrinks a
-toe-in by s there, where two views alone would widen it. So the rig's rotation is corrected along
-the travel; along the baseline, as the paper has it, the error doubles (tests/correction).
+The paper's rotation correction holds for two views, with the baseline between them. Between the
+two cameras that baseline is sideways, but in a window of many views depth is determined by the
+motion of the car, and so is the rotation between the cameras: a focal too long by s reduces their
+angle by s, while for two views alone it would increase it. Therefore the rotation between the
+cameras is corrected with the direction of travel as baseline; with the baseline between the cameras
+its error doubles (tests/correction).
 """
 
 from __future__ import annotations
@@ -20,18 +21,17 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, GlobalIntrinsics, Int, Submap
 from device.frame import Eye
 
-# assistant views from which a trend can be told from noise
+# minimum number of assistant views for estimating a trend
 _LEAST_FOR_TREND = 5
 
 
 def rectified(submap: Submap, intrinsics: GlobalIntrinsics, config: CorrectionConfig) -> Submap:
-    """The raw sub-map with T_s_c and cameras as the search's intrinsics have them (V-C).
+    """Rectify a raw sub-map with the intrinsics of the search: new T_s_c and cameras (V-C).
 
-    submap: as the backbone gave it: scale 1, T_s_c and cameras raw; it needs a primary view.
-    T_s_c (N, 4, 4) stays in the raw unit and starts where it did; focals become
-    f_est / (1 + damping (s - 1)) an axis, so depth is to be back-projected with them. With zero
-    damping all of it comes back as it was. `config` may switch off either half of the poses'
-    correction, not that of the focals.
+    submap: with raw T_s_c and cameras and scale 1; at least one primary view. T_s_c (N, 4, 4)
+    stays in the raw unit, with the first pose unchanged. Focals become f / (1 + damping (s - 1));
+    depth must be back-projected with these. Returns the input if both dampings are zero. `config`
+    can disable the correction of rotations or translations, not that of focals.
     """
     if not np.any(intrinsics.damping):
         return submap
@@ -58,9 +58,9 @@ def rectified(submap: Submap, intrinsics: GlobalIntrinsics, config: CorrectionCo
 def _corrected(
     T_a_b: Float, S: Float, config: CorrectionConfig, along: Float | None = None
 ) -> Float:
-    """Relative poses (N, 4, 4) with the switched-on halves of the correction by S (..., 3, 3).
+    """Apply the enabled parts of the correction by S (..., 3, 3) to relative poses (N, 4, 4).
 
-    along: (N, 3) in a's axes, the baseline of the rotation's correction; None for the pose's own.
+    along: (N, 3) baseline for the rotation, in axes of a; None: the translation of the pose.
     """
     R, t = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
     baseline = t if along is None else along
@@ -73,9 +73,9 @@ def _corrected(
 
 
 def _primary(T_s_p: Float, S: Float, config: CorrectionConfig) -> Float:
-    """Chained from the first view over corrected steps, (N, 4, 4).
+    """Primary poses (N, 4, 4), chained from the corrected relative poses (V-C).
 
-    A step has the mean S of its two views, the rule of S_joint.
+    A relative pose is corrected by the mean S of its two views, like S_joint.
     """
     steps = _corrected(se3.inverse(T_s_p[:-1]) @ T_s_p[1:], (S[:-1] + S[1:]) / 2, config)
     chain = [T_s_p[0]]
@@ -85,8 +85,9 @@ def _primary(T_s_p: Float, S: Float, config: CorrectionConfig) -> Float:
 
 
 class _Between(NamedTuple):
-    """Of each stamp (M,): the primary views before and after it, and how far it is from one to
-    the other, 0 to 1; beyond where the stamp lies up to one gap outside.
+    """Primary views before and after each assistant stamp (M,), and its position between them.
+
+    share: 0 at `before`, 1 at `after`; in [-1, 2] for stamps up to one frame interval outside.
     """
 
     before: Int
@@ -95,10 +96,10 @@ class _Between(NamedTuple):
 
 
 def _bracketed(t_p_ns: Int, t_a_ns: Int) -> _Between:
-    """Where the assistant's stamps (M,) lie among the primary's (N,).
+    """Locate the assistant's stamps (M,) among the primary's (N,).
 
-    At the nearest end where one lies more than the frame gap there outside; of views that share
-    a stamp the first counts. Whether such stamps mean anything is for the scale to say.
+    A stamp further outside than one frame interval is moved to the nearest end; of views with
+    equal stamps the first is used. Invalid stamps are rejected later, by the scale.
     """
     t_ns, first = np.unique(t_p_ns, return_index=True)
     if len(t_ns) == 1:
@@ -114,7 +115,7 @@ def _assistant(
     T_s_p: Float, T_s_p_new: Float, T_s_a: Float, between: _Between, S_joint: Float,
     config: CorrectionConfig,
 ) -> Float:  # fmt: skip
-    """Each view (M, 4, 4) relative to the primary at its stamp: raw there, rectified back."""
+    """Rectified assistant poses (M, 4, 4), relative to the primary interpolated at their stamps."""
     before, after, share = between
     both = np.stack([T_s_p, T_s_p_new])
     T_s_ref, T_s_ref_new = se3.interpolate(both[:, before], both[:, after], share)
@@ -128,11 +129,10 @@ def _assistant(
 
 
 def without_trend(T_p_a: Float, t: Float) -> Float:
-    """Rig samples (M, 4, 4) at times t (M, 1), any unit, less what of them grows evenly in time.
+    """Remove the linear trend from rig transforms (M, 4, 4) at times t (M, 1), in any unit.
 
-    The rig is rigid: a slow turn of the assistant against the primary is what its wrong focal left
-    over, and the joint graph would take it for motion and share it out between the eyes. The
-    primary's motion is the one that the correction is exact for.
+    The rig is rigid, so a constant rate of the assistant relative to the primary is a residual
+    effect of its focal error. The joint graph would distribute it over the motion of both cameras.
     """
     if len(T_p_a) < _LEAST_FOR_TREND or np.ptp(t) == 0:
         return T_p_a
@@ -146,7 +146,7 @@ def without_trend(T_p_a: Float, t: Float) -> Float:
 def _loop(
     T_s_p: Float, T_s_p_new: Float, T_s_l: Float, S: Float, config: CorrectionConfig
 ) -> Float:
-    """Loop views (L, 4, 4) relative to the primary view whose raw centre is nearest."""
+    """Rectified loop views (L, 4, 4), corrected relative to the nearest primary view."""
     apart = np.linalg.norm(T_s_l[:, None, :3, 3] - T_s_p[None, :, :3, 3], axis=-1)
     nearest = apart.argmin(1)
     T_ref_l = se3.inverse(T_s_p[nearest]) @ T_s_l

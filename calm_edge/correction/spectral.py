@@ -1,6 +1,6 @@
-"""How well intrinsics explain fundamental matrices, and how much of that these can tell (V-A).
+"""Score of intrinsics on fundamental matrices (Eq. Score, paper V-A), and its sensitivity.
 
-E = K^T F K of the true intrinsics has two equal singular values and a zero. K: (..., 3, 3) px,
+With the true K, E = K^T F K has two equal singular values and one that is zero. K: (..., 3, 3) px,
 F: (..., 3, 3) px as in `geometry.epipolar`.
 """
 
@@ -14,33 +14,33 @@ import numpy as np
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float
 
-# for derivatives: of log focal, and of each of a matrix's own sigmas
+# steps of numeric derivatives: of log focal, and in sigmas of F
 _STEP = 1e-3
 _SIGMAS = 1e-2
-# how many of its own sigmas a slope must measure to count: five, since noise in a turn on which
-# the score is blind comes with tails
+# a slope below this many of its sigmas counts as zero; five, because its noise has heavy tails
+# for motions on which the score does not depend on the focal
 _SIGNIFICANT = 5.0
-# the smallest score told from zero; keeps exact synthetic matrices finite
+# lower bound of the score's noise, so that exact synthetic matrices have finite information
 _SCORE_FLOOR = 1e-4
-# Principal points are guessed at the image centre; real ones lie off it by about this share of the
-# width (one sigma, assumed: 2.6 % in the worst recording at hand).
+# Sigma of the principal point's offset from the image centre, as a share of the width; assumed
+# (the largest seen in our recordings is 2.6 %).
 PRINCIPAL_POINT_SHARE = 0.007
 
 
 @dataclass(frozen=True, slots=True)
-class Telling:
-    """What each of P matrices can tell of focal, at G focals.
+class FocalSensitivity:
+    """Sensitivity of the scores of P matrices at G focals.
 
-    log_focal: (G,) of px, growing. curves: (5, P, G) of the score beside its minimum: slope by
-    log focal; noise, slope's noise (one sigma of the matches' noise); what one sigma of the
-    principal point, across and down, adds along the slope.
+    log_focal: (G,) of px, ascending. curves: (5, P, G): derivative of the score near its minimum
+    by log focal; sigma of the score and of that derivative due to noise of the matches; change of
+    the score for one sigma of the principal point, in x and in y.
     """
 
     log_focal: Float
     curves: Float
 
     def at(self, log_focal: float) -> Float:
-        """The curves (5, P) at the focal [log px], interpolated."""
+        """The curves (5, P), interpolated at a log focal [log px]."""
         x = float(np.interp(log_focal, self.log_focal, np.arange(len(self.log_focal))))
         low = min(int(x), len(self.log_focal) - 2)
         share = x - low
@@ -48,10 +48,10 @@ class Telling:
 
 
 def score(K: Float, F: Float) -> Float:
-    """Eq. Score, paper V-A: |s1 - s2| / s1 + |s3| / s1 of K^T F K, (..., P).
+    """Eq. Score of paper V-A: |s1 - s2| / s1 + |s3| / s1 of K^T F K, (..., P).
 
-    K: (..., 3, 3) candidates, F: (P, 3, 3). The eigenvalues of E E^T come in closed form, good to
-    1e-6: hundreds of matrices under dozens of candidates then cost milliseconds.
+    K: (..., 3, 3) candidates, F: (P, 3, 3). Computed from the eigenvalues of E E^T in closed form
+    (accurate to 1e-6), because hundreds of matrices are scored for dozens of candidates.
     """
     a, b, c = _rows(K[..., None, :, :], np.ascontiguousarray(np.moveaxis(F, 0, -1)))
     aa, bb, cc = (a * a).sum(0), (b * b).sum(0), (c * c).sum(0)
@@ -70,7 +70,7 @@ def score(K: Float, F: Float) -> Float:
 
 
 def at_focal(shape: Camera, focal: Float | float) -> Float:
-    """K (..., 3, 3) px of focals (...), with the aspect and principal point of `shape`."""
+    """K (..., 3, 3) px with focals (...), and aspect ratio and principal point of `shape`."""
     focal = np.asarray(focal, np.float64)
     K = np.broadcast_to(shape.matrix, (*focal.shape, 3, 3)).copy()
     K[..., 0, 0], K[..., 1, 1] = focal, focal * shape.fy / shape.fx
@@ -78,20 +78,20 @@ def at_focal(shape: Camera, focal: Float | float) -> Float:
 
 
 def score_at(shape: Camera, focal: Float | float, F: Float) -> Float:
-    """Eq. Score of F (P, 3, 3) at focals (...) px of `shape`: (..., P)."""
+    """Eq. Score (..., P) of F (P, 3, 3) for focals (...) px, the rest of K from `shape`."""
     return score(at_focal(shape, focal), F)
 
 
 def score_of(cameras: Sequence[Camera], F: Float) -> Float:
-    """Eq. Score of F (P, 3, 3) for each of the cameras: (C, P)."""
+    """Eq. Score (C, P) of F (P, 3, 3) for each camera."""
     return score(np.stack([camera.matrix for camera in cameras]), F)
 
 
-def telling(shape: Camera, F: Float, steps: Float, focals: Float) -> Telling:
-    """What F (P, 3, 3) with one-sigma steps (P, 7, 3, 3) can tell at focals (G,) px, growing.
+def focal_sensitivity(shape: Camera, F: Float, steps: Float, focals: Float) -> FocalSensitivity:
+    """Sensitivity of F (P, 3, 3) with one-sigma steps (P, 7, 3, 3) at focals (G,) px, ascending.
 
-    shape: has the aspect and principal point. A slope of zero, on a straight or on an arc
-    the optical axis is tangent to, means that every focal explains the matrix equally well.
+    shape: aspect ratio and principal point. The derivative is zero for motion on a straight line
+    and on an arc tangent to the optical axis, where every focal explains the matrix.
     """
     log_focal = np.log(focals)
     K, above, below = (at_focal(shape, np.exp(log_focal + d)) for d in (0.0, _STEP, -_STEP))
@@ -102,7 +102,7 @@ def telling(shape: Camera, F: Float, steps: Float, focals: Float) -> Telling:
     def slope(F: Float) -> Float:
         return (_asymmetry(above, F, plane) - _asymmetry(below, F, plane)) / (2 * _STEP)
 
-    def aside(axis: int) -> Float:
+    def off_centre(axis: int) -> Float:
         moved = np.zeros((3, 3))
         moved[axis, 2] = PRINCIPAL_POINT_SHARE * 2 * shape.cx
         return (_asymmetry(K + moved, base, plane) - _asymmetry(K - moved, base, plane)) / 2
@@ -114,30 +114,30 @@ def telling(shape: Camera, F: Float, steps: Float, focals: Float) -> Telling:
     slope_noise = (slope(near[0]) - slope(near[1])) / (2 * _SIGMAS)
     curves = [
         size[:, 0],
-        # half of it lies along the slope, on average
+        # on average half of its variance is along the slope
         np.sqrt((noise**2).sum((1, 3)) / 2),
         np.sqrt((slope_noise**2).sum((1, 3))),
-        *((aside(axis) * along).sum(-1)[:, 0] for axis in (0, 1)),
+        *((off_centre(axis) * along).sum(-1)[:, 0] for axis in (0, 1)),
     ]
-    return Telling(log_focal, np.stack(curves))
+    return FocalSensitivity(log_focal, np.stack(curves))
 
 
-def information(told: Telling, log_focal: float, model_noise: float = 0.0) -> Float:
-    """(P,) information on log focal: (slope / noise)^2, 0 where the slope is itself but noise.
+def information(sensitivity: FocalSensitivity, log_focal: float, model_noise: float = 0.0) -> Float:
+    """Information (P,) on the log focal: (slope / noise)^2, 0 for an insignificant slope.
 
-    model_noise: of the score, what neither the matches' noise nor the focal explains (lens,
-    moving things). The principal point's uncertainty counts as noise too.
+    model_noise: sigma of the score due to other errors (lens distortion, moving objects). The
+    uncertainty of the principal point is included in the noise.
     """
-    slope, noise, slope_noise, across, down = told.at(log_focal)
+    slope, noise, slope_noise, by_cx, by_cy = sensitivity.at(log_focal)
     counts = slope > _SIGNIFICANT * slope_noise
-    variance = noise**2 + across**2 + down**2 + model_noise**2 + _SCORE_FLOOR**2
+    variance = noise**2 + by_cx**2 + by_cy**2 + model_noise**2 + _SCORE_FLOOR**2
     return np.asarray(counts * slope**2 / variance)
 
 
-def pull(told: Telling, log_focal: float) -> Float:
-    """(P, 2) how far one sigma of the principal point, across and down, moves the log focal."""
-    slope, _, _, across, down = told.at(log_focal)
-    return np.asarray(-np.stack([across, down], -1) / np.maximum(slope, 1e-300)[:, None])
+def centre_shift(sensitivity: FocalSensitivity, log_focal: float) -> Float:
+    """Shift (P, 2) of the log focal of least score by one sigma of the principal point, x and y."""
+    slope, _, _, by_cx, by_cy = sensitivity.at(log_focal)
+    return np.asarray(-np.stack([by_cx, by_cy], -1) / np.maximum(slope, 1e-300)[:, None])
 
 
 def _essential(K: Float, F: Float) -> Float:
@@ -145,9 +145,9 @@ def _essential(K: Float, F: Float) -> Float:
 
 
 def _rows(K: Float, F: Float) -> tuple[Float, Float, Float]:
-    """The rows, each (3, ..., P), of K^T F K for K (..., 1, 3, 3) and F (3, 3, P).
+    """Rows, each (3, ..., P), of K^T F K for K (..., 1, 3, 3) and F (3, 3, P).
 
-    Written out, since K is triangular and numpy multiplies many 3 x 3 matrices slowly.
+    Written out for upper triangular K, since numpy's product of many 3 x 3 matrices is slow.
     """
     fx, skew, cx, fy, cy = (K[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2)))
     right = [
@@ -161,10 +161,10 @@ def _rows(K: Float, F: Float) -> tuple[Float, Float, Float]:
 
 
 def _asymmetry(K: Float, F: Float, plane: Float) -> Float:
-    """The two ways (..., 2) in which E E^T is not a multiple of the identity on `plane`.
+    """Deviation (..., 2) of E E^T, restricted to `plane`, from a multiple of the identity.
 
-    plane: (..., 3, 2) orthonormal, across the left null vector. To first order the length of the
-    result is the score; unlike the score it is smooth where that is zero.
+    plane: (..., 3, 2) orthonormal basis orthogonal to the left null vector. The norm of the result
+    is the score to first order; unlike the score it is differentiable where that is zero.
     """
     G = np.swapaxes(plane, -1, -2) @ _essential(K, F)
     x, y = G[..., 0, :], G[..., 1, :]

@@ -1,4 +1,4 @@
-"""Fundamental matrices of one eye that intrinsics are tried on: the test bank of paper V-A."""
+"""Test bank of one camera: groups of fundamental matrices to score intrinsics on (paper V-A)."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ import numpy as np
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import spectral
 from calm_edge.correction.matches import PairMatches
-from calm_edge.correction.spectral import Telling
+from calm_edge.correction.spectral import FocalSensitivity
 from calm_edge.geometry import epipolar
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.epipolar import Fundamental
 from calm_edge.types import Float, Int
 
-# image widths: from the widest pinhole lens to a long telephoto
+# shortest and longest focal to search, in image widths
 FOCAL_RANGE = (0.3, 3.0)
 _FOCALS = 12
 
 
 @dataclass(frozen=True, slots=True)
 class BankGroup:
-    """F (P, 3, 3) px of one eye, x_b^T F x_a = 0, and what each can tell at any focal."""
+    """A test group: F (P, 3, 3) px of one camera, x_b^T F x_a = 0, and their sensitivity."""
 
     F: Float
-    told: Telling
+    sensitivity: FocalSensitivity
 
 
 def focal_range(shape: Camera) -> tuple[float, float]:
-    """Shortest and longest focal [px] looked for."""
+    """Shortest and longest focal [px] to search."""
     return FOCAL_RANGE[0] * shape.width, FOCAL_RANGE[1] * shape.width
 
 
 class GroupBuilder:
-    """Makes a group out of one sub-map's views of one eye, a share of the pairs at a time.
+    """Builds a test group from all pairs of a sub-map's views of one camera, in several steps.
 
-    views: batch indices, keyframe_ids: of these views. All pairs are tried; each keeps the
-    matches only as long as the work lasts. A function of its arguments alone.
+    views: batch indices, keyframe_ids: of these views. Deterministic. The steps spread the time
+    over several sub-maps; `matches` is kept until then.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class GroupBuilder:
         return not self._todo
 
     def advance(self) -> None:
-        """The next share of the pairs: all are done after `group_every` calls."""
+        """Process the next share of the pairs; all are done after `group_every` calls."""
         pairs, self._todo = self._todo[: self._share], self._todo[self._share :]
         for view_a, view_b in pairs:
             ids = self._ids[view_a], self._ids[view_b]
@@ -71,9 +71,9 @@ class GroupBuilder:
                 self._found.append(fit)
 
     def finish(self, shape: Camera) -> BankGroup | None:
-        """The group, whatever pairs were still to do; None with fewer than n_pair pairs.
+        """Process the remaining pairs and return the group; None with fewer than n_pair pairs.
 
-        shape: the best camera so far: what the group tells is weighed there.
+        shape: current camera, for which the sensitivity is computed.
         """
         while not self.done:
             self.advance()
@@ -81,18 +81,18 @@ class GroupBuilder:
             return None
         F = np.stack([fit.F for fit in self._found])
         steps = np.stack([fit.steps for fit in self._found])
-        told = spectral.telling(shape, F, steps, np.geomspace(*focal_range(shape), _FOCALS))
-        return BankGroup(F, told)
+        focals = np.geomspace(*focal_range(shape), _FOCALS)
+        return BankGroup(F, spectral.focal_sensitivity(shape, F, steps, focals))
 
 
 class TestBank:
-    """At most n_group groups of one eye.
+    """The test groups of one camera, at most n_group.
 
-    As in the paper a full bank takes no more. When `weighted`, a group that can tell more takes
-    the place of the one that can tell least.
+    As in the paper, a full bank accepts no more groups; with `weighted`, a group with more
+    information replaces the one with the least.
     """
 
-    __test__ = False  # not a test case, whatever pytest makes of the name
+    __test__ = False  # pytest would collect it because of its name
 
     def __init__(self, config: CorrectionConfig) -> None:
         self._config = config
@@ -100,43 +100,48 @@ class TestBank:
 
     @property
     def is_closed(self) -> bool:
-        """No further group can get in."""
+        """Whether no further group is accepted."""
         return len(self.groups) >= self._config.n_group and not self._config.weighted
 
     @property
     def F(self) -> Float:
-        """(P, 3, 3) of all groups, in their order."""
+        """Matrices (P, 3, 3) of all groups, in order."""
         return np.concatenate([np.zeros((0, 3, 3)), *(group.F for group in self.groups)])
 
     def add(self, group: BankGroup, log_focal: float, model_noise: float = 0.0) -> bool:
-        """Whether the group got in; what groups tell is compared at the focal [log px]."""
+        """Add a group; returns whether it was accepted.
+
+        log_focal: [log px] at which the information of groups is compared.
+        """
         if len(self.groups) < self._config.n_group:
             self.groups = (*self.groups, group)
             return True
         if self.is_closed:
             return False
         candidates = (*self.groups, group)
-        told = [spectral.information(g.told, log_focal, model_noise).sum() for g in candidates]
-        worst = int(np.argmin(told))
-        if told[worst] >= told[-1]:
+        totals = [
+            spectral.information(g.sensitivity, log_focal, model_noise).sum() for g in candidates
+        ]
+        worst = int(np.argmin(totals))
+        if totals[worst] >= totals[-1]:
             return False
         self.groups = candidates[:worst] + candidates[worst + 1 :]
         return True
 
     def information(self, log_focal: float, model_noise: float = 0.0) -> Float:
-        """(P,) on log focal, of every matrix, at a focal [log px]."""
-        parts = [spectral.information(g.told, log_focal, model_noise) for g in self.groups]
+        """Information (P,) of each matrix on the log focal, at a log focal [log px]."""
+        parts = [spectral.information(g.sensitivity, log_focal, model_noise) for g in self.groups]
         return np.concatenate([np.zeros(0), *parts])
 
     def noise(self, log_focal: float) -> Float:
-        """(P,) one sigma of every matrix's score from its matches' noise, at a focal [log px]."""
-        return np.concatenate([np.zeros(0), *(g.told.at(log_focal)[1] for g in self.groups)])
+        """Sigma (P,) of each score due to noise of the matches, at a log focal [log px]."""
+        return np.concatenate([np.zeros(0), *(g.sensitivity.at(log_focal)[1] for g in self.groups)])
 
-    def pull(self, log_focal: float) -> Float:
-        """(P, 2) log focal moved by one sigma of the principal point, at a focal [log px]."""
-        parts = [spectral.pull(g.told, log_focal) for g in self.groups]
+    def centre_shift(self, log_focal: float) -> Float:
+        """Shifts (P, 2) as `spectral.centre_shift`, of each matrix, at a log focal [log px]."""
+        parts = [spectral.centre_shift(g.sensitivity, log_focal) for g in self.groups]
         return np.concatenate([np.zeros((0, 2)), *parts])
 
     def group_of(self) -> Int:
-        """(P,) which group each matrix belongs to."""
+        """Group index (P,) of each matrix."""
         return np.repeat(np.arange(len(self.groups)), [len(g.F) for g in self.groups])

@@ -1,4 +1,4 @@
-"""Sub-maps of guessed focals, and landmarks of both eyes in one batch."""
+"""Sub-maps with given focals, and landmarks of both cameras in one batch."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from calm_edge.types import Landmarks, Submap
 
 
 def submap(number: int, focals: tuple[float, float], n: int = N_VIEWS) -> Submap:
-    """A sub-map of n views an eye whose backbone guessed these focals [px]; nothing else is told.
+    """A sub-map of n views per camera with the given focals [px] and arbitrary poses.
 
-    A loop keyframe of absurd focal trails the batch.
+    It ends with a loop keyframe of a wrong focal.
     """
     guesses = np.repeat([*focals, 1e5], [n, n, 1]).tolist()
     cameras = tuple(CAMERA.with_focal(focal) for focal in guesses)
@@ -34,7 +34,7 @@ def submap(number: int, focals: tuple[float, float], n: int = N_VIEWS) -> Submap
 
 
 def both_eyes(landmarks: Landmarks, other: Landmarks, n: int = N_VIEWS) -> Landmarks:
-    """One batch of the primary's and the assistant's landmarks."""
+    """Landmarks of primary and assistant in one batch."""
     return Landmarks(
         points_s=np.concatenate([landmarks.points_s, other.points_s]),
         index=np.concatenate([landmarks.index, other.index + len(landmarks.points_s)]),

@@ -24,7 +24,7 @@ def error(found):
 @pytest.mark.parametrize(
     "kinds", [("general",), ("yawed",), ("ahead", "-ahead"), ("straight", "general", "tangent")]
 )
-def test_turns_tell_the_focal_within_few_percent_of_a_guess_15_percent_long(kinds):
+def test_turns_give_the_focal_within_few_percent_from_a_start_15_percent_long(kinds):
     _, found = searched(*kinds)
     assert error(found) < 0.015
     assert np.isfinite(found.log_sigma) and error(found) < 3 * found.log_sigma
@@ -37,43 +37,43 @@ def test_straights_and_tangent_arcs_are_uninformative(kinds):
     assert searched(*kinds)[1].log_sigma == np.inf
 
 
-def test_one_arc_ahead_of_the_axle_cannot_rule_the_principal_point_out():
-    """One degree aside of an axis four degrees off the tangent: a quarter of the focal."""
+def test_a_single_arc_does_not_separate_focal_and_principal_point():
+    """With the axis 4 degrees off the tangent, 1 degree of the centre acts like 25 % of focal."""
     assert searched("ahead")[1].log_sigma > 0.05
     assert searched("ahead", off_px=12)[1].log_sigma > 0.05
 
 
-def test_turning_both_ways_cancels_a_principal_point_off_centre():
+def test_turns_in_both_directions_cancel_an_error_of_the_principal_point():
     _, one_way = searched("ahead", off_px=12)
     _, both_ways = searched("ahead", "-ahead", off_px=12)
     assert error(one_way) > 0.08
     assert error(both_ways) < 0.04 and error(both_ways) < 3 * both_ways.log_sigma
 
 
-def test_a_fifth_of_wrong_matches_does_not_move_the_focal():
+def test_twenty_percent_outliers_do_not_change_the_focal():
     _, found = searched("general", outliers=0.2)
     assert error(found) < 0.02 and np.isfinite(found.log_sigma)
 
 
 def mean_score(bank, focals, weights=None):
-    """The bank's mean score (G,) at focals (G,) px."""
+    """Mean score (G,) of the bank at focals (G,) px."""
     scores = spectral.score_at(GUESS, focals, bank.F)
     return np.average(scores, -1, weights)
 
 
-def test_plainly_it_is_the_mean_score_that_is_minimised():
+def test_without_weights_the_mean_score_is_minimised():
     bank, found = searched("general", "straight", weighted=False)
     focals = np.exp(found.log_focal + np.array([-0.02, 0, 0.02]))
     assert mean_score(bank, focals).argmin() == 1
     assert (found.weights == 1).all()
 
 
-def test_weighted_only_the_turn_counts():
+def test_with_weights_only_turns_contribute():
     bank, found = searched("general", "straight")
     assert found.weights[bank.group_of() == 1].sum() < 0.01 * found.weights.sum()
 
 
-def test_the_curve_of_a_turn_has_its_valley_at_the_truth():
+def test_the_score_of_a_turn_is_least_at_the_true_focal():
     bank, found = searched("general")
     focals = 700 * np.exp(np.linspace(-0.3, 0.3, 61))
     curve = mean_score(bank, focals, found.weights)
@@ -81,8 +81,8 @@ def test_the_curve_of_a_turn_has_its_valley_at_the_truth():
     assert curve[0] > 3 * curve.min() and curve[-1] > 3 * curve.min()
 
 
-def test_groups_that_disagree_widen_the_sigma():
-    """A bank over which the lens was zoomed from 700 to 770 px, turning the same way."""
+def test_disagreement_of_groups_increases_the_sigma():
+    """Groups with focals of 700 and 770 px, turning in the same direction."""
     bank = TestBank(CorrectionConfig())
     bank.add(group("general", 0, guess=805.0), np.log(805))
     bank.add(group("general", 1, guess=805.0, focal=770.0), np.log(805))

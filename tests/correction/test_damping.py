@@ -15,11 +15,11 @@ def test_full_damping_takes_five_hundred_matrices(n_matrices, expected):
     assert damping.from_density(n_matrices, CONFIG) == pytest.approx(expected)
 
 
-def test_a_bank_of_all_pairs_is_full_and_never_more():
+def test_damping_is_at_most_one():
     assert damping.from_density(525, CONFIG) == damping.from_density(9999, CONFIG) == 1
     assert damping.from_density(525, replace(CONFIG, n_feature=20)) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(("n", "expected"), [(1, 0), (2, 0.5), (5, 0.8), (19, 0.9), (21, 1.0)])
-def test_damping_grows_with_the_guesses(n, expected):
+def test_damping_grows_with_the_number_of_guesses(n, expected):
     assert damping.from_guesses(n) == expected

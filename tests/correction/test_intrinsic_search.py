@@ -17,7 +17,7 @@ GUESSES = 700 * np.exp(0.08 * np.random.default_rng(0).normal(size=(12, 2)) + 0.
 
 
 def drive(config, kind, count=6, focals=GUESSES):
-    """The search after some sub-maps of one motion, and what each `add` answered."""
+    """The search after some sub-maps of one motion, and the results of `add`."""
     search, answers = IntrinsicSearch(config), []
     for k in range(count):
         name = kind if k % 4 < 2 else f"-{kind}"
@@ -32,24 +32,24 @@ def turning():
     return drive(CONFIG, "general", 8)
 
 
-def test_views_of_an_eye_leave_the_loop_keyframe_out():
+def test_views_of_a_camera_do_not_contain_the_loop_keyframe():
     one = submap(3, (700.0, 800.0), 4)
     assert views_of(one, Eye.PRIMARY) == ([0, 1, 2, 3], [12, 13, 14, 15])
     assert views_of(one, Eye.ASSISTANT) == ([4, 5, 6, 7], [12, 13, 14, 15])
 
 
-def test_nothing_is_held_before_a_sub_map_and_the_first_guess_after_it():
+def test_the_estimate_is_none_before_a_sub_map_and_then_the_first_guess():
     search = IntrinsicSearch(CONFIG)
     assert search.intrinsics is None
     assert search.add(submap(0, (650.0, 810.0), 4), None, None) is False
     held = search.intrinsics
     assert held.focals == pytest.approx([650, 810])
-    # one guess corrects nobody, and its bias is anyone's
+    # a single guess gives no correction, and its bias is unknown
     assert (held.damping == 0).all()
     assert held.focal_log_sigma == pytest.approx(BIAS_LOG_SIGMA, rel=0.01)
 
 
-def test_turning_finds_both_focals_and_says_once_that_they_changed(turning):
+def test_turning_gives_both_focals_and_reports_one_change(turning):
     search, answers = turning
     held = search.intrinsics
     error = np.abs(np.log(held.focals / 700))
@@ -64,7 +64,7 @@ def test_the_same_sub_maps_give_the_same_intrinsics(turning):
     assert again.intrinsics.cameras == turning[0].intrinsics.cameras
 
 
-def test_straights_pull_the_guesses_together_and_say_the_focal_is_unobserved():
+def test_on_straights_the_guesses_are_averaged_and_the_focal_is_unobserved():
     search, answers = drive(CONFIG, "straight", 6)
     held = search.intrinsics
     assert held.focals == pytest.approx(np.median(GUESSES[:6], 0), rel=0.01)
@@ -72,17 +72,17 @@ def test_straights_pull_the_guesses_together_and_say_the_focal_is_unobserved():
     assert any(answers)
 
 
-def test_the_papers_search_takes_the_guess_of_least_score():
+def test_the_search_of_the_paper_selects_the_guess_of_least_score():
     config = replace(CONFIG, weighted=False, refine=False, n_pair=1, n_feature=7)
     focals = np.array([[900, 500], [800, 600], [705, 690], [760, 650], [620, 780.0], [750, 750]])
     search, _ = drive(config, "general", 6, focals)
     held = search.intrinsics
     assert held.focals == pytest.approx([705, 690])
-    # two groups of 28 pairs over a capacity of two, over 1 * 7
+    # damping of V-C: two groups of 28 pairs, n_group = 2, n_pair * n_feature = 7
     assert (held.damping == 1).all()
 
 
-def test_the_papers_search_takes_a_better_guess_at_once_and_no_worse_one():
+def test_the_search_of_the_paper_accepts_only_better_guesses():
     config = replace(CONFIG, weighted=False, refine=False)
     search, _ = drive(config, "general", 5, np.array([[900.0, 900.0]] * 5))
     assert search.intrinsics.focals[0] == 900
@@ -92,34 +92,34 @@ def test_the_papers_search_takes_a_better_guess_at_once_and_no_worse_one():
     assert search.intrinsics.focals[0] == 710
 
 
-def test_damping_can_be_held_at_one():
+def test_damping_can_be_fixed_at_one():
     config = replace(CONFIG, adaptive_damping=False)
     assert (drive(config, "general", 2)[0].intrinsics.damping == 1).all()
     plain = replace(config, weighted=False)
     assert (drive(plain, "general", 8)[0].intrinsics.damping == 1).all()
 
 
-def test_a_group_still_in_the_making_can_be_ended():
+def test_finish_completes_a_group_being_built():
     search, _ = drive(replace(CONFIG, group_every=50), "general", 2)
     assert search.intrinsics.focal_log_sigma[0] > 0.05
     search.finish()
     assert search.intrinsics.focal_log_sigma[0] < 0.05
 
 
-def test_guesses_are_forgotten_so_that_a_sub_map_costs_the_same_after_an_hour():
+def test_the_number_of_candidates_is_bounded():
     search = IntrinsicSearch(CONFIG)
     for k in range(MAX_CANDIDATES + 30):
         search.add(submap(k, (500.0 if k < 30 else 700.0, 700.0), 2), None, None)
     assert search.intrinsics.focals[0] == pytest.approx(700)
 
 
-def test_an_eye_without_views_is_waited_for():
+def test_there_is_no_estimate_before_views_of_both_cameras():
     search, lonely = IntrinsicSearch(CONFIG), submap(0, (700.0, 700.0), 4)
     assert search.add(replace(lonely, assistant_ids=()), None, None) is False
     assert search.intrinsics is None
 
 
-def test_sift_is_used_where_asked_or_where_nothing_else_is_there():
+def test_sift_is_used_if_configured_or_without_landmarks():
     blank = [np.zeros((60, 80, 3), np.uint8)] * (2 * N + 1)
     T = motion("general", N)
     landmarks = both_eyes(seen(T, 0), seen(T, 1), N)
@@ -130,18 +130,18 @@ def test_sift_is_used_where_asked_or_where_nothing_else_is_there():
             search.add(submap(k, (700.0, 700.0), N), landmarks, blank)
         search.finish()
         sigma[matches] = search.intrinsics.focal_log_sigma[0]
-    # blank pictures have no features
+    # blank images have no features
     assert sigma["auto"] < 0.05 < sigma["sift"]
 
 
-def test_a_group_that_tells_more_changes_what_is_held():
+def test_a_group_with_more_information_changes_the_estimate():
     from calm_edge.correction.eye_search import EyeSearch
 
     eye = EyeSearch(replace(CONFIG, n_group=1))
     eye.add_candidate(submap(0, (770.0, 770.0), 2).cameras_raw[0])
     eye.add_group(group("straight", 0))
-    assert not eye.is_informed
+    assert not eye.is_informative
     eye.add_group(group("general", 0))
-    assert eye.is_informed and np.exp(eye.asked.log_focal) == pytest.approx(700, rel=0.02)
+    assert eye.is_informative and np.exp(eye.measured.log_focal) == pytest.approx(700, rel=0.02)
     eye.add_group(group("tangent", 0))
-    assert eye.is_informed and len(eye.bank.groups) == 1
+    assert eye.is_informative and len(eye.bank.groups) == 1

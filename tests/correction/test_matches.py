@@ -21,20 +21,20 @@ def picture(seed=0, size=(200, 320)):
     return cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)
 
 
-def test_landmarks_match_where_both_views_saw_them():
+def test_landmarks_match_if_observed_in_both_views():
     uv_a, uv_b = from_landmarks(landmarks()).pair(0, 2)
     assert uv_a.tolist() == [[4, 5], [0, 1]] and uv_b.tolist() == [[6, 7], [8, 9]]
     swapped = from_landmarks(landmarks()).pair(2, 0)
     assert swapped[0].tolist() == uv_b.tolist() and swapped[1].tolist() == uv_a.tolist()
 
 
-def test_views_that_share_nothing_or_were_left_out_match_nowhere():
+def test_views_without_common_landmarks_have_no_matches():
     for matches in (from_landmarks(landmarks()), from_landmarks(landmarks(), [0, 2])):
         uv_a, uv_b = matches.pair(1, 2)
         assert uv_a.shape == uv_b.shape == (0, 2)
 
 
-def test_sift_follows_a_shift_to_a_tenth_of_a_pixel():
+def test_sift_matches_a_shift_within_a_tenth_of_a_pixel():
     image = picture()
     moved = cv2.warpAffine(
         image, np.array([[1, 0, 6.25], [0, 1, -3.5]]), (320, 200), flags=cv2.INTER_CUBIC
@@ -46,8 +46,8 @@ def test_sift_follows_a_shift_to_a_tenth_of_a_pixel():
     assert np.median(error) < 0.1 and (error < 1).mean() > 0.95
 
 
-def test_sift_features_lie_where_the_picture_has_them():
-    """Without the precise upscaling they would lie a quarter of a pixel aside."""
+def test_sift_positions_are_unbiased():
+    """Without enable_precise_upscale they would be off by a quarter of a pixel."""
     y, x = np.mgrid[:120, :160]
     blob = np.exp(-((x - 70.3) ** 2 + (y - 51.8) ** 2) / (2 * 5.0**2))
     image = cv2.cvtColor((255 * blob).astype(np.uint8), cv2.COLOR_GRAY2BGR)
@@ -55,14 +55,14 @@ def test_sift_features_lie_where_the_picture_has_them():
     assert np.linalg.norm(uv - [70.3, 51.8], axis=1).min() < 0.1
 
 
-def test_at_most_the_asked_features_are_kept_and_a_blank_has_none():
+def test_the_number_of_features_is_bounded_and_a_blank_image_has_none():
     blank = np.zeros((100, 100, 3), np.uint8)
     matches = from_sift([picture(), blank], [0, 1], 25)
     assert 10 < len(matches.features[0].uv) <= 25 and len(matches.features[1].uv) == 0
     assert matches.pair(0, 1)[0].shape == (0, 2)
 
 
-def test_different_pictures_hardly_match():
+def test_different_images_have_almost_no_matches():
     matches = from_sift([picture(1), picture(2)], [0, 1], 300)
     assert len(matches.pair(0, 1)[0]) < 10
 

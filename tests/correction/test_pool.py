@@ -3,7 +3,7 @@ import pytest
 
 from calm_edge.correction.pool import BIAS_LOG_SIGMA, pooled
 
-UNTOLD = np.full(2, np.inf)
+UNINFORMATIVE = np.full(2, np.inf)
 ZERO = np.zeros(2)
 
 
@@ -13,22 +13,22 @@ def guesses(rng, n, *, bias=0.0, spread=0.03, alike=True):
     return bias + spread * np.broadcast_to(own, (n, 2)) + 0.001 * rng.standard_normal((n, 2))
 
 
-def test_without_a_telling_bank_the_guesses_are_pooled_and_their_bias_remains():
+def test_without_an_informative_bank_the_guesses_are_averaged_and_keep_their_bias():
     rng = np.random.default_rng(0)
-    found = pooled(guesses(rng, 40, bias=0.02), ZERO, UNTOLD)
+    found = pooled(guesses(rng, 40, bias=0.02), ZERO, UNINFORMATIVE)
     assert found.log_focal == pytest.approx([0.02, 0.02], abs=0.015)
     assert (found.log_sigma > BIAS_LOG_SIGMA - 1e-9).all()
     assert found.damping == 1.0
 
 
-def test_a_telling_bank_overrules_the_guesses():
+def test_an_informative_bank_overrides_the_guesses():
     rng = np.random.default_rng(1)
     found = pooled(guesses(rng, 40, bias=0.08), np.full(2, 0.0), np.full(2, 0.005))
     assert np.abs(found.log_focal).max() < 0.003
     assert (found.log_sigma < 0.006).all()
 
 
-def test_one_eyes_bank_helps_the_other_where_their_guesses_vary_alike():
+def test_the_bank_of_one_camera_corrects_the_other_if_guesses_are_correlated():
     rng = np.random.default_rng(2)
     sigma = np.array([np.inf, 0.005])
     alike = pooled(guesses(rng, 60, bias=0.08), ZERO, sigma)
@@ -37,8 +37,8 @@ def test_one_eyes_bank_helps_the_other_where_their_guesses_vary_alike():
     assert alike.log_sigma[0] < 0.6 * apart.log_sigma[0]
 
 
-def test_the_sigma_is_honest():
-    """Biased guesses and noisy banks, many drives: the error is what the sigma says."""
+def test_the_sigma_matches_the_error():
+    """Over many drives with biased guesses and noisy banks, errors have the estimated sigma."""
     rng = np.random.default_rng(3)
     ratio = []
     for _ in range(400):
@@ -50,6 +50,6 @@ def test_the_sigma_is_honest():
     assert 0.8 < np.sqrt(np.mean(np.square(ratio))) < 1.2
 
 
-def test_guesses_all_equal_are_no_division_by_zero():
-    found = pooled(np.zeros((3, 2)), ZERO, UNTOLD)
+def test_equal_guesses_do_not_divide_by_zero():
+    found = pooled(np.zeros((3, 2)), ZERO, UNINFORMATIVE)
     assert np.isfinite(found.log_focal).all() and np.isfinite(found.log_sigma).all()

@@ -25,7 +25,7 @@ def angle(t_1, t_2):
 
 
 def best_under_wrong_focal(x_a, x_b, T_start):
-    """The pose that minimises the Sampson distances of matches (N, 3): R, and t of length one."""
+    """R and unit t that minimise the Sampson distances of matches (N, 3)."""
     t_0, R_0 = T_start[:3, 3] / np.linalg.norm(T_start[:3, 3]), T_start[:3, :3]
     tangent = np.linalg.svd(t_0[None])[2][1:]
 
@@ -44,7 +44,7 @@ def best_under_wrong_focal(x_a, x_b, T_start):
 
 
 def errors(ratios, yaw_deg, t, seed):
-    """Degrees off: rotation and translation direction as estimated, corrected, and flipped."""
+    """Errors [deg] of rotation and translation: estimated, corrected, with the opposite sign."""
     rng = np.random.default_rng(seed)
     R = se3.so3_exp(np.radians([rng.normal(), yaw_deg, rng.normal()]))
     p_b = rng.uniform([-8, -3, 5], [8, 3, 30], (200, 3))
@@ -66,13 +66,13 @@ def errors(ratios, yaw_deg, t, seed):
 
 
 def mean_errors(ratios, t):
-    """Over four scenes and motions, turning left and right."""
+    """Mean of `errors` over four scenes and motions, turning left and right."""
     runs = [errors(ratios, yaw, np.array(t), seed) for yaw in (-5, 5) for seed in range(4)]
     return {name: np.mean([run[name] for run in runs]) for name in runs[0]}
 
 
 @pytest.mark.parametrize("ratios", [(1.15, 1.20), (1.15, 1.15), (0.85, 0.85), (1.04, 1.04)])
-def test_forward_motion_is_recovered_and_either_sign_flipped_is_twice_as_wrong(ratios):
+def test_forward_motion_is_corrected_and_the_opposite_sign_doubles_the_error(ratios):
     error = mean_errors(ratios, [0.1, 0.02, 1.0])
     size = abs(ratios[0] - 1) / 0.15
     assert error["R estimated"] > 0.6 * size
@@ -80,12 +80,12 @@ def test_forward_motion_is_recovered_and_either_sign_flipped_is_twice_as_wrong(r
     assert error["R flipped"] == pytest.approx(2 * error["R estimated"], rel=0.02)
     assert error["t estimated"] > 0.6 * size
     assert error["t simple"] < 0.5 * error["t estimated"]
-    # taking the rotation for right costs the general form something where it is not
+    # the general form assumes a correct rotation, so its error is larger otherwise
     assert error["t simple"] < error["t general"] < error["t estimated"]
     assert error["t flipped"] > 1.75 * error["t estimated"]
 
 
-def test_sideways_motion_is_mended_in_part():
+def test_sideways_motion_is_partly_corrected():
     error = mean_errors((1.15, 1.15), [1.0, 0.0, 0.05])
     assert error["R corrected"] < 0.4 * error["R estimated"]
     assert error["t general"] < 0.7 * error["t estimated"]
@@ -110,31 +110,31 @@ def test_the_general_form_is_continuous_in_rotation_even_where_nothing_moves_for
 
 
 @given(vectors, rotations, scalings)
-def test_lengths_carry_through_and_only_the_direction_turns(t, R, S):
+def test_the_correction_does_not_depend_on_the_length_of_t(t, R, S):
     general = pose_model.translation_general(t, R, S)
     assert np.allclose(pose_model.translation_general(2.5 * t, R, S), 2.5 * general, atol=1e-12)
     theta = pose_model.rotation_error(t, R, S)
     assert abs(theta @ t) < 1e-12
-    # of what is a hundred digits shorter the square still is a number
+    # no underflow for t shorter by a hundred orders of magnitude
     if np.linalg.norm(t) > 1e-50:
         assert np.allclose(pose_model.rotation_error(1e-100 * t, R, S), theta, atol=1e-9)
 
 
 @given(vectors, rotations)
-def test_a_right_focal_corrects_nothing(t, R):
+def test_a_correct_focal_changes_nothing(t, R):
     assert np.allclose(pose_model.translation_simple(t, EYE), t, atol=0)
     assert np.allclose(pose_model.translation_general(t, R, EYE), t, atol=1e-12)
     assert np.allclose(pose_model.corrected_rotation(t, R, EYE), R, atol=1e-15)
 
 
 @given(rotations, scalings)
-def test_a_view_that_did_not_move_keeps_its_rotation(R, S):
+def test_without_translation_the_rotation_is_kept(R, S):
     assert np.array_equal(pose_model.rotation_error(np.zeros(3), R, S), np.zeros(3))
     assert np.allclose(pose_model.corrected_rotation(np.zeros(3), R, S), R, atol=1e-15)
     assert np.array_equal(pose_model.translation_general(np.zeros(3), R, S), np.zeros(3))
 
 
-def test_stacks_are_corrected_one_by_one():
+def test_stacks_are_corrected_like_single_poses():
     rng = np.random.default_rng(4)
     t, R = rng.normal(size=(2, 5, 3)), se3.so3_exp(rng.normal(size=(2, 5, 3)))
     t[1, 2] = 0
@@ -149,7 +149,7 @@ ESTIMATED = Perspective(600, 660, 330, 240, 640, 480), Perspective(400, 410, 300
 HELD = Perspective(500, 600, 310, 250, 640, 480), Perspective(440, 410, 300, 200, 640, 480)
 
 
-def test_the_scaling_is_of_the_focals_and_damped_linearly():
+def test_the_scaling_is_the_ratio_of_focals_with_linear_damping():
     cases = [(1.0, 0, [1.2, 1.1, 1]), (1.0, 1, [1 / 1.1, 1, 1])]
     cases += [(0.5, 0, [1.1, 1.05, 1]), (0.2, 1, [1 - 0.2 / 11, 1, 1]), (0.0, 0, [1, 1, 1])]
     for damping, eye, expected in cases:

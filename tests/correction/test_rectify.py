@@ -20,13 +20,13 @@ PERIOD_NS = 300_000_000
 LATE_NS = 130_000_000
 T_P_A = se3.exp(np.array([0.99, 0.03, 0.1, 0.02, -0.05, 0.02]))
 CONFIG = CorrectionConfig()
-# the paper alone
+# the paper's correction only
 PLAIN = replace(CONFIG, general_translation=True, rigid_rig=False)
 TRUE = Perspective(FOCAL, FOCAL, 320.0, 240.0, 640, 480)
 
 
 def path():
-    """T_s_p (N, 4, 4): three spacings a step, turning about 28 degrees in all."""
+    """T_s_p (N, 4, 4): steps of three spacings, turning by about 28 degrees in total."""
     k = np.arange(N - 1)
     zero = np.zeros(N - 1)
     yaw = 0.07 * (1 + np.sin(1.3 * k))
@@ -38,7 +38,7 @@ def path():
 
 
 def truth(late_ns):
-    """Stamps (2N + 1,) and T_s_c of primary, assistant, and a loop view beside the fourth one."""
+    """Stamps (2N + 1,) and T_s_c of primary, assistant, and a loop view beside the fourth view."""
     T_s_p, t_p = path(), np.arange(N) * PERIOD_NS
     T_s_a = se3.interpolate_at(t_p.astype(float), T_s_p, t_p + float(late_ns)) @ T_P_A
     loop = T_s_p[3] @ se3.exp(np.array([0.7, 0.05, 0.6, 0, 0.05, 0]))
@@ -48,9 +48,9 @@ def truth(late_ns):
 
 @cache
 def estimated_under(ratio, late_ns):
-    """T_s_c (2N + 1, 4, 4) that minimises the reprojection error of exact pixels, f `ratio` wrong.
+    """T_s_c (2N + 1, 4, 4) by bundle adjustment of exact pixels with focals wrong by `ratio`.
 
-    Bundle adjustment with the wrong focal held: poses and points free, the first view fixed.
+    Poses and points are free, the focals and the first view fixed.
     """
     rng = np.random.default_rng(0)
     _, T_s_c = truth(late_ns)
@@ -110,12 +110,12 @@ def optics_of(camera):
 
 
 def optics(submap):
-    """(V, 4) fx, fy, cx, cy of its views."""
+    """fx, fy, cx, cy (V, 4) of the views."""
     return np.array([optics_of(camera) for camera in submap.cameras])
 
 
 def held_true(damping=(1.0, 1.0)):
-    """The true intrinsics, trusted as far as `damping`."""
+    """The true intrinsics with the given damping."""
     return GlobalIntrinsics(
         cameras=(TRUE, TRUE),
         damping=np.array(damping),
@@ -124,14 +124,14 @@ def held_true(damping=(1.0, 1.0)):
 
 
 def spacings_a_path(submap):
-    """The spacing as a share of the primary path: what the scale of the path rests on."""
+    """Camera spacing over the length of the primary path, which determines its scale."""
     T, t_ns = submap.T_s_c, submap.t_ns
     spacing = scale.spacing(scale.rig_samples(t_ns[:N], T[:N], t_ns[N : 2 * N], T[N : 2 * N]))
     return spacing / np.linalg.norm(np.diff(T[:N, :3, 3], axis=0), axis=1).sum()
 
 
 def placed_errors(submap, T_true):
-    """(2N + 1,) distances [spacings] and angles [deg] once the sub-map's scale is its spacing's."""
+    """Errors (2N + 1,) in spacings and degrees, after scaling by the camera spacing."""
     T = scale.rectify(submap, float(np.linalg.norm(T_P_A[:3, 3]))).T_s_c
     turned = se3.so3_log(np.swapaxes(T_true[:, :3, :3], -1, -2) @ T[:, :3, :3])
     apart = np.linalg.norm((T - T_true)[:, :3, 3], axis=1)
@@ -141,20 +141,20 @@ def placed_errors(submap, T_true):
 @pytest.mark.parametrize("general", [True, False])
 @pytest.mark.parametrize("late_ns", [0, LATE_NS])
 @pytest.mark.parametrize("ratio", [1.15, 0.88])
-def test_trajectory_and_spacing_come_back_from_a_wrong_focal(ratio, late_ns, general):
+def test_trajectory_and_spacing_are_corrected_for_a_wrong_focal(ratio, late_ns, general):
     t_ns, T_true = truth(late_ns)
     raw = raw_submap(estimated_under(ratio, late_ns), t_ns, ratio)
     config = replace(CONFIG, general_translation=general)
     out = rectified(raw, held_true(), config)
     right = spacings_a_path(raw_submap(T_true, t_ns))
-    # the focal's error is in the spacing and not in the forward motion
+    # a focal error changes the spacing, not the forward motion
     assert spacings_a_path(raw) / right == pytest.approx(1 / ratio, rel=0.015)
     assert spacings_a_path(out) / right == pytest.approx(1, abs=0.025)
     (far, off), (far_out, off_out) = placed_errors(raw, T_true), placed_errors(out, T_true)
     assert far[:N].max() > 2.0 and off[:N].max() > 3.0
     assert far_out.max() < 0.2 * far.max()
     assert off_out.max() < 0.2 * off.max()
-    # the loop view belongs beside the fourth one and stays there
+    # the loop view stays beside the fourth view
     near = (se3.inverse(T[3]) @ T[-1] for T in (out.T_s_c, T_true))
     assert np.linalg.norm(np.subtract(*(T[:3, 3] for T in near))) < 0.05
     assert np.allclose(optics(out), optics_of(TRUE))
@@ -164,7 +164,7 @@ def test_trajectory_and_spacing_come_back_from_a_wrong_focal(ratio, late_ns, gen
 
 @pytest.mark.parametrize("late_ns", [0, LATE_NS])
 @pytest.mark.parametrize("ratio", [1.15, 0.88])
-def test_a_rig_seen_while_driving_is_turned_back_along_the_travel_not_the_baseline(ratio, late_ns):
+def test_the_rotation_between_the_cameras_is_corrected_along_the_travel(ratio, late_ns):
     t_ns, _ = truth(late_ns)
     raw = raw_submap(estimated_under(ratio, late_ns), t_ns, ratio)
 
@@ -181,7 +181,7 @@ def test_a_rig_seen_while_driving_is_turned_back_along_the_travel_not_the_baseli
     assert off(pose_model.corrected_rotation(t, R, S)) == pytest.approx(2 * off(R), rel=0.1)
 
 
-def test_each_half_of_the_correction_helps_alone():
+def test_rotation_and_translation_correction_each_reduce_the_error():
     t_ns, T_true = truth(LATE_NS)
     raw = raw_submap(estimated_under(1.15, LATE_NS), t_ns, 1.15)
     turned = rectified(raw, held_true(), replace(PLAIN, translation=False))
@@ -196,7 +196,7 @@ def test_each_half_of_the_correction_helps_alone():
     assert np.allclose(optics(neither), optics_of(TRUE))
 
 
-def test_damping_goes_from_nothing_to_all_and_the_effective_focal_with_it():
+def test_the_correction_and_the_focal_change_with_damping():
     t_ns, T_true = truth(LATE_NS)
     raw = raw_submap(estimated_under(1.15, LATE_NS), t_ns, 1.15)
     assert rectified(raw, held_true((0.0, 0.0)), CONFIG) is raw
@@ -208,14 +208,14 @@ def test_damping_goes_from_nothing_to_all_and_the_effective_focal_with_it():
         assert np.allclose(optics(run)[:, 2:], optics(raw)[:, 2:])
 
 
-def test_each_eye_has_its_own_intrinsics_and_the_loop_view_the_primarys():
+def test_each_camera_has_its_intrinsics_and_the_loop_view_those_of_the_primary():
     t_ns, T = truth(0)
     cameras = replace(TRUE, fx=400.0), replace(TRUE, fx=625.0)
     intrinsics = replace(held_true((1.0, 0.5)), cameras=cameras)
     out = rectified(raw_submap(T, t_ns), intrinsics, replace(CONFIG, general_translation=False))
     assert np.allclose(optics(out)[[0, -1], 0], 400)
     assert np.allclose(optics(out)[N : 2 * N, 0], 500 / 0.9)
-    # s_x: 1.25 of the primary, 0.9 of the assistant, 1.075 of the two together
+    # s_x: 1.25 of the primary, 0.9 of the assistant, 1.075 of their mean
     T_p_a = se3.inverse(out.T_s_c[:N]) @ out.T_s_c[N : 2 * N]
     assert np.allclose(T_p_a[:, :3, 3], [1.075, 1, 1] * T_P_A[:3, 3])
     expected = (se3.inverse(T[3]) @ T[-1])[:3, 3]
@@ -224,7 +224,7 @@ def test_each_eye_has_its_own_intrinsics_and_the_loop_view_the_primarys():
 
 
 @pytest.mark.parametrize("late_ns", [10**12, -(10**12)])
-def test_an_assistant_of_another_time_is_held_against_the_nearest_end(late_ns):
+def test_assistant_stamps_outside_the_window_use_the_nearest_end(late_ns):
     t_ns, T = truth(0)
     t_ns = t_ns + np.repeat([0, late_ns, 0], [N, N, 1])
     out = rectified(raw_submap(T, t_ns, 1.2), held_true(), replace(PLAIN, rotation=False))
@@ -240,7 +240,7 @@ def rectified_motion(T_a_b, ratio):
     return se3.compose(R, pose_model.translation_general(t, R, S))
 
 
-def test_stamps_that_the_scale_will_refuse_do_not_stop_the_correction():
+def test_invalid_stamps_do_not_prevent_the_correction():
     t_ns, T = truth(0)
     t_ns[N - 1] = t_ns[N - 2]
     assert np.isfinite(rectified(raw_submap(T, t_ns, 1.1), held_true(), CONFIG).T_s_c).all()
@@ -260,7 +260,7 @@ def test_a_sub_map_of_one_primary_view(n_assistant):
     assert np.allclose(out.T_s_c[1:], rectified_motion(T[few][1:], 1.1), atol=1e-12)
 
 
-def test_an_even_turn_of_the_rig_is_taken_out_and_the_rest_left():
+def test_a_linear_trend_of_the_rig_is_removed_and_the_rest_kept():
     rng = np.random.default_rng(3)
     rig = se3.exp(np.array([0.5, 0.0, 0.1, 0.0, 0.05, 0.0]))
     t = np.arange(15.0)[:, None]

@@ -21,7 +21,7 @@ def builder(landmarks, config=CONFIG, n=N_VIEWS):
     return GroupBuilder(from_landmarks(landmarks), range(n), ids, config)
 
 
-def test_fifteen_views_give_every_pair():
+def test_fifteen_views_give_all_pairs():
     T = motion("general")
     made = builder(seen(T, 0)).finish(CAMERA)
     for F, (a, b) in zip(made.F, combinations(range(15), 2), strict=True):
@@ -33,7 +33,7 @@ def test_fifteen_views_give_every_pair():
             assert np.median(np.abs(epipolar.sampson(truth, *matches))) < 1e-3
 
 
-def test_the_work_is_spread_over_as_many_calls_as_sub_maps_and_gives_the_same():
+def test_building_in_steps_gives_the_same_group():
     landmarks = seen(motion("general"), 1)
     spread = builder(landmarks)
     for call in range(CONFIG.group_every):
@@ -44,7 +44,7 @@ def test_the_work_is_spread_over_as_many_calls_as_sub_maps_and_gives_the_same():
     assert (spread.finish(CAMERA).F == at_once.F).all()
 
 
-def test_a_group_needs_its_pairs_and_a_pair_its_matches():
+def test_a_group_needs_n_pair_pairs_and_a_pair_n_feature_matches():
     landmarks = seen(motion("general", 6), 2)
     assert builder(landmarks, n=5).finish(CAMERA) is not None
     assert builder(landmarks, n=4).finish(CAMERA) is None
@@ -52,13 +52,13 @@ def test_a_group_needs_its_pairs_and_a_pair_its_matches():
     assert builder(landmarks, replace(CONFIG, n_feature=10_000), n=6).finish(CAMERA) is None
 
 
-def test_nothing_seen_is_no_group():
+def test_without_landmarks_there_is_no_group():
     empty = np.zeros(0, np.int64)
     nothing = Landmarks(np.zeros((0, 3)), empty, empty, np.zeros((0, 2), np.float32))
     assert builder(nothing).finish(CAMERA) is None
 
 
-def test_a_full_bank_of_the_paper_takes_no_more():
+def test_a_full_bank_without_weights_accepts_no_group():
     bank = test_bank.TestBank(replace(CONFIG, n_group=2, weighted=False))
     straight, turn = group("straight", 0), group("general", 0)
     assert bank.add(straight, AT) and bank.add(straight, AT) and bank.is_closed
@@ -66,7 +66,7 @@ def test_a_full_bank_of_the_paper_takes_no_more():
     assert bank.groups == (straight, straight)
 
 
-def test_a_full_weighted_bank_lets_the_least_telling_group_go():
+def test_a_full_weighted_bank_drops_the_group_of_least_information():
     bank = test_bank.TestBank(replace(CONFIG, n_group=2))
     straight, turn, other = group("straight", 0), group("general", 0), group("ahead", 0)
     assert bank.add(straight, AT) and bank.add(turn, AT) and not bank.is_closed
@@ -79,10 +79,10 @@ def test_a_full_weighted_bank_lets_the_least_telling_group_go():
 
 def test_an_empty_bank_has_empty_columns():
     bank = test_bank.TestBank(CONFIG)
-    assert bank.F.shape == (0, 3, 3) and bank.pull(AT).shape == (0, 2)
+    assert bank.F.shape == (0, 3, 3) and bank.centre_shift(AT).shape == (0, 2)
     assert len(bank.information(AT)) == len(bank.group_of()) == 0
 
 
-def test_focals_are_looked_for_in_image_widths():
+def test_the_focal_range_is_in_image_widths():
     low, high = test_bank.focal_range(CAMERA)
     assert (low, high) == pytest.approx((0.3 * 1226, 3 * 1226))
