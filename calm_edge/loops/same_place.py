@@ -148,10 +148,7 @@ def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
 def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple[Float, np.ndarray]:
     """Points (M, 3) of matches (M, 2) px, primary camera, and which (M,) are near and in front."""
     primary, assistant = kit.cameras
-    P_p = primary.matrix @ np.eye(3, 4)
-    P_a = assistant.matrix @ T_a_p[:3]
-    X = np.asarray(cv2.triangulatePoints(P_p, P_a, uv_p.T, uv_a.T), np.float64).T
-    points = X[:, :3] / np.where(np.abs(X[:, 3:]) < 1e-9, 1e-9, X[:, 3:])
+    points = epipolar.triangulated(primary, assistant, T_a_p, uv_p, uv_a)
     rays = primary.back_project(uv_p, np.ones(len(uv_p)))
     far = assistant.project(rays @ T_a_p[:3, :3].T)
     shift = assistant.project(se3.transform(T_a_p, SOME_DEPTH * rays)) - far

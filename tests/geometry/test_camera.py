@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calm_edge.geometry.camera import Camera, Perspective
+from calm_edge.geometry.camera import Camera, Perspective, back_project_each, project_each
 from calm_edge.geometry.fisheye import Fisheye
 
 SIZE = (640, 400)
@@ -185,6 +185,32 @@ def test_matrix_there_and_back():
     np.testing.assert_allclose(PINHOLE.project(p_c), q[:, :2] / q[:, 2:], atol=1e-9)
     assert PINHOLE.is_pinhole and Perspective(1, 1, 0, 0, 2, 2, (0.0, 0.0)).is_pinhole
     assert not BARREL.is_pinhole and not EQUIDISTANT.is_pinhole
+
+
+@every_camera
+def test_undistorted_pixels_are_those_of_the_matrix(camera):
+    p_c = points(camera, below_deg=60.0)
+    q = p_c @ camera.matrix.T
+    straight = camera.undistorted(camera.project(p_c))
+    np.testing.assert_allclose(straight, q[:, :2] / q[:, 2:], rtol=1e-8, atol=1e-6)
+
+
+def test_another_focal_keeps_all_but_the_focals():
+    longer = BARREL.with_focal(600.0)
+    assert (longer.fx, longer.fy) == (600.0, pytest.approx(580.0))
+    assert longer.distortion == BARREL.distortion and longer.width == BARREL.width
+    assert (longer.cx, longer.cy) == (BARREL.cx, BARREL.cy)
+
+
+def test_views_of_several_cameras_at_once():
+    cameras, view = (PINHOLE, FISHEYE, BARREL), np.array([2, 0, 2, 1, 1, 0])
+    p_c = points(BARREL, 6, below_deg=40.0)
+    uv = project_each(cameras, view, p_c)
+    for row, n in enumerate(view):
+        np.testing.assert_array_equal(uv[row], cameras[n].project(p_c[[row]])[0])
+    np.testing.assert_allclose(back_project_each(cameras, view, uv, p_c[:, 2]), p_c, atol=1e-6)
+    nothing = np.zeros(0, np.int64)
+    assert project_each(cameras, nothing, np.zeros((0, 3))).shape == (0, 2)
 
 
 @every_camera
