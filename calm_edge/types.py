@@ -245,17 +245,15 @@ class PoseSample:
 
 @dataclass(frozen=True, slots=True)
 class AnchorTable:
-    """Anchors of the whole drive, as rows (paper VI-A, VI-B).
+    """Anchors of one sub-map, as rows (paper VI-A, VI-B).
 
-    in sub-maps: anchor (R,), submap (R,), p_s (R, 3) world units, sub-map frame.
-    in frames: seen_anchor (Q,), seen_submap (Q,), seen_view (Q,) batch index, uv (Q, 2) px.
+    anchor: (R,) ids over the whole drive. p_s: (R, 3) world units, sub-map frame. Observations:
+    seen_anchor (Q,), seen_view (Q,) batch index, uv (Q, 2) px.
     """
 
     anchor: Int
-    submap: Int
     p_s: Float
     seen_anchor: Int32
-    seen_submap: Int32
     seen_view: Int32
     uv: Float32
 
@@ -266,7 +264,6 @@ class MapTile:
 
     points_w: Float32
     color: Bytes
-    submap_id: int
 
 
 @dataclass(frozen=True, slots=True)

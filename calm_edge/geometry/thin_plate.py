@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
-Kind = Literal["thin_plate", "rigid", "translation", "identity"]
 
 # points evaluated at once: their distances to 150 control points fit into the CPU cache
 TILE = 512
@@ -22,7 +20,7 @@ class ThinPlate:
     """Deformation Phi(x) = x A + t + sum_i w_i |x - p_i|, in coordinates (x - centre) / size.
 
     centre: (3,), size: scalar, in the unit of the points. Dimensionless: controls (N, 3) p_i,
-    weights (N, 3) w_i, affine (4, 3) rows of A, then t. kind: model that `fit` could determine.
+    weights (N, 3) w_i, affine (4, 3) rows of A, then t.
     """
 
     centre: Float
@@ -30,7 +28,6 @@ class ThinPlate:
     controls: Float
     weights: Float
     affine: Float
-    kind: Kind
 
     def apply(self, points: NDArray[np.floating]) -> Float:
         """Deform points (M, 3). Works in tiles of 512 points, so memory is O(N).
@@ -102,7 +99,7 @@ def fit(source: Float, target: Float, stiffness: float) -> ThinPlate:
     finite = np.isfinite(source).all(1) & np.isfinite(target).all(1)
     source, target = source[finite], target[finite]
     if not len(source):
-        return _affine_only(np.zeros(3), np.eye(3), np.zeros(3), "identity")
+        return _affine_only(np.zeros(3), np.eye(3), np.zeros(3))
     centre, singular = _extent(source)
     size = float(np.sqrt((singular**2).sum() / len(source)))
     if len(source) < 4 or singular[2] <= FLAT * singular[0]:
@@ -111,7 +108,7 @@ def fit(source: Float, target: Float, stiffness: float) -> ThinPlate:
     solution = _solve(x, y, stiffness)
     if solution is None:
         return fit_rigid(source, target)
-    return ThinPlate(centre, size, x, solution[: len(x)], solution[len(x) :], "thin_plate")
+    return ThinPlate(centre, size, x, solution[: len(x)], solution[len(x) :])
 
 
 def fit_rigid(source: Float, target: Float) -> ThinPlate:
@@ -122,15 +119,15 @@ def fit_rigid(source: Float, target: Float) -> ThinPlate:
     centre, singular = _extent(source)
     shift = target.mean(0) - centre
     if len(source) < 3 or singular[1] <= FLAT * singular[0]:
-        return _affine_only(centre, np.eye(3), shift, "translation")
+        return _affine_only(centre, np.eye(3), shift)
     U, _, Vt = np.linalg.svd((source - centre).T @ (target - target.mean(0)))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    return _affine_only(centre, U @ flip @ Vt, shift, "rigid")
+    return _affine_only(centre, U @ flip @ Vt, shift)
 
 
-def _affine_only(centre: Float, A: Float, t: Float, kind: Kind) -> ThinPlate:
+def _affine_only(centre: Float, A: Float, t: Float) -> ThinPlate:
     none = np.empty((0, 3))
-    return ThinPlate(centre, 1.0, none, none, np.vstack([A, t]), kind)
+    return ThinPlate(centre, 1.0, none, none, np.vstack([A, t]))
 
 
 def _extent(points: Float) -> tuple[Float, Float]:

@@ -27,13 +27,11 @@ STIFFNESS_FACTORS = 10.0 ** np.arange(7)
 class Deformation:
     """A thin-plate spline in the sub-map frame that moves no point by more than `limit`.
 
-    limit: world units. stiffness: value used (dimensionless), larger than configured if the
-    deformation folded with that; inf for a rigid motion.
+    limit: world units.
     """
 
     plate: ThinPlate
     limit: float
-    stiffness: float
 
     def apply(self, points: NDArray[np.floating]) -> Float:
         """Deform points (M, 3), sub-map frame, world units.
@@ -50,7 +48,7 @@ class Deformation:
 def unchanged() -> Deformation:
     """The identity deformation."""
     none = np.empty((0, 3))
-    return Deformation(thin_plate.fit(none, none, 0.0), 0.0, float("inf"))
+    return Deformation(thin_plate.fit(none, none, 0.0), 0.0)
 
 
 def cells(points: Float, most: int) -> Int:
@@ -143,5 +141,5 @@ def fit_deformation(
             plate.determinants(probes).min(initial=1.0), plate.worst_at_controls().min(initial=1.0)
         )
         if worst >= MIN_DETERMINANT:
-            return Deformation(plate, limit, float(stiffness * factor))
-    return Deformation(thin_plate.fit_rigid(source, target), limit, float("inf"))
+            return Deformation(plate, limit)
+    return Deformation(thin_plate.fit_rigid(source, target), limit)

@@ -41,7 +41,6 @@ def draw_candidates(
 
 def extract(
     views: DenseViews,
-    submap_id: int,
     seeds: AnchorTable,
     first_id: int,
     grid: int,
@@ -68,7 +67,7 @@ def extract(
         keep = confirmed(sightings, own)
         ids = np.arange(first_id, first_id + int(keep.sum()))
         first_id += len(ids)
-        table = anchor_rows.from_sightings(submap_id, ids, p_s[keep], sightings.of(keep))
+        table = anchor_rows.from_sightings(ids, p_s[keep], sightings.of(keep))
         filled[table.seen_view, cell_of(views, table.seen_view, table.uv, grid)] = True
         tables.append(table)
     return anchor_rows.join(tables)

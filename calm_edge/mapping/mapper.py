@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from calm_edge.config import MappingConfig
 from calm_edge.geometry import se3
-from calm_edge.mapping import anchor_rows, fuse, seams
+from calm_edge.mapping import fuse, seams
 from calm_edge.mapping.cloud import submap_points
 from calm_edge.mapping.deform import Deformation, fit_deformation, unchanged
 from calm_edge.mapping.skeleton import Skeleton
 from calm_edge.mapping.views import MappingError
 from calm_edge.mapping.voxel_filter import VoxelFilter
-from calm_edge.types import AnchorTable, Bytes, Float32, MapTile, Submap
+from calm_edge.types import Bytes, Float32, MapTile, Submap
 
 # points of a sub-map at which its deformation is checked for folding
 PROBES = 2000
@@ -87,7 +87,7 @@ class Mapper:
             self._deformations[submap_id] = deformation
             points_w = se3.transform(self._placed[submap_id].T_w_s, deformation.apply(points))
             keep = thin.admit(points_w)
-            yield MapTile(points_w[keep].astype(np.float32), color[keep], submap_id)
+            yield MapTile(points_w[keep].astype(np.float32), color[keep])
 
     def points(self, submap_id: int) -> tuple[Float32, Bytes]:
         """Points (P, 3), sub-map frame, world units, before deformation, and RGB colours (P, 3)."""
@@ -98,10 +98,6 @@ class Mapper:
             self._config.max_points_per_submap,
             self._skeleton.rng(submap_id),
         )
-
-    def table(self) -> AnchorTable:
-        """Anchor rows of all sub-maps."""
-        return anchor_rows.join(self._skeleton.tables[i] for i in sorted(self._placed))
 
     def seams(self) -> tuple[seams.Seam, ...]:
         """Seams between sub-maps with common images, for those whose tiles have been yielded."""

@@ -43,18 +43,14 @@ def carried(source: AnchorTable, pairs: Int, present: Int) -> AnchorTable:
     none = anchor_rows.empty()
     return AnchorTable(
         none.anchor,
-        none.submap,
         none.p_s,
         source.seen_anchor[take],
-        source.seen_submap[take],
         view[take].astype(np.int32),
         source.uv[take],
     )
 
 
-def place(
-    carried_rows: AnchorTable, target: DenseViews, target_id: int, tolerance: float
-) -> AnchorTable:
+def place(carried_rows: AnchorTable, target: DenseViews, tolerance: float) -> AnchorTable:
     """Back-project observations with the depth of the target sub-map and verify them there.
 
     Returns rows of the target. The paper verifies only backward propagation; here forward copies
@@ -75,14 +71,11 @@ def place(
     order = np.lexsort((-support, anchor))
     order = order[np.unique(anchor[order], return_index=True)[1]]
     best = order[support[order] > 0]
-    return anchor_rows.from_sightings(target_id, anchor[best], p_s[best], sightings.of(best))
+    return anchor_rows.from_sightings(anchor[best], p_s[best], sightings.of(best))
 
 
 def copy_forward(
-    sources: Sequence[tuple[AnchorTable, Int]],
-    target: DenseViews,
-    target_id: int,
-    tolerance: float,
+    sources: Sequence[tuple[AnchorTable, Int]], target: DenseViews, tolerance: float
 ) -> AnchorTable:
     """Forward propagation: seeds of a new sub-map from earlier ones with common images.
 
@@ -91,7 +84,7 @@ def copy_forward(
     seeds = anchor_rows.empty()
     for table, pairs in sources:
         rows = carried(table, pairs, seeds.anchor)
-        seeds = anchor_rows.join([seeds, place(rows, target, target_id, tolerance)])
+        seeds = anchor_rows.join([seeds, place(rows, target, tolerance)])
     return seeds
 
 
@@ -117,7 +110,7 @@ def spread_back(
             moving = carried(rows, pairs, there.anchor)
             if not len(moving.seen_anchor):
                 continue
-            placed = place(moving, views_of(other), other, tolerance)
+            placed = place(moving, views_of(other), tolerance)
             if len(placed.anchor):
                 added[other] = anchor_rows.join([added.get(other, anchor_rows.empty()), placed])
                 queue.append((other, placed))

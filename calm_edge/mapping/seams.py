@@ -24,20 +24,6 @@ class Seam:
     gaps_before: Float32
     gaps_after: Float32
 
-    @property
-    def n_anchors(self) -> int:
-        return len(self.gaps_before)
-
-    @property
-    def before(self) -> float:
-        """RMS distance before deformation, world units."""
-        return float(np.sqrt((self.gaps_before**2).mean()))
-
-    @property
-    def after(self) -> float:
-        """RMS distance after deformation, world units."""
-        return float(np.sqrt((self.gaps_after**2).mean()))
-
 
 @dataclass(frozen=True, slots=True)
 class SeamSummary:
@@ -68,41 +54,26 @@ def summary(found: Sequence[Seam]) -> SeamSummary | None:
     )
 
 
-def seam_between(
-    rows_a: AnchorTable,
-    rows_b: AnchorTable,
-    T_w_a: Float,
-    T_w_b: Float,
-    deform_a: Deformation,
-    deform_b: Deformation,
-) -> Seam | None:
-    """Seam of two sub-maps over all their common anchors, suppressed ones included.
-
-    rows_a, rows_b: rows of one sub-map each. None without a common anchor.
-    """
-    shared, a, b = np.intersect1d(rows_a.anchor, rows_b.anchor, return_indices=True)
-    if not len(shared):
-        return None
-    p_a, p_b = rows_a.p_s[a], rows_b.p_s[b]
-    before = se3.transform(T_w_a, p_a) - se3.transform(T_w_b, p_b)
-    after = se3.transform(T_w_a, deform_a.apply(p_a)) - se3.transform(T_w_b, deform_b.apply(p_b))
-    return Seam(
-        int(rows_a.submap[0]),
-        int(rows_b.submap[0]),
-        np.linalg.norm(before, axis=1).astype(np.float32),
-        np.linalg.norm(after, axis=1).astype(np.float32),
-    )
-
-
 def seams(
     pairs: Iterable[tuple[int, int]],
     tables: Mapping[int, AnchorTable],
     T_w_s: Mapping[int, Float],
     deformations: Mapping[int, Deformation],
 ) -> tuple[Seam, ...]:
-    """Seams of those pairs of sub-map ids that have common anchors."""
-    found = (
-        seam_between(tables[a], tables[b], T_w_s[a], T_w_s[b], deformations[a], deformations[b])
-        for a, b in pairs
-    )
-    return tuple(seam for seam in found if seam is not None)
+    """Seams of those pairs of sub-map ids that have common anchors, suppressed ones included."""
+    found = []
+    for a, b in pairs:
+        common, in_a, in_b = np.intersect1d(tables[a].anchor, tables[b].anchor, return_indices=True)
+        if not len(common):
+            continue
+        p_a, p_b = tables[a].p_s[in_a], tables[b].p_s[in_b]
+        gaps = (
+            se3.transform(T_w_s[a], at_a) - se3.transform(T_w_s[b], at_b)
+            for at_a, at_b in (
+                (p_a, p_b),
+                (deformations[a].apply(p_a), deformations[b].apply(p_b)),
+            )
+        )
+        before, after = (np.linalg.norm(gap, axis=1).astype(np.float32) for gap in gaps)
+        found.append(Seam(a, b, before, after))
+    return tuple(found)

@@ -47,11 +47,6 @@ class Skeleton:
         """Anchor table by sub-map id, propagated anchors included."""
         return self._tables
 
-    @property
-    def submaps(self) -> Mapping[int, Submap]:
-        """Sub-map by id, as added."""
-        return self._submaps
-
     def add(
         self,
         submap: Submap,
@@ -77,9 +72,9 @@ class Skeleton:
         sources = [
             (self._tables[other], pairs[:, ::-1]) for other, pairs in self._shared[submap.id]
         ]
-        seeds = copy_forward(sources, views, submap.id, tolerance)
+        seeds = copy_forward(sources, views, tolerance)
         grid, rng = self._config.grid, self.rng(submap.id)
-        table = extract(views, submap.id, seeds, self._n_anchors, grid, tolerance, rng)
+        table = extract(views, seeds, self._n_anchors, grid, tolerance, rng)
         self._n_anchors = max(self._n_anchors, int(table.anchor.max(initial=-1)) + 1)
         self._tables[submap.id] = table
         back = spread_back(submap.id, self._tables, self._shared.__getitem__, self.views, tolerance)

@@ -33,11 +33,6 @@ class VoxelFilter:
         self._written: set[int] = set()
         self._held = 0
 
-    @property
-    def held(self) -> int:
-        """Number of voxels in memory."""
-        return self._held
-
     def admit(self, points: NDArray[np.floating]) -> Int:
         """Indices, ascending, of the points (M, 3) that are first in their voxel; mark it occupied.
 

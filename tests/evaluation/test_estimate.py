@@ -66,7 +66,7 @@ def test_a_map_folder_includes_its_points(tmp_path: Path) -> None:
     (tmp_path / "summary.json").write_text('{"spacing_m": null, "first_frame": [2, 77]}')
     points = np.float32([[1, 2, 3], [4, 5, 6]])
     with CloudWriter(tmp_path / "map.ply") as cloud:
-        cloud.write(MapTile(points, np.zeros((2, 3), np.uint8), 0))
+        cloud.write(MapTile(points, np.zeros((2, 3), np.uint8)))
     estimate = read_estimate(tmp_path)
     assert estimate.points_w is not None and np.array_equal(estimate.points_w, points)
     assert estimate.spacing_m is None and estimate.first_frame == (2, 77)

@@ -26,7 +26,6 @@ def test_an_affine_map_is_reproduced_at_any_stiffness(seed, stiffness):
     A, t = np.eye(3) + rng.normal(0, 0.2, (3, 3)), rng.normal(0, 5, 3)
     source, points = cloud(seed), cloud(seed + 1, 50, 30.0)
     plate = thin_plate.fit(source, source @ A + t, stiffness)
-    assert plate.kind == "thin_plate"
     np.testing.assert_allclose(plate.apply(points), points @ A + t, atol=1e-6)
 
 
@@ -154,7 +153,7 @@ LINE = np.linspace(0, 1, 9)[:, None] * [1.0, 2.0, 3.0]
 )
 def test_degenerate_controls_fall_back_by_the_stated_rule(source, kind):
     plate = thin_plate.fit(source, rotated(source), 1e-4)
-    assert plate.kind == kind
+    assert len(plate.controls) == (len(source) if kind == "thin_plate" else 0)
     points = cloud(9, 50, 100.0)
     assert np.isfinite(plate.apply(points)).all()
     if kind == "rigid":

@@ -8,7 +8,7 @@ from calm_edge.types import MapTile
 def tile(seed: int, n: int) -> MapTile:
     rng = np.random.default_rng(seed)
     points = rng.normal(0, 100, (n, 3)).astype(np.float32)
-    return MapTile(points, rng.integers(0, 256, (n, 3), np.uint8), seed)
+    return MapTile(points, rng.integers(0, 256, (n, 3), np.uint8))
 
 
 def test_tiles_come_back_in_order(tmp_path):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calm_edge.geometry import se3
+from calm_edge.geometry import se3, thin_plate
 from calm_edge.mapping.deform import cells, control_points, fit_deformation, torn
 
 
@@ -25,7 +25,6 @@ def test_a_smooth_distortion_is_removed_between_the_control_points():
     before = np.linalg.norm(points - bent(points), axis=1).mean()
     after = np.linalg.norm(deformation.apply(points) - bent(points), axis=1).mean()
     assert after < before / 5
-    assert deformation.stiffness == 1e-4
     assert len(deformation.plate.controls) <= 150
 
 
@@ -49,7 +48,7 @@ def test_a_folding_map_is_stiffened_until_it_no_longer_folds():
     p, target = p[likely], target[likely]
     alone = np.ones(len(p), int)
     deformation = fitted(p, target, probes, alone)
-    assert deformation.stiffness > 1e-4
+    assert thin_plate.fit(p, target, 1e-4).determinants(probes).min() < 0.1
     assert deformation.plate.determinants(probes).min() >= 0.1
     assert deformation.plate.worst_at_controls().min() >= 0.1
 
@@ -59,7 +58,7 @@ def test_a_map_that_folds_at_any_stiffness_is_moved_rigidly():
     p = room(0, 200) + np.array([0, 0, 60])
     target = p * [1.0, 1.0, 0.0] + [0, 0, 75]
     deformation = fitted(p, target)
-    assert deformation.plate.kind == "rigid" and np.isinf(deformation.stiffness)
+    np.testing.assert_allclose(deformation.plate.determinants(p), 1)
 
 
 def test_wrong_associations_are_no_control_points():

@@ -19,11 +19,10 @@ def submaps():
     return [scene.piece(street, k, list(range(3 * k, 3 * k + 5))).submap for k in range(3)]
 
 
-def rows(submap_id, anchor, p_s) -> AnchorTable:
+def rows(anchor, p_s) -> AnchorTable:
     return dataclasses.replace(
         anchor_rows.empty(),
         anchor=np.asarray(anchor),
-        submap=np.full(len(anchor), submap_id),
         p_s=np.asarray(p_s, float),
     )
 
@@ -52,7 +51,7 @@ def mean_of(tables, submaps, a, weigh):
 def test_fusion_is_the_weighted_or_plain_mean_of_vi_c(submaps, tmp_path, weigh):
     rng = np.random.default_rng(0)
     anchors = [np.array([0, 1, 2]), np.array([1, 2]), np.array([2])]
-    tables = [rows(k, a, rng.uniform(3, 9, (len(a), 3))) for k, a in enumerate(anchors)]
+    tables = [rows(a, rng.uniform(3, 9, (len(a), 3))) for a in anchors]
     fusion = fuse.Fusion(tmp_path / "sums", distance_weight=weigh)
     for table, submap in zip(tables, submaps, strict=True):
         fusion.add(table, submap)
@@ -67,10 +66,10 @@ def test_fusion_is_the_weighted_or_plain_mean_of_vi_c(submaps, tmp_path, weigh):
 def test_new_rows_change_only_their_own_anchors(submaps, tmp_path):
     rng = np.random.default_rng(1)
     fusion = fuse.Fusion(tmp_path / "sums")
-    fusion.add(rows(0, np.arange(50), rng.uniform(2, 9, (50, 3))), submaps[0])
+    fusion.add(rows(np.arange(50), rng.uniform(2, 9, (50, 3))), submaps[0])
     before, _ = fusion.at(np.arange(50))
     touched = np.array([3, 7, 60])
-    fusion.add(rows(1, touched, rng.uniform(2, 9, (3, 3))), submaps[1])
+    fusion.add(rows(touched, rng.uniform(2, 9, (3, 3))), submaps[1])
     after, n = fusion.at(np.arange(50))
     untouched = np.setdiff1d(np.arange(50), touched)
     np.testing.assert_array_equal(after[untouched], before[untouched])
@@ -87,8 +86,8 @@ def test_the_memory_of_an_update_does_not_grow_with_the_drive(submaps, tmp_path)
     peaks = []
     for n_before in (100, 400_000):
         fusion = fuse.Fusion(tmp_path / f"sums{n_before}")
-        fusion.add(rows(0, [n_before], [[1.0, 2, 3]]), submaps[0])
-        new = rows(1, np.arange(n_before + 1, n_before + 500), rng.uniform(2, 9, (499, 3)))
+        fusion.add(rows([n_before], [[1.0, 2, 3]]), submaps[0])
+        new = rows(np.arange(n_before + 1, n_before + 500), rng.uniform(2, 9, (499, 3)))
         tracemalloc.start()
         fusion.add(new, submaps[1])
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -97,7 +96,7 @@ def test_the_memory_of_an_update_does_not_grow_with_the_drive(submaps, tmp_path)
 
 
 def test_the_map_moves_with_the_placement(submaps, tmp_path):
-    table = rows(0, [0, 1], [[1.0, 2, 3], [4, 5, 6]])
+    table = rows([0, 1], [[1.0, 2, 3], [4, 5, 6]])
     moved = dataclasses.replace(
         submaps[0], T_w_s=se3.exp(np.array([1.0, 2, 3, 0.1, 0.2, 0.3])) @ submaps[0].T_w_s
     )
@@ -114,7 +113,7 @@ def test_slab_by_slab_gives_the_same_anchors_as_all_at_once(submaps, tmp_path, m
     p_s = rng.uniform([0, 0, 0], [4, 2, 30], (1500, 3))
     for k, submap in enumerate(submaps):
         seen = np.flatnonzero(rng.random(1500) < (1.0 if k == 0 else 0.4))
-        fusion.add(rows(k, seen, p_s[seen]), submap)
+        fusion.add(rows(seen, p_s[seen]), submap)
     p_w, n = fusion.at(np.arange(len(fusion)))
     for radius in (0.3, 1.5):
         active = fusion.active(radius)

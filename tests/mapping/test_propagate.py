@@ -20,7 +20,6 @@ STREET = scene.street(3)
 def extracted(piece, first_id, seeds=None):
     return extract(
         piece.views(),
-        piece.submap.id,
         anchor_rows.empty() if seeds is None else seeds,
         first_id,
         24,
@@ -60,12 +59,11 @@ def test_forward_seeds_keep_their_pixel_and_take_the_new_depth(chain):
     old, new = chain[0], chain[1]
     table = extracted(old, 0)
     pairs = same_pictures(old.submap, new.submap)
-    seeds = copy_forward([(table, pairs)], new.views(), 1, 0.02)
+    seeds = copy_forward([(table, pairs)], new.views(), 0.02)
     seen = np.unique(table.seen_anchor[np.isin(table.seen_view, pairs[:, 0])])
     # the others are on edges, where the views of the new sub-map disagree
     assert len(seeds.anchor) > 0.85 * len(seen)
     assert np.isin(seeds.anchor, seen).all() and len(np.unique(seeds.anchor)) == len(seeds.anchor)
-    assert (seeds.submap == 1).all()
     assert np.quantile(on_scene(new, seeds), 0.95) < 0.01
     pixels = {
         (int(a), int(v)): tuple(uv)
@@ -86,8 +84,8 @@ def test_of_several_common_images_the_best_confirmed_is_used(chain):
     depth = new.depth.copy()
     depth[0] *= 1.015
     views = scene.Piece(new.submap, depth, new.confidence, new.images).views()
-    both = place(carried(table, pairs, np.empty(0, int)), views, 1, 0.02)
-    only = place(carried(table, pairs[:1], np.empty(0, int)), views, 1, 0.02)
+    both = place(carried(table, pairs, np.empty(0, int)), views, 0.02)
+    only = place(carried(table, pairs[:1], np.empty(0, int)), views, 0.02)
     shared, a, b = np.intersect1d(both.anchor, only.anchor, return_indices=True)
     assert len(shared) > 100
     assert np.median(on_scene(new, both)[a]) < 0.3 * np.median(on_scene(new, only)[b])
@@ -100,7 +98,7 @@ def test_observations_the_target_does_not_confirm_are_dropped(chain):
     depth = new.depth.copy()
     depth[0] *= 1.2
     views = scene.Piece(new.submap, depth, new.confidence, new.images).views()
-    seeds = copy_forward([(table, pairs)], views, 1, 0.02)
+    seeds = copy_forward([(table, pairs)], views, 0.02)
     candidates = carried(table, pairs, np.empty(0, int))
     assert len(seeds.anchor) < 0.02 * len(candidates.seen_anchor)
 
@@ -130,7 +128,6 @@ def test_backward_propagation_recurses_to_the_submap_before_last(far_chain):
     for k in (0, 1):
         ids = np.concatenate([tables[k].anchor, added[k].anchor])
         assert len(ids) == len(np.unique(ids))
-        assert (added[k].submap == k).all()
         assert np.quantile(on_scene(far_chain[k], added[k]), 0.95) < 0.01
     # a second propagation adds almost nothing
     tables = {
@@ -148,7 +145,7 @@ def test_a_loop_frame_carries_anchors_both_ways():
     pairs = same_pictures(old.submap, back.submap)
     assert pairs.tolist() == [[2, 6]]
     table = extracted(old, 0)
-    seeds = copy_forward([(table, pairs)], back.views(), 1, 0.02)
+    seeds = copy_forward([(table, pairs)], back.views(), 0.02)
     assert len(seeds.anchor) > 200
     tables = {0: table, 1: extracted(back, 10_000)}
     added = spread_back(1, tables, linked(pieces), lambda i: pieces[i].views(), 0.02)

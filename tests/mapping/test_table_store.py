@@ -13,10 +13,8 @@ def table(k: int, size: int = 5) -> AnchorTable:
     rng = np.random.default_rng(k)
     return AnchorTable(
         rng.integers(0, 99, size),
-        np.full(size, k),
         rng.normal(size=(size, 3)),
         rng.integers(0, 99, size).astype(np.int32),
-        np.full(size, k, np.int32),
         rng.integers(0, 30, size).astype(np.int32),
         rng.uniform(0, 600, (size, 2)).astype(np.float32),
     )

@@ -36,7 +36,7 @@ def test_voxels_on_disk_stay_occupied_and_memory_is_bounded(tmp_path, monkeypatc
         low = np.array([30.0 * k, 0, -200])
         points = rng.uniform(low, low + 10, (1000, 3))
         assert thin.admit(points).tolist() == expected_of(points, 0.1, seen)
-        assert thin.held <= 3000
+        assert thin._held <= 3000
     assert len(list(tmp_path.iterdir())) >= 5
 
 
