@@ -17,6 +17,8 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
+from calm_edge.geometry.distortion import distorted, distorted_jacobian, radial, term_jacobian
+
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Int = NDArray[np.int64]
@@ -61,7 +63,7 @@ class Camera(ABC):
 
     @abstractmethod
     def _terms(self, p_c: Float) -> Float:
-        """Derivative (..., 2, n) of `_plane` by every coefficient that the model has."""
+        """Derivative (..., 2, n) of `_plane` by the distortion's coefficients."""
 
     @property
     def is_pinhole(self) -> bool:
@@ -72,6 +74,11 @@ class Camera(ABC):
     def matrix(self) -> Float:
         """K (3, 3) px of the pinhole part."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def pinhole(self) -> Perspective:
+        """The pinhole part alone."""
+        return Perspective(self.fx, self.fy, self.cx, self.cy, self.width, self.height)
 
     def project(self, p_c: Float) -> Float:
         """Camera points (..., 3) -> pixels (..., 2); the caller masks what is beyond max_angle."""
@@ -85,8 +92,7 @@ class Camera(ABC):
         J[..., 0, 0], J[..., 1, 1] = q[..., 0], q[..., 1]
         J[..., 0, 2] = J[..., 1, 3] = 1
         if self.distortion:
-            terms = self._terms(p_c)[..., : len(self.distortion)]
-            J[..., 4:] = np.array([[self.fx], [self.fy]]) * terms
+            J[..., 4:] = np.array([[self.fx], [self.fy]]) * self._terms(p_c)
         return J
 
     def rays_jacobian(self, uv: Float) -> Float:
@@ -150,7 +156,8 @@ class Perspective(Camera):
         if self.is_pinhole:
             return J
         aspect = self.fx / self.fy
-        bend = self._distorted_jacobian(np.stack([x / z, y / z], -1))
+        bend = distorted_jacobian(np.stack([x / z, y / z]), self.distortion)
+        bend = np.moveaxis(bend, (0, 1), (-2, -1))
         return np.asarray(bend * np.array([[1, aspect], [1 / aspect, 1]]) @ J)
 
     def rays(self, uv: Float) -> Float:
@@ -164,12 +171,15 @@ class Perspective(Camera):
             return seen
         r = np.tan(TABLE_RAD[self.max_angle > TABLE_RAD])
         radius = np.linalg.norm(seen, axis=-1, keepdims=True)
-        q = seen * np.interp(radius, r * self._radial(r**2)[0], r) / np.maximum(radius, 1e-300)
+        q = (
+            seen
+            * np.interp(radius, r * radial(r**2, self.distortion)[0], r)
+            / np.maximum(radius, 1e-300)
+        )
         with np.errstate(all="ignore"):
             for _ in range(NEWTON_STEPS):
-                J, error = self._distorted_jacobian(q), self._distorted(q) - seen
-                a, b, c = J[..., 0, 0], J[..., 0, 1], J[..., 1, 1]
-                e, f = error[..., 0], error[..., 1]
+                (a, b), (_, c) = distorted_jacobian(np.moveaxis(q, -1, 0), self.distortion)
+                e, f = np.moveaxis(self._distorted(q) - seen, -1, 0)
                 q = q - np.stack([c * e - b * f, a * f - b * e], -1) / (a * c - b * b)[..., None]
             met = np.abs(self._distorted(q) - seen) < 1e-9 * (1 + radius)
             inside = np.linalg.norm(q, axis=-1) < np.tan(self.max_angle)
@@ -181,41 +191,13 @@ class Perspective(Camera):
 
     def _terms(self, p_c: Float) -> Float:
         q = p_c[..., :2] / _nonzero(p_c[..., 2:])
-        s = (q**2).sum(-1)
-        gain, _, denominator = self._radial(s)
-        k123 = np.stack([s, s**2, s**3], -1)[..., None, :] * q[..., None]
-        k123 /= denominator[..., None, None]
-        terms = np.empty((*q.shape, 8))
-        terms[..., [0, 1, 4]], terms[..., 5:] = k123, -gain[..., None, None] * k123
-        terms[..., 0, 2] = terms[..., 1, 3] = 2 * q[..., 0] * q[..., 1]
-        terms[..., 1, 2], terms[..., 0, 3] = s + 2 * q[..., 1] ** 2, s + 2 * q[..., 0] ** 2
-        return terms
+        J = term_jacobian(np.moveaxis(q, -1, 0), self.distortion)
+        return np.asarray(np.moveaxis(J, (0, 1), (-1, -2)))
 
     def _distorted(self, q: Float) -> Float:
-        """Distorted points (..., 2) of points (..., 2) of the plane z = 1."""
-        p1, p2 = _padded(self.distortion)[2:4]
-        s, xy = (q**2).sum(-1, keepdims=True), 2 * q[..., :1] * q[..., 1:]
-        shift = np.array([p1, p2]) * xy + np.array([p2, p1]) * (s + 2 * q**2)
-        return np.asarray(q * self._radial(s)[0] + shift)
-
-    def _distorted_jacobian(self, q: Float) -> Float:
-        """Derivative (..., 2, 2), symmetric, of `_distorted`."""
-        p1, p2 = _padded(self.distortion)[2:4]
-        x, y = q[..., 0], q[..., 1]
-        gain, slope, _ = self._radial(x**2 + y**2)
-        J = np.empty((*q.shape, 2))
-        J[..., 0, 0] = gain + 2 * x**2 * slope + 2 * p1 * y + 6 * p2 * x
-        J[..., 1, 1] = gain + 2 * y**2 * slope + 6 * p1 * y + 2 * p2 * x
-        J[..., 0, 1] = J[..., 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-        return J
-
-    def _radial(self, s: Float) -> tuple[Float, Float, Float]:
-        """The radial factor at squared radii s, its derivative by s, and its denominator."""
-        k1, k2, _, _, k3, k4, k5, k6 = _padded(self.distortion)
-        D = 1 + s * (k4 + s * (k5 + s * k6))
-        gain = (1 + s * (k1 + s * (k2 + s * k3))) / D
-        slope = k1 + s * (2 * k2 + s * 3 * k3) - gain * (k4 + s * (2 * k5 + s * 3 * k6))
-        return gain, slope / D, D
+        """Points (..., 2) of the plane z = 1 where the lens puts points (..., 2) of it."""
+        there = distorted(np.moveaxis(q, -1, 0), self.distortion)
+        return np.asarray(np.moveaxis(there, 0, -1))
 
 
 def project_each(cameras: Sequence[Camera], view: Int, p_c: Float) -> Float:

@@ -68,7 +68,7 @@ class Fisheye(Camera):
 
     def _terms(self, p_c: Float) -> Float:
         rho, angle = _off_axis(p_c)
-        powers = angle[..., None] ** np.arange(3, 10, 2) / rho[..., None]
+        powers = angle[..., None] ** np.arange(3, 3 + 2 * len(self.distortion), 2) / rho[..., None]
         return np.asarray(p_c[..., :2, None] * powers[..., None, :])
 
     def _radius(self, angle: Float) -> tuple[Float, Float]:

@@ -1,7 +1,7 @@
 """Layout of the kit vector theta, its prior, and its drift between two drives.
 
 theta (SIZE,): for each eye log(f / width), the principal point's offset from the image centre as a
-share of the width (x, y) and one radial term (p_distorted = p (1 + k1 r^2)); then the rig T_p_a as
+share of the width (x, y) and distortion (k1, see `geometry/distortion`); then the rig T_p_a as
 a rotation vector [rad] and the assistant's centre in the primary camera [spacings]; then the time
 offset: how much later than its stamp, on the primary's clock, an assistant's picture is exposed
 [s]. This file alone holds the index of a term; elsewhere terms are named.
@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from calm_edge.geometry import pinhole, se3
-from calm_edge.types import Float, KitBelief
+from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
+from calm_edge.types import Float, Int, KitBelief
 
-# Indices of each eye's optics (2, terms), and of single terms of both eyes.
+# Indices of each eye's optics (2, terms), and of single terms of both eyes; those of the primary
+# are also a term's place among the optics of an eye.
 OPTICS = np.arange(8).reshape(2, 4)
 LOG_FOCAL = OPTICS[:, 0]
 PRINCIPAL_POINT = OPTICS[:, 1:3]
-RADIAL = OPTICS[:, 3]
+DISTORTION = OPTICS[:, 3:]
 RIG_ROTATION = slice(OPTICS.size, OPTICS.size + 3)
 RIG_CENTRE = slice(RIG_ROTATION.stop, RIG_ROTATION.stop + 3)
 RIG = slice(RIG_ROTATION.start, RIG_CENTRE.stop)
@@ -65,7 +67,7 @@ def _vector(
 ) -> Float:
     """(SIZE,) one number for each kind of term, the same for both eyes."""
     out = np.empty(SIZE)
-    out[LOG_FOCAL], out[PRINCIPAL_POINT], out[RADIAL] = log_focal, principal_point, radial
+    out[LOG_FOCAL], out[PRINCIPAL_POINT], out[DISTORTION] = log_focal, principal_point, radial
     out[RIG_ROTATION], out[RIG_CENTRE], out[TIME_OFFSET] = rotation, centre, time_offset
     return out
 
@@ -93,11 +95,17 @@ def drift_sigma() -> Float:
     )  # fmt: skip
 
 
-def camera_matrix(theta: Float, eye: int, width: int, height: int) -> Float:
-    """K (3, 3) px of an eye of which the images are width x height."""
-    f = np.exp(theta[LOG_FOCAL[eye]]) * width
-    cx, cy = theta[PRINCIPAL_POINT[eye]] * width
-    return pinhole.matrix(f, f, (width - 1) / 2 + cx, (height - 1) / 2 + cy)
+def cameras(theta: Float, size: Int) -> tuple[Perspective, Perspective]:
+    """Camera of each eye. size: (2, 2) width, height [px]."""
+    return camera(theta, 0, *size[0].tolist()), camera(theta, 1, *size[1].tolist())
+
+
+def camera(theta: Float, eye: int, width: int, height: int) -> Perspective:
+    """Camera of an eye whose pictures are width x height px."""
+    f = float(np.exp(theta[LOG_FOCAL[eye]]) * width)
+    cx, cy = (theta[PRINCIPAL_POINT[eye]] * width).tolist()
+    k = tuple(theta[DISTORTION[eye]].tolist())
+    return Perspective(f, f, (width - 1) / 2 + cx, (height - 1) / 2 + cy, width, height, k)
 
 
 def rig(theta: Float) -> Float:

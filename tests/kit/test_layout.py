@@ -9,7 +9,7 @@ from calm_edge.kit import layout
 
 
 def test_names_cover_the_vector_once():
-    terms = [layout.LOG_FOCAL, layout.PRINCIPAL_POINT.ravel(), layout.RADIAL]
+    terms = [layout.LOG_FOCAL, layout.PRINCIPAL_POINT.ravel(), layout.DISTORTION.ravel()]
     entries = np.r_[*terms, layout.RIG_ROTATION, layout.RIG_CENTRE, layout.TIME_OFFSET]
     assert np.array_equal(np.sort(entries), np.arange(layout.SIZE))
     assert np.array_equal(np.sort(np.concatenate(terms)), np.sort(layout.OPTICS.ravel()))
@@ -38,19 +38,20 @@ def test_a_hint_sets_the_focal_of_its_eye_and_its_sigma():
     assert np.ptp(sigma[layout.PRINCIPAL_POINT]) == 0 and (sigma[layout.RIG] >= 0.5).all()
 
 
-def test_the_camera_matrix_of_a_hint_has_its_field_of_view():
+def test_the_camera_of_a_hint_is_a_pinhole_of_that_field():
     theta = layout.prior((81.0, 64.0)).mean
     for eye, hfov, size in ((0, 81.0, (640, 240)), (1, 64.0, (480, 200))):
-        matrix = Perspective.from_hfov(hfov, *size).matrix
-        assert np.allclose(layout.camera_matrix(theta, eye, *size), matrix)
+        made, expected = layout.camera(theta, eye, *size), Perspective.from_hfov(hfov, *size)
+        assert np.allclose(made.matrix, expected.matrix) and made.is_pinhole
+        assert (made.width, made.height) == size
 
 
 def test_the_principal_point_is_a_share_of_the_width_from_the_centre():
     theta = layout.prior((None, None)).mean
     theta[layout.PRINCIPAL_POINT[1]] = 0.01, -0.02
-    K = layout.camera_matrix(theta, 1, 480, 200)
-    assert K[:2, 2] == pytest.approx([239.5 + 4.8, 99.5 - 9.6])
-    assert layout.camera_matrix(theta, 0, 480, 200)[:2, 2] == pytest.approx([239.5, 99.5])
+    there, middle = layout.cameras(theta, np.array([[480, 200], [480, 200]]))[::-1]
+    assert (there.cx, there.cy) == pytest.approx([239.5 + 4.8, 99.5 - 9.6])
+    assert (middle.cx, middle.cy) == pytest.approx([239.5, 99.5])
 
 
 def test_the_rig_round_trips():

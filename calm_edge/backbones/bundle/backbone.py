@@ -23,7 +23,6 @@ from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig
 from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
-from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.loops.descriptor import PlaceDescriptor
@@ -247,11 +246,7 @@ def _prediction(
     joint = product([belief, evidence])
     assert joint is not None
     sigma = np.hypot(_sigma(joint)[layout.LOG_FOCAL], FOCAL_FLOOR)
-    sizes = m.size.tolist()
-    cameras = [
-        Perspective.from_matrix(layout.camera_matrix(state.theta, eye, *sizes[eye]), *sizes[eye])
-        for eye in (0, 1)
-    ]
+    cameras = [lens.pinhole for lens in layout.cameras(state.theta, m.size)]
     return Prediction(
         cameras=tuple(cameras[eye] for eye in m.eye),
         T_s_c=se3.inverse(state.T_c_s),

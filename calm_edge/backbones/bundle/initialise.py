@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle.problem import Measurements, State
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
@@ -24,13 +25,16 @@ N_SPACINGS = 120
 
 
 def normalised(m: Measurements, theta: Float) -> Float:
-    """Observations as rays (O, 2) on z = 1 under the optics in theta (radial term ignored)."""
+    """Observations as rays (O, 2) on z = 1, distortion neglected: a start need not be exact."""
     out = np.empty_like(m.uv)
-    for eye in (0, 1):
+    for eye, camera in enumerate(_pinholes(m, theta)):
         rows = m.eye[m.view] == eye
-        K = layout.camera_matrix(theta, eye, *m.size[eye])
-        out[rows] = (m.uv[rows] - K[:2, 2]) / K[0, 0]
+        out[rows] = camera.normalized(m.uv[rows])
     return out
+
+
+def _pinholes(m: Measurements, theta: Float) -> list[Perspective]:
+    return [camera.pinhole for camera in layout.cameras(theta, m.size)]
 
 
 def triangulate(T_c_s: Float, view: Int, point: Int, rays: Float, n_points: int) -> Float:
@@ -93,6 +97,11 @@ def resection(points: Float, rays: Float, f: float, guess: Float | None) -> Floa
     return se3.compose(se3.so3_exp(rotation), translation)
 
 
+def _in_front(p_c: Float) -> Float:
+    """Points (n, 3) with those behind the camera moved before it, so that pixels stay finite."""
+    return np.concatenate([p_c[:, :2], np.maximum(p_c[:, 2:], 1e-6)], 1)
+
+
 def _usable(X: Float) -> np.ndarray:
     """Points at a finite distance, not beyond infinity."""
     return np.asarray(np.isfinite(X[:, 0]) & (X[:, 3] > 1e-4))
@@ -107,7 +116,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
     primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
-    f = [layout.camera_matrix(theta, e, *m.size[e])[0, 0] for e in (0, 1)]
+    f = [camera.fx for camera in _pinholes(m, theta)]
 
     poses = _seed(m, rays, primary, f[0], seed_share)
     X = _triangulate_known(m, rays, poses, n_points)
@@ -209,12 +218,12 @@ def _rig(
     rotation = se3.log(se3.inverse(stack)[:, None] @ stack[None])[..., 3:]
     start = stack[int(np.argmin(np.median(np.linalg.norm(rotation, axis=2), axis=1)))]
     uv, p_p = _seen_across(m, X, assistant, at)
-    K = layout.camera_matrix(theta, 1, *m.size[1])
+    camera = _pinholes(m, theta)[1]
 
     def error_px(x: Float) -> Float:
-        q = se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p))
-        z = np.where(q[:, 2:] > 1e-6, q[:, 2:], 1e-6)
-        predicted = np.exp(x[6]) * K[0, 0] * q[:, :2] / z + K[:2, 2]
+        f = np.exp(x[6]) * camera.fx
+        p_a = _in_front(se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p)))
+        predicted = f * p_a[:, :2] / p_a[:, 2:] + [camera.cx, camera.cy]
         return np.asarray(np.clip(predicted - uv, -1e3, 1e3).ravel())
 
     fit = least_squares(error_px, np.zeros(7), loss="cauchy", f_scale=2.0, max_nfev=30)
@@ -230,14 +239,13 @@ def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float)
     take it, so the unit has to be right from the start.
     """
     uv, p_p = _seen_across(m, X, assistant, at)
-    K, T_p_a = layout.camera_matrix(theta, 1, *m.size[1]), layout.rig(theta)
+    camera, T_p_a = _pinholes(m, theta)[1], layout.rig(theta)
     rotated = p_p @ T_p_a[:3, :3]
     step = T_p_a[:3, :3].T @ T_p_a[:3, 3]
 
     def cost(spacing: float) -> float:
-        q = rotated - spacing * step
-        z = np.where(q[:, 2:] > 1e-6, q[:, 2:], 1e-6)
-        error = np.linalg.norm(K[0, 0] * q[:, :2] / z + K[:2, 2] - uv, axis=1)
+        predicted = camera.project(_in_front(rotated - spacing * step))
+        error = np.linalg.norm(predicted - uv, axis=1)
         return float(np.log1p((error / RESECTION_PX) ** 2).sum())
 
     coarse = np.median(p_p[:, 2]) / np.geomspace(*DEPTHS_IN_SPACINGS, N_SPACINGS)

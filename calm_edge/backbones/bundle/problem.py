@@ -16,6 +16,7 @@ import numpy as np
 
 from calm_edge.backbones.bundle import beat
 from calm_edge.geometry import se3
+from calm_edge.geometry.distortion import distorted, distorted_jacobian, term_jacobian
 from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
@@ -83,50 +84,62 @@ def move_points(points: Float, basis: Float, delta: Float) -> Float:
     return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
-def project(state: State, m: Measurements) -> tuple[Float, Float]:
-    """Predicted pixels (O, 2) and camera points (O, 3) of the observations."""
+@dataclass(frozen=True, slots=True)
+class _Optics:
+    """Of each observation: f (O,) [px], centre (2, O) [px], k: distortion, (O,) a term."""
+
+    f: Float
+    centre: Float
+    k: list[Float]
+
+    @classmethod
+    def of(cls, theta: Float, m: Measurements) -> _Optics:
+        eye, lenses = m.eye[m.view], layout.cameras(theta, m.size)
+        f = np.array([lens.fx for lens in lenses])
+        centre = np.array([[lens.cx for lens in lenses], [lens.cy for lens in lenses]])
+        k = np.array([lens.distortion for lens in lenses]).T
+        return cls(f[eye], centre[:, eye], list(k[:, eye]))
+
+
+def camera_points(state: State, m: Measurements) -> Float:
+    """(3, O) each observation's point in its camera, over the point's distance."""
     n_points, n_views = len(state.points), m.n_views
     # every view with every point in one product: few of them are seen, but it costs less
     every = state.points @ state.T_c_s[:, :3].reshape(-1, 4).T
-    q = every.reshape(n_points, n_views, 3)[m.point, m.view]
-    eye = m.eye[m.view]
-    z = np.where(np.abs(q[:, 2]) < NEAREST, NEAREST, q[:, 2])
-    xy = q[:, :2] / z[:, None]
-    theta, size = state.theta, m.size.astype(np.float64)
-    radial = 1 + theta[layout.RADIAL][eye] * (xy * xy).sum(1)
-    f = np.exp(theta[layout.LOG_FOCAL]) * size[:, 0]
-    centre = (size - 1) / 2 + theta[layout.PRINCIPAL_POINT] * size[:, :1]
-    return (f[eye] * radial)[:, None] * xy + centre[eye], q
+    return np.ascontiguousarray(every.reshape(n_points, n_views, 3)[m.point, m.view].T)
+
+
+def project(state: State, m: Measurements) -> tuple[Float, Float]:
+    """Predicted pixels (O, 2) and depths (O,) of the observations."""
+    X, Y, Z = camera_points(state, m)
+    lens, z = _Optics.of(state.theta, m), _away_from_zero(Z)
+    return (distorted(np.stack([X / z, Y / z]), lens.k, lens.f) + lens.centre).T, Z
+
+
+def _away_from_zero(z: Float) -> Float:
+    return np.where(np.abs(z) < NEAREST, NEAREST, z)
 
 
 def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJacobians:
     """Pixels and analytic derivatives of all observations."""
-    predicted, q = project(state, m)
-    eye = m.eye[m.view]
-    width = m.size[:, 0].astype(np.float64)
-    f = (np.exp(state.theta[layout.LOG_FOCAL]) * width)[eye]
-    k1 = state.theta[layout.RADIAL][eye]
-    X, Y, z = np.ascontiguousarray(q.T)
-    z = np.where(np.abs(z) < NEAREST, NEAREST, z)
-    x, y = X / z, Y / z
-    r2 = x * x + y * y
-    radial = 1 + k1 * r2
-    n = len(f)
-    d_q = np.empty((3, 2, n))  # pixel by camera point
-    d_q[0, 0] = f * (radial + 2 * k1 * x * x) / z
-    d_q[1, 1] = f * (radial + 2 * k1 * y * y) / z
-    d_q[0, 1] = d_q[1, 0] = f * 2 * k1 * x * y / z
-    d_q[2] = -x * d_q[0] - y * d_q[1]
-    camera = np.zeros((6 + layout.OPTICS.shape[1], 2, n))
-    camera[:3] = d_q * state.points[:, 3][m.point]
-    camera[3] = Y * d_q[2] - q[:, 2] * d_q[1]
-    camera[4] = q[:, 2] * d_q[0] - X * d_q[2]
-    camera[5] = X * d_q[1] - Y * d_q[0]
-    camera[6, 0], camera[6, 1] = f * radial * x, f * radial * y
-    camera[7, 0] = camera[8, 1] = width[eye]
-    camera[9, 0], camera[9, 1] = f * r2 * x, f * r2 * y
-    point = times(times(d_q, state.T_c_s[:, :3], m.view), basis, m.point)
-    return ReprojectionJacobians(predicted, camera, point, q[:, 2] > NEAREST)
+    X, Y, Z = camera_points(state, m)
+    lens, z = _Optics.of(state.theta, m), _away_from_zero(Z)
+    q = np.stack([X / z, Y / z])
+    offset = distorted(q, lens.k, lens.f)
+    by_point = np.empty((3, 2, len(z)))
+    np.divide(distorted_jacobian(q, lens.k, lens.f), z, out=by_point[:2])
+    by_point[2] = -q[0] * by_point[0] - q[1] * by_point[1]
+    camera = np.zeros((6 + layout.OPTICS.shape[1], 2, len(z)))
+    camera[:3] = by_point * state.points[:, 3][m.point]
+    camera[3] = Y * by_point[2] - Z * by_point[1]
+    camera[4] = Z * by_point[0] - X * by_point[2]
+    camera[5] = X * by_point[1] - Y * by_point[0]
+    optics, (cx, cy) = camera[6:], layout.PRINCIPAL_POINT[0]
+    optics[layout.LOG_FOCAL[0]] = offset
+    optics[cx, 0] = optics[cy, 1] = m.size[:, 0][m.eye[m.view]]
+    optics[layout.DISTORTION[0]] = term_jacobian(q, lens.k, lens.f)
+    point = times(times(by_point, state.T_c_s[:, :3], m.view), basis, m.point)
+    return ReprojectionJacobians((offset + lens.centre).T, camera, point, Z > NEAREST)
 
 
 def times(rows: Float, matrices: Float, index: Int) -> Float:

@@ -41,9 +41,9 @@ def robust_weights(residual: Float, scale: float) -> Float:
 
 def whitened_lengths(state: State, m: Measurements) -> Float:
     """(O,) reprojection error in sigmas; BEHIND for points behind their view."""
-    predicted, q = project(state, m)
+    predicted, z = project(state, m)
     length = np.linalg.norm(predicted - m.uv, axis=1) / m.sigma_px
-    return np.where(q[:, 2] > NEAREST, np.minimum(length, BEHIND), BEHIND)
+    return np.where(z > NEAREST, np.minimum(length, BEHIND), BEHIND)
 
 
 def total_cost(

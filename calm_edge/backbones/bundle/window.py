@@ -64,7 +64,7 @@ def measure(
 
 def _infinite_homography(theta: Float, size: Int) -> Float:
     """H_a_p (3, 3): where far points seen by the primary appear to the assistant."""
-    K_p, K_a = (layout.camera_matrix(theta, eye, *size[eye]) for eye in (0, 1))
+    K_p, K_a = (camera.matrix for camera in layout.cameras(theta, size))
     return np.asarray(K_a @ layout.rig(theta)[:3, :3].T @ np.linalg.inv(K_p))
 
 

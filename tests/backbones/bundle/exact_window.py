@@ -19,7 +19,7 @@ PERIOD_S = 0.3
 def theta_of(hfov_deg=(76.0, 66.0), rotation_deg=(1.0, -3.7, 1.2), radial=(0.0, 0.0)) -> Float:
     """A kit with two focals and 4 degrees between its eyes."""
     theta = layout.prior(hfov_deg).mean
-    theta[layout.RADIAL] = radial
+    theta[layout.DISTORTION] = np.array(radial)[:, None]
     theta[layout.RIG_ROTATION] = np.radians(rotation_deg)
     theta[layout.RIG_CENTRE] = np.array([0.99, 0.03, 0.1]) / np.linalg.norm([0.99, 0.03, 0.1])
     return theta
@@ -86,9 +86,9 @@ def window(
         np.repeat([0, 1], n), np.concatenate([t, t + delay_s - theta[layout.TIME_OFFSET]]), SIZE,
     )  # fmt: skip
     truth = problem.State(T_c_s, X, theta)
-    uv, q = problem.project(truth, every)
-    seen = (q[:, 2] > 1e-3) & (uv >= 0).all(1) & (uv <= SIZE[every.eye[view]] - 1).all(1)
-    seen &= q[:, 2] > 2 * X[point, 3]
+    uv, z = problem.project(truth, every)
+    seen = (z > 1e-3) & (uv >= 0).all(1) & (uv <= SIZE[every.eye[view]] - 1).all(1)
+    seen &= z > 2 * X[point, 3]
     seen &= (np.bincount(point[seen], minlength=n_points) >= 3)[point]
     kept, point = np.unique(point[seen], return_inverse=True)
     uv = uv[seen] + noise_px * rng.standard_normal((len(point), 2))

@@ -29,7 +29,7 @@ def guess_of(truth, factor):
     return theta
 
 
-def test_rays_undo_the_camera_matrix(exact):
+def test_rays_undo_the_pinhole(exact):
     rays = initialise.normalised(exact.m, exact.truth.theta)
     q = (exact.truth.T_c_s[exact.m.view] @ exact.truth.points[exact.m.point][..., None])[..., 0]
     assert np.allclose(rays, q[:, :2] / q[:, 2:3])

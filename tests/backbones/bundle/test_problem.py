@@ -74,11 +74,12 @@ def test_pixels_by_point_tangent(seen):
 
 def test_pixels_are_the_pinholes_where_nothing_is_bent():
     made = window(turn(3), theta_of(), n_points=30)
-    uv, q = problem.project(made.truth, made.m)
+    uv, z = problem.project(made.truth, made.m)
+    p_c = problem.camera_points(made.truth, made.m).T
     right = made.m.eye[made.m.view] == 1
-    K = layout.camera_matrix(made.truth.theta, 1, 480, 200)
-    expected = (q[right] / q[right, 2:]) @ K.T
-    assert np.allclose(uv[right], expected[:, :2])
+    K = layout.camera(made.truth.theta, 1, 480, 200).matrix
+    expected = (p_c[right] / p_c[right, 2:]) @ K.T
+    assert np.allclose(uv[right], expected[:, :2]) and np.array_equal(z, p_c[:, 2])
     assert np.allclose(made.m.uv, uv)
 
 
@@ -87,7 +88,7 @@ def test_a_radial_term_pushes_pixels_out_by_the_square_of_their_radius():
     flat, bent = (window(turn(3), theta_of(radial=(k, 0)), n_points=30).truth for k in (0, 0.1))
     bent = replace(bent, points=flat.points, T_c_s=flat.T_c_s)
     left = m.eye[m.view] == 0
-    K = layout.camera_matrix(flat.theta, 0, 640, 240)
+    K = layout.camera(flat.theta, 0, 640, 240).matrix
     before = (problem.project(flat, m)[0] - K[:2, 2]) / K[0, 0]
     after = (problem.project(bent, m)[0] - K[:2, 2]) / K[0, 0]
     r2 = (before**2).sum(1, keepdims=True)

@@ -7,7 +7,6 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import window
 from calm_edge.backbones.bundle.problem import project
 from calm_edge.geometry import se3
-from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import layout
 from calm_edge.types import Hints, Prediction
 from tests.backbones.bundle.exact_window import SIZE, theta_of, turn
@@ -22,10 +21,7 @@ def hints_of(m):
 
 def prediction_of(made):
     state = made.truth
-    cameras = [
-        Perspective.from_matrix(layout.camera_matrix(state.theta, e, *SIZE[e]), *SIZE[e])
-        for e in (0, 1)
-    ]
+    cameras = layout.cameras(state.theta, SIZE)
     return Prediction(
         cameras=tuple(cameras[e] for e in made.m.eye),
         T_s_c=se3.inverse(state.T_c_s),
@@ -108,7 +104,7 @@ def test_thinning_keeps_the_longest_tracks_whole():
 def test_a_known_kit_tells_where_far_points_appear_to_the_other_eye():
     theta = theta_of(rotation_deg=(3.0, -8.0, 5.0))
     far = np.array([[0.2, 0.1, 1.0], [-0.4, -0.1, 1.0], [0.0, 0.0, 1.0]])
-    K_p, K_a = (layout.camera_matrix(theta, eye, *SIZE[eye]) for eye in (0, 1))
+    K_p, K_a = (camera.matrix for camera in layout.cameras(theta, SIZE))
     seen_p, seen_a = far @ K_p.T, far @ layout.rig(theta)[:3, :3] @ K_a.T
     there = seen_p @ window._infinite_homography(theta, SIZE).T
     assert np.allclose(there / there[:, 2:], seen_a / seen_a[:, 2:])
