@@ -1,5 +1,5 @@
-"""The paper's datasets in their published folder layouts, as the sequence folders we replay.
+"""The paper's datasets in their published folder layouts, converted to sequence folders.
 
-A loader yields a Drive; writing one makes links to the pictures and text files beside them, so
-that `record` and `eval` run on it unchanged. Nothing of a dataset is copied or shipped.
+A loader returns a Drive; writing it makes links to the pictures and text files beside them, on
+which `record` and `eval` run. Nothing of a dataset is copied or shipped.
 """

@@ -1,9 +1,9 @@
 """Argoverse 1 tracking: `LOG/{stereo_front_left,stereo_front_right,poses,lidar}` and
 `LOG/vehicle_calibration_info.json`, the logs in ROOT, ROOT/train1 or ROOT/*/train1.
 
-Stamps are the nanoseconds in the pictures' names, poses `city_SE3_egovehicle_NS.json` with a
-scalar-first quaternion. Pictures are taken as pinhole ones; the LiDAR sweeps, in the vehicle's
-frame of their own stamp, become the true cloud.
+Stamps are the nanoseconds in the file names, poses `city_SE3_egovehicle_NS.json` with a
+scalar-first quaternion. Pictures are assumed undistorted; the LiDAR sweeps, each in the vehicle's
+frame at its stamp, form the true cloud.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ EYES = ("stereo_front_left", "stereo_front_right")
 CALIBRATION = "vehicle_calibration_info.json"
 LOGS = 10
 
-# Of the true cloud: farther points belong to other streets; nearer ones to the vehicle itself.
+# Range of the true cloud: beyond are other streets, below is the vehicle itself.
 RANGE_M = (2.0, 60.0)
 VOXEL_M = 0.15
 
@@ -43,7 +43,7 @@ def _logs(root: Path) -> dict[str, Path]:
 
 
 def sequences(root: Path) -> list[str]:
-    """The first logs by name that have stereo pictures, as many as the paper takes."""
+    """The first LOGS logs with stereo pictures by name, the number in the paper."""
     logs = _logs(root)
     return [name for name, log in logs.items() if (log / EYES[0]).is_dir()][:LOGS]
 
@@ -64,7 +64,7 @@ def _json(path: Path, what: str) -> Any:
 
 
 def _stamped(place: Path, stem: str, suffix: str) -> dict[int, Path]:
-    """{ns: file} of `place`/`stem`NS`suffix`, sorted; raises DatasetError when there are none."""
+    """{ns: file} of `place`/`stem`NS`suffix`, sorted; raises DatasetError without any."""
     what = f"{stem}NANOSECONDS{suffix}"
     files = folder(place, what).glob(f"{stem}*{suffix}")
     try:
@@ -77,7 +77,7 @@ def _stamped(place: Path, stem: str, suffix: str) -> dict[int, Path]:
 
 
 def _pose(path: Path, rotation: Any, translation: Any) -> Float:
-    """(4, 4) of a scalar-first quaternion and a translation, m; raises DatasetError."""
+    """(4, 4) from a scalar-first quaternion and a translation [m]; raises DatasetError."""
     try:
         q, t = np.array(rotation, np.float64), np.array(translation, np.float64)
     except (TypeError, ValueError):
@@ -107,17 +107,17 @@ def _trajectory(place: Path) -> tuple[Int, Float]:
     """Stamps (P,) ns and T_city_vehicle (P, 4, 4)."""
     files = _stamped(place, "city_SE3_egovehicle_", ".json")
     if len(files) < 2:
-        raise DatasetError(f"{place}: {len(files)} pose; two at least are needed")
+        raise DatasetError(f"{place}: {len(files)} pose; at least two are needed")
     poses = []
     for path in files.values():
-        said = _json(path, "a rotation and a translation")
-        said = said if isinstance(said, dict) else {}
-        poses.append(_pose(path, said.get("rotation"), said.get("translation")))
+        pose = _json(path, "a rotation and a translation")
+        pose = pose if isinstance(pose, dict) else {}
+        poses.append(_pose(path, pose.get("rotation"), pose.get("translation")))
     return np.array(list(files), np.int64), np.stack(poses)
 
 
 def _cloud(place: Path, t_pose: Int, T_w_v: Float, last_ns: int) -> Float | None:
-    """The sweeps until `last_ns` in the city's frame, (M, 3), a point a voxel."""
+    """Points (M, 3) of the sweeps until `last_ns` in the city frame, one per voxel."""
     if not place.is_dir():
         return None
     origin = T_w_v[0, :3, 3]
@@ -138,7 +138,7 @@ def _cloud(place: Path, t_pose: Int, T_w_v: Float, last_ns: int) -> Float | None
 
 
 def load(root: Path, name: str, frames: int | None = None) -> Drive:
-    """One log, by its name or an unmistakable beginning of it; raises DatasetError."""
+    """Load one log by its name or a unique prefix; raises DatasetError."""
     log = _log(root, name)
     calibration = _json(log / CALIBRATION, "camera_data_")
     cameras = [_camera(log / CALIBRATION, calibration, eye) for eye in EYES]

@@ -45,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints a row a sequence as it is done, then the average."""
+    """Print one row for each sequence, then the average; 1 when a sequence failed."""
     from bench.datasets import table
     from bench.datasets.drive import DatasetError
     from calm_edge.evaluation.table import json_text

@@ -1,4 +1,4 @@
-"""A drive of a dataset: where its pictures are, when they were taken, and what is true."""
+"""A drive of a dataset: pictures, stamps and ground truth; written as a sequence folder."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from calm_edge.types import Float, Int
 
 
 class DatasetError(EvaluationError):
-    """A dataset's folder is not laid out as it was published."""
+    """A dataset's folder does not have the published layout."""
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Two streams and the truth of the primary one.
+    """Two picture streams and the ground truth of the primary.
 
-    pictures: an eye. t_ns: an eye, (N,) from the first picture's 0 on. K: (2, 3, 3) px. T_w_c:
+    pictures, t_ns: one per eye, (N,). K: (2, 3, 3) px. T_w_c:
     (N, 4, 4) of the primary's pictures, metres. spacing_m: as calibrated. cloud: (M, 3) in the
-    world of T_w_c. notes: what was assumed or filled in.
+    world of T_w_c. notes: assumptions and interpolations.
     """
 
     pictures: tuple[tuple[Path, ...], tuple[Path, ...]]
@@ -40,11 +40,11 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """How to read one. sequences: (root) -> names that have truth. load: (root, name, frames) ->
-    drive, of the first `frames` pairs only when given; both raise DatasetError.
+    """A reader of one dataset.
 
-    frames: how many the paper takes. settings: of `record`, as the paper ran it. cloud: whether
-    there is a true one to compare a map with.
+    sequences: (root) -> names of sequences with ground truth. load: (root, name, frames) -> drive,
+    of the first `frames` pairs if given. Both raise DatasetError. frames: number in the paper.
+    settings: options of `record` for the paper's configuration. cloud: whether there is a true one.
     """
 
     title: str
@@ -56,14 +56,14 @@ class Dataset:
 
 
 def folder(path: Path, what: str) -> Path:
-    """`path` if it is a folder; raises DatasetError naming it and what it should hold."""
+    """Return `path` if it is a folder; raises DatasetError naming its expected content `what`."""
     if not path.is_dir():
         raise DatasetError(f"{path}: no such folder; it should hold {what}")
     return path
 
 
 def lines(path: Path, what: str) -> list[str]:
-    """Lines that are not blank; raises DatasetError naming the file and what it should hold."""
+    """Non-blank lines; raises DatasetError naming the file and its expected content `what`."""
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError):
@@ -72,7 +72,7 @@ def lines(path: Path, what: str) -> list[str]:
 
 
 def numbers(path: Path, line: str, columns: Iterable[int]) -> Float:
-    """The line's numbers (C,), C one of `columns`; raises DatasetError."""
+    """Numbers (C,) of a line, C one of `columns`; raises DatasetError."""
     try:
         values = np.array([float(word) for word in line.split()])
     except ValueError:
@@ -85,15 +85,15 @@ def numbers(path: Path, line: str, columns: Iterable[int]) -> Float:
 
 
 def keyed(path: Path, what: str) -> dict[str, str]:
-    """`key: values` lines as {key: values}; raises DatasetError."""
+    """Read `key: values` lines as {key: values}; raises DatasetError."""
     pairs = (line.partition(":") for line in lines(path, what))
     return {key.strip(): value.strip() for key, _, value in pairs}
 
 
 def projection(path: Path, rows: dict[str, str], key: str) -> tuple[Float, Float]:
-    """A rectified camera's K (3, 3) px and its centre (3,) m in the reference camera.
+    """K (3, 3) px of a rectified camera and its centre (3,) m in the reference camera.
 
-    Of P = K [I | t], the centre is -t. Raises DatasetError.
+    From P = K [I | t], with centre -t. Raises DatasetError.
     """
     if key not in rows:
         raise DatasetError(f"{path}: has no {key}")
@@ -102,7 +102,7 @@ def projection(path: Path, rows: dict[str, str], key: str) -> tuple[Float, Float
 
 
 def pngs(path: Path, what: str) -> tuple[Path, ...]:
-    """A folder's pictures by name; raises DatasetError when there are none."""
+    """PNG files of a folder by name; raises DatasetError without any."""
     found = tuple(sorted(p for p in folder(path, what).iterdir() if p.suffix.lower() == ".png"))
     if not found:
         raise DatasetError(f"{path}: empty; it should hold {what}")
@@ -110,7 +110,7 @@ def pngs(path: Path, what: str) -> tuple[Path, ...]:
 
 
 def first(drive: Drive, frames: int | None) -> Drive:
-    """The first `frames` of both streams."""
+    """Keep the first `frames` of both streams."""
     if frames is None:
         return drive
     return replace(
@@ -122,10 +122,7 @@ def first(drive: Drive, frames: int | None) -> Drive:
 
 
 def odd_even(drive: Drive) -> Drive:
-    """The paper's asynchronous test: odd frames (1, 3 ...) to the primary, even to the assistant.
-
-    Times and truth stay with their pictures.
-    """
+    """The paper's asynchronous mode: odd frames (1, 3 ...) to the primary, even to the other."""
     return replace(
         drive,
         pictures=(drive.pictures[0][1::2], drive.pictures[1][::2]),
@@ -135,10 +132,12 @@ def odd_even(drive: Drive) -> Drive:
 
 
 def write(drive: Drive, out: Path) -> Path:
-    """The drive as a sequence folder `out`, replaced if it is there; its world is the first
-    primary picture's camera. Pictures are links. Raises DatasetError when an eye has none."""
+    """Write the drive as the sequence folder `out`, which is replaced, with links to the pictures.
+
+    Its world is the camera of the first primary picture. Raises DatasetError for an empty stream.
+    """
     if not (drive.pictures[0] and drive.pictures[1]):
-        raise DatasetError(f"{out.name}: an eye has no pictures left to replay")
+        raise DatasetError(f"{out.name}: an eye has no pictures")
     shutil.rmtree(out, ignore_errors=True)
     start = min(int(t[0]) for t in drive.t_ns)
     calibration = []

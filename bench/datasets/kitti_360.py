@@ -1,9 +1,9 @@
 """KITTI-360: `data_2d_raw/2013_05_28_drive_XXXX_sync/image_0{0,1}/{data_rect,timestamps.txt}`,
 `data_poses/2013_05_28_drive_XXXX_sync/cam0_to_world.txt`, `calibration/perspective.txt`.
 
-The rows of `cam0_to_world.txt` start with a frame's number and have gaps, mostly where the car
-hardly moved: there the truth is interpolated, and said. Frames before the first and after the
-last pose have no truth and are left out. Line k (from 0) of `timestamps.txt` is frame k's.
+Rows of `cam0_to_world.txt` begin with a frame number and have gaps, mostly where the car hardly
+moved: there the truth is interpolated, with a note. Frames before the first and after the last
+pose are left out. Line k (from 0) of `timestamps.txt` belongs to frame k.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SETTINGS = ("--set", "loops.enabled=false")
 
 
 def sequences(root: Path) -> list[str]:
-    """Numbers (0000, 0002 ...) of the drives that have both pictures and poses."""
+    """Numbers (0000, 0002 ...) of the drives with pictures and poses."""
     what = f"a folder a drive: {DRIVE.format('0000')} ..."
     raw, poses = folder(root / "data_2d_raw", what), folder(root / "data_poses", what)
     head, tail = DRIVE.split("{}")
@@ -50,7 +50,7 @@ def sequences(root: Path) -> list[str]:
 
 
 def _stamps(path: Path) -> Int:
-    """(L,) ns of `YYYY-MM-DD HH:MM:SS.nnnnnnnnn` lines, exact."""
+    """Exact stamps (L,) ns of `YYYY-MM-DD HH:MM:SS.nnnnnnnnn` lines."""
     out = []
     for line in lines(path, "a date and time a row"):
         whole, _, part = line.strip().partition(".")
@@ -72,10 +72,10 @@ def _numbered(files: tuple[Path, ...]) -> dict[int, Path]:
 
 
 def _poses(path: Path) -> tuple[Int, Float]:
-    """Frame numbers (P,) and T_w_c (P, 4, 4), sorted."""
+    """Frame numbers (P,), sorted, and T_w_c (P, 4, 4)."""
     rows = [numbers(path, row, (13, 17)) for row in lines(path, "a frame's number and its pose")]
     if len(rows) < 2:
-        raise DatasetError(f"{path}: {len(rows)} poses; two at least are needed")
+        raise DatasetError(f"{path}: {len(rows)} poses; at least two are needed")
     rows.sort(key=lambda row: row[0])
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3] = np.array([row[1:13] for row in rows]).reshape(-1, 3, 4)
@@ -83,7 +83,7 @@ def _poses(path: Path) -> tuple[Int, Float]:
 
 
 def load(root: Path, name: str, frames: int | None = None) -> Drive:
-    """One drive, by `0000`, `00`, `0` or its folder's name; raises DatasetError."""
+    """Load one drive, by `0000`, `00`, `0` or its folder's name; raises DatasetError."""
     drive = name if name.startswith("2013") else DRIVE.format(name.zfill(4))
     raw = folder(root / "data_2d_raw" / drive, "image_00 and image_01")
     eyes = [raw / f"image_0{eye}" for eye in range(2)]

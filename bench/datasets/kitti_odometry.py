@@ -1,7 +1,7 @@
 """KITTI odometry: `sequences/XX/{image_2,image_3,calib.txt,times.txt}` and `poses/XX.txt`.
 
-The colour cameras when they are there, else the grey ones (image_0, image_1). Both eyes of a
-pair share the one stamp of `times.txt`. `poses` are of camera 0, rectified as all four are.
+Uses the colour cameras, or without them the grey ones (image_0, image_1). Both pictures of a pair
+have the stamp in `times.txt`. `poses` are those of the rectified camera 0.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ COLOUR, GREY = (2, 3), (0, 1)
 
 
 def sequences(root: Path) -> list[str]:
-    """Names of the sequences with published poses (00 to 10, as far as they are there)."""
+    """Names of the sequences with published poses (00 to 10)."""
     there = folder(root / "sequences", "a folder a sequence: 00, 01 ...")
     poses = folder(root / "poses", "the true poses: 00.txt, 01.txt ...")
     names = sorted(p.name for p in there.iterdir() if (poses / f"{p.name}.txt").is_file())
@@ -39,7 +39,7 @@ def sequences(root: Path) -> list[str]:
 
 
 def load(root: Path, name: str, frames: int | None = None) -> Drive:
-    """One sequence; raises DatasetError."""
+    """Load one sequence; raises DatasetError."""
     place = folder(root / "sequences" / name, "image_2, image_3, calib.txt and times.txt")
     cameras = COLOUR if (place / f"image_{COLOUR[0]}").is_dir() else GREY
     pictures = tuple(pngs(place / f"image_{c}", "pictures 000000.png ...") for c in cameras)
@@ -55,7 +55,7 @@ def load(root: Path, name: str, frames: int | None = None) -> Drive:
     if len(counts) != 1:
         raise DatasetError(
             f"{place}: {len(pictures[0])} and {len(pictures[1])} pictures, {len(seconds)} times, "
-            f"{len(T_w_0)} poses; all should be as many"
+            f"{len(T_w_0)} poses; the numbers should be equal"
         )
     t_ns = np.round(seconds * 1e9).astype(np.int64)
     drive = Drive(

@@ -1,4 +1,4 @@
-"""Positions of a PLY file's vertices, whatever else the vertices hold."""
+"""Read vertex positions of a PLY file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 
 
 def _vertex_type(lines: list[str], order: str) -> tuple[int, np.dtype[np.void]] | None:
-    """(count, dtype) of the vertices when they come first and hold x, y, z; else None."""
+    """(count, dtype) of the vertices if they are the first element and have x, y, z; else None."""
     count, fields, inside = -1, [], False
     for words in map(str.split, lines):
         if words[:1] == ["element"] and len(words) == 3:
@@ -52,7 +52,7 @@ def _vertex_type(lines: list[str], order: str) -> tuple[int, np.dtype[np.void]] 
 
 
 def read_points(path: Path) -> Float:
-    """(M, 3) x y z as written; ascii and both binary orders. Raises DatasetError."""
+    """Positions (M, 3) from ASCII or binary of either byte order; raises DatasetError."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -78,5 +78,5 @@ def read_points(path: Path) -> Float:
     except (ValueError, IndexError):
         points = np.zeros((0, 3))
     if len(points) != count:
-        raise DatasetError(f"{path}: cut short; {count} points were announced")
+        raise DatasetError(f"{path}: truncated; its header has {count} points")
     return points

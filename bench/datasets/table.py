@@ -1,4 +1,4 @@
-"""The paper's settings on a dataset, a sequence at a time: record, map if asked, evaluate."""
+"""Run the sequences of a dataset in the paper's settings: record, map if asked, evaluate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DATASETS: dict[str, Dataset] = {
     "argoverse": ARGOVERSE,
 }
 
-# Heading of a column, and the key of `eval --json` under it.
+# Column title, and key of `eval --json`.
 COLUMNS = (
     ("frames", "frames"),
     ("path m", "path_m"),
@@ -45,9 +45,10 @@ _WIDTH = 14
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """asynchronous: the paper's odd and even frames. frames: None takes as many as the paper.
+    """Options of a run.
 
-    dense: also map. metric: tell `record` the published spacing. settings: more of its options.
+    asynchronous: odd and even frames, as in the paper. frames: None for the paper's number.
+    dense: also map. metric: give `record` the published spacing. settings: more options of it.
     """
 
     asynchronous: bool = False
@@ -58,7 +59,7 @@ class Wanted:
 
 
 def prepare(dataset: Dataset, root: Path, name: str, wanted: Wanted, out: Path) -> Drive:
-    """The drive asked for, written as a sequence folder `out`; raises DatasetError."""
+    """Load the drive and write it as the sequence folder `out`; raises DatasetError."""
     drive = dataset.load(root, name, wanted.frames or dataset.frames)
     if wanted.asynchronous:
         drive = odd_even(drive)
@@ -67,7 +68,7 @@ def prepare(dataset: Dataset, root: Path, name: str, wanted: Wanted, out: Path) 
 
 
 def measure(dataset: Dataset, root: Path, name: str, wanted: Wanted, out: Path) -> dict[str, Any]:
-    """The figures of one sequence, with `notes` of its loader; raises CalmEdgeError."""
+    """Figures of one sequence, with `notes` of its loader; raises CalmEdgeError."""
     drive = prepare(dataset, root, name, wanted, out / "sequence")
     options = [*dataset.settings, *wanted.settings]
     if wanted.metric:
@@ -85,7 +86,7 @@ def measure(dataset: Dataset, root: Path, name: str, wanted: Wanted, out: Path) 
 def measured(
     dataset: Dataset, root: Path, names: Sequence[str], wanted: Wanted, out: Path
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """(name, figures) as each is done; `failed` says why there are none."""
+    """Yield (name, figures) after each run; figures may be the reason under `failed`."""
     for name in names:
         try:
             yield name, measure(dataset, root, name, wanted, out / name)
@@ -94,7 +95,7 @@ def measured(
 
 
 def columns(dense: bool) -> tuple[tuple[str, str], ...]:
-    """Those of the table."""
+    """Columns of the table."""
     return (*COLUMNS, *MAP_COLUMNS) if dense else COLUMNS
 
 
@@ -107,12 +108,12 @@ def row(name: str, figures: Mapping[str, Any], dense: bool) -> str:
 
 
 def heading(dense: bool) -> str:
-    """The line above the rows."""
+    """Title line of the table."""
     return f"{'sequence':<{_WIDTH}}" + "".join(f"{h:>{_WIDTH}}" for h, _ in columns(dense))
 
 
 def average(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The mean of every figure over the sequences that have it; of a pair, of its sizes."""
+    """Mean of each figure over the sequences that have it; of pairs, mean magnitude."""
     out: dict[str, Any] = {}
     for _, key in (*COLUMNS, *MAP_COLUMNS):
         values = []

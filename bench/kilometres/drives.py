@@ -1,4 +1,4 @@
-"""Drives over known trajectories, and the windows a front end would cut from them."""
+"""Scripted drives over known trajectories, with the windows that a front end would form."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from device.frame import Eye, Frame
 
 TRAJECTORIES = DATA / "trajectories"
 SEQUENCES = tuple(f"{k:02d}" for k in range(11))
-# KITTI odometry's left camera, principal point in the middle.
+# Left camera of KITTI odometry, with a centred principal point.
 KITTI_FOCAL_PX, KITTI_SIZE = 718.856, (1241, 376)
 KITTI_SPACING_M = 0.54
-# The selector's 25 px of 1241 px at 718 px focal: 2 degrees of turn, or about 1.2 m along a street.
+# 25 px of 1241 px at 718 px focal, the selector's threshold: 2 degrees, or 1.2 m along a street.
 STEP_M, STEP_RAD = 1.2, np.radians(2.0)
-# Past max_keyframe_gap_s it is enough to move by the selector's MOVING_SHARE of that.
+# Share of that motion that suffices after max_keyframe_gap_s: MOVING_SHARE of the selector.
 _MOVING_SHARE = 0.2
 
 
 class DriveError(CalmEdgeError):
-    """A drive that is not here, or cannot be read."""
+    """A drive is missing or cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +56,9 @@ class Drive:
 def kitti(
     name: str, config: Config, seed: int = 0, streams: Streams | None = None, frames: int = 0
 ) -> Drive:
-    """KITTI odometry `00` ... `10` with a rig and an assistant camera drawn by the seed.
+    """KITTI odometry `00` ... `10` with rig and assistant camera drawn by the seed.
 
-    frames: only so many of its first poses, 0 all. Raises DriveError where it is not here.
+    frames: number of first poses to use, 0 for all. Raises DriveError if it is missing.
     """
     path = TRAJECTORIES / f"kitti_odom_{name}.txt"
     if not path.is_file():
@@ -90,11 +90,11 @@ def kitti(
 
 
 def rendered(folder: Path, config: Config, seed: int = 0, streams: Streams | None = None) -> Drive:
-    """The path, rig and cameras of a rendered drive's folder; raises DriveError."""
+    """Path, rig and cameras of a rendered drive's folder; raises DriveError."""
     if not (folder / "poses1.txt").is_file():
         raise DriveError(f"{folder}: holds no poses1.txt; render it with drive_sim.py first")
     T_w_p, T_w_a = read_poses(folder / "poses0.txt"), read_poses(folder / "poses1.txt")
-    # a street needs a world whose y points down, as the first camera's does
+    # the street needs a world with y down, as in the first camera
     T_w_p, T_w_a = se3.inverse(T_w_p[0]) @ T_w_p, se3.inverse(T_w_p[0]) @ T_w_a
     t_ns, t_a = (sequence_folder.read_times(folder / f"times{eye}.txt") for eye in (0, 1))
     T_w_ref = se3.interpolate_at(t_ns - t_ns[0], T_w_p, (t_a - t_ns[0]).astype(np.float64))
@@ -109,14 +109,14 @@ def rendered(folder: Path, config: Config, seed: int = 0, streams: Streams | Non
 
 
 def rig(rng: np.random.Generator, spacing_m: float) -> Float:
-    """T_p_a (4, 4): to the right by the spacing, mounted by hand, a few degrees off."""
+    """T_p_a (4, 4): to the right by the spacing, with mounting errors of a few degrees."""
     side = np.array([1.0, *(0.05 * rng.standard_normal(2))])
     turn = np.radians(1.5) * rng.standard_normal(3)
     return se3.compose(se3.so3_exp(turn), spacing_m * side / np.linalg.norm(side))
 
 
 def cut(name: str, scene: ScriptedScene, config: Config, streams: Streams, seed: int) -> Drive:
-    """The keyframes and windows of a scene as the front end forms them (paper IV-A)."""
+    """Form the keyframes and windows of a scene as the front end does (paper IV-A)."""
     exposures = streams.exposures(scene.t_ns, seed)
     scene = replace(scene, exposures=exposures)
     of_primary = exposures[Eye.PRIMARY]
@@ -140,7 +140,7 @@ def cut(name: str, scene: ScriptedScene, config: Config, streams: Streams, seed:
 
 
 def blank(size: Int) -> Bytes:
-    """A black picture of width, height (2,) that takes no memory."""
+    """Black picture of width, height (2,) that takes no memory."""
     return np.broadcast_to(np.zeros((), np.uint8), (int(size[1]), int(size[0]), 3))
 
 
@@ -151,20 +151,20 @@ def _arrivals(primary: Int, assistant: Int) -> list[tuple[int, int, int]]:
 
 
 def _keyframes(t_ns: Int, T_w_p: Float, max_gap_s: float) -> Int:
-    """Indices of the poses (N, 4, 4) at t_ns (N,) that become keyframes; the first one does."""
+    """Indices of the poses (N, 4, 4) at t_ns (N,) that become keyframes, the first included."""
     chosen = [0]
     for k in range(1, len(t_ns)):
         step = se3.inverse(T_w_p[chosen[-1]]) @ T_w_p[k]
         turn = float(np.linalg.norm(se3.so3_log(step[:3, :3]))) / STEP_RAD
         moved = float(np.linalg.norm(step[:3, 3])) / STEP_M
         overdue = t_ns[k] - t_ns[chosen[-1]] > max_gap_s * 1e9
-        # a turn on the spot shows no direction of motion: a keyframe must also travel
+        # a rotation without translation gives no keyframe
         if moved > _MOVING_SHARE and (moved + turn > 1 or overdue):
             chosen.append(k)
     return np.array(chosen)
 
 
 def _rigid(T: Float) -> Float:
-    """Poses whose rotations, rounded by a text file, are rotations again."""
+    """Orthonormalise rotations that were rounded by a text file."""
     U, _, Vt = np.linalg.svd(T[:, :3, :3])
     return se3.compose(U @ Vt, T[:, :3, 3])

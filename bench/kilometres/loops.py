@@ -1,4 +1,4 @@
-"""Places a drive comes back to, and a finder that knows them, misses some, makes up others."""
+"""True loops of a drive, and a scripted loop finder with misses and false candidates."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from device.frame import Eye
 
 NEAR_M = 4.0
 SAME_WAY_RAD = np.radians(45.0)
-# A false candidate comes from at least this far away.
+# Minimum distance of a false candidate.
 FALSE_M = 40.0
-# Matches that a look-up says it found.
+# Number of matches that a candidate reports.
 SCORE = 100
 
 
 def true_loops(T_w_p: Float, min_gap: int, near_m: float = NEAR_M) -> Int:
-    """(L, 2) pairs (query, match) of poses (N, 4, 4): near, looking the same way, match earlier."""
+    """Pairs (L, 2) (query, earlier match) of poses (N, 4, 4) with near position and heading."""
     p = T_w_p[:, :3, 3]
     pairs = cKDTree(p).query_pairs(near_m, output_type="ndarray").astype(np.int64)
     match, query = pairs.min(1), pairs.max(1)
@@ -36,11 +36,11 @@ def true_loops(T_w_p: Float, min_gap: int, near_m: float = NEAR_M) -> Int:
 
 
 class ScriptedLoops:
-    """Candidates of a drive, window by window (a `LoopFinder`); the same for equal seeds.
+    """Scripted `LoopFinder` of a drive; deterministic by the seed.
 
-    detection: chance that a window with a true candidate yields it. false_share: chance that any
-    other window yields a keyframe of another place. aliased: such a place looks the same to the
-    look-up as to the model; off, the look-up has it elsewhere.
+    detection: probability that a window with a true loop yields it. false_share: probability that
+    any other window yields a keyframe of another place. aliased: the relative pose of a false
+    candidate agrees with the model's; off, it does not.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class ScriptedLoops:
     def find(
         self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit | None
     ) -> LoopCandidate | None:
-        """At most one candidate, of the keyframes remembered."""
+        """Return at most one candidate among the keyframes remembered."""
         ids = np.array([keyframe.id for keyframe in window.primary])
         rng = np.random.default_rng([self._seed, window.submap_id])
         chance = rng.uniform()
@@ -84,11 +84,11 @@ class ScriptedLoops:
         return None
 
     def remember(self, window: SubmapWindow) -> None:
-        """The window's keyframes have poses now."""
+        """Add the keyframes of a placed window."""
         self._known.update(keyframe.id for keyframe in window.primary)
 
     def is_true(self, query_id: int, match_id: int) -> bool:
-        """Whether a closure joined two views of one place."""
+        """Whether a closure joins two views of the same place."""
         p = self._drive.T_w_p[[query_id, match_id], :3, 3]
         return bool(np.linalg.norm(p[0] - p[1]) < FALSE_M / 2)
 

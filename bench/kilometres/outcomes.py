@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -28,6 +27,7 @@ from calm_edge.config import Config
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.evaluation.trajectory import scale_consistency
 from calm_edge.types import CalmEdgeError
+from device.atomic_file import replace_text
 
 OUTCOMES = CACHE / "outcomes"
 # Hashed when loaded: an edit during a long run must not change the key of its outcomes.
@@ -35,12 +35,12 @@ _CODE = digest(("bench.kilometres.outcomes", "bench.kilometres.rivals"))
 
 
 class OutcomeError(CalmEdgeError):
-    """A kept outcome cannot be read."""
+    """A kept outcome is not readable."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What a drive is run under. false_share: of false loops given to ours, none to baselines."""
+    """Conditions of a run. false_share: of false loops given to ours; baselines get none."""
 
     name: str
     streams: Streams = field(default_factory=Streams)
@@ -51,10 +51,10 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Focals:
-    """Focals of a run, a value an eye, px of that eye's picture.
+    """Focal lengths of a run, one value per eye, px.
 
-    raw: mean absolute error of the backbone's, a sub-map. mean: their plain mean over the drive.
-    held: what the search ended with, with one sigma of its log (None: not observed) and damping.
+    raw: mean absolute error of the backbone's over sub-maps. mean: their mean over the drive.
+    held: final estimate of the search, with log_sigma (None: not observed) and damping.
     """
 
     true: tuple[float, ...]
@@ -67,10 +67,10 @@ class Focals:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One run: errors in m against the truth, None where it failed or the drive is too short.
+    """One run: errors in m, None where it failed or the drive is too short.
 
-    missing: keyframes without a pose, of n_keyframes. scale_error, scale_std: Scale Consistency
-    Analysis of the paper. failed: why there is no trajectory, else empty.
+    missing: keyframes without a pose, of n_keyframes. scale_error, scale_std: the paper's Scale
+    Consistency Analysis. failed: reason without a trajectory, else empty.
     """
 
     drive: str
@@ -91,14 +91,14 @@ class Measured:
 
     @property
     def percent(self) -> float | None:
-        """The error after the best similarity, of the path."""
+        """ATE after Sim(3) alignment, percent of the path."""
         return None if self.ate_sim3_m is None else 100 * self.ate_sim3_m / self.path_m
 
 
 class Store:
-    """Owns the folder of outcomes; stale: what earlier code gave counts where there is no newer.
+    """Folder of outcomes. stale: also use outcomes of earlier code without newer ones.
 
-    earlier: how many such were handed out.
+    earlier: number of those used.
     """
 
     def __init__(self, folder: Path = OUTCOMES, stale: bool = False) -> None:
@@ -106,7 +106,7 @@ class Store:
         self.earlier = 0
 
     def get(self, name: str, seed: int, setting: Setting, variant: Variant) -> Measured | None:
-        """What is kept of a run, None if nothing is; raises OutcomeError."""
+        """Return the kept outcome of a run or None; raises OutcomeError."""
         file = self._file(name, seed, setting, variant)
         if self._stale and not file.is_file():
             like = f"{file.stem.rsplit('_', 1)[0]}_*.json"
@@ -116,12 +116,10 @@ class Store:
         return _read(file) if file.is_file() else None
 
     def put(self, measured: Measured, name: str, setting: Setting, variant: Variant) -> None:
-        """Keeps a run, whole or not at all."""
+        """Keep an outcome, written atomically."""
         self._folder.mkdir(parents=True, exist_ok=True)
         file = self._file(name, measured.seed, setting, variant)
-        part = file.with_suffix(f".{os.getpid()}.part")
-        part.write_text(json.dumps(asdict(measured), indent=1, allow_nan=False) + "\n")
-        part.replace(file)
+        replace_text(file, json.dumps(asdict(measured), indent=1, allow_nan=False) + "\n")
 
     def _file(self, name: str, seed: int, setting: Setting, variant: Variant) -> Path:
         made_by = f"{_CODE}{sized(seed)}{setting}{sorted(variant.changes.items())}"
@@ -148,7 +146,7 @@ def measure(
 
     try:
         outcome = run(drive, backbone, variant, config, loops, inspect)
-    except Exception as error:  # a crash is a row of the table, not the end of the others
+    except Exception as error:  # a crash of one run is a row of the table
         return _failed(drive, name, seed, setting, variant, f"{type(error).__name__}: {error}")
     if not math.isfinite(outcome.ate_sim3_m):
         return _failed(drive, name, seed, setting, variant, "no trajectory")
@@ -174,7 +172,7 @@ def measure(
 
 
 def focals_of(drive: Drive, localizer: Localizer) -> Focals | None:
-    """Raw and final focals of a finished run against the drive's; None where none was searched."""
+    """Raw and final focals of a finished run; None without a search."""
     held = localizer.intrinsics
     if held is None:
         return None

@@ -1,4 +1,4 @@
-"""The kilometre tables past ATE: synchronisation, scale, focals and what each part is worth."""
+"""Kilometre tables of synchronisation, scale, focal length and ablation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bench.kilometres.rows import (
     Results,
     mean,
     notes,
-    said,
+    shown,
     within,
 )
 from bench.tables import Check, Table
@@ -34,12 +34,12 @@ from device.frame import Eye
 
 FOCAL_PX = 8.0
 SYNC_RATIO = 1.1
-# The paper has 0.239 and 0.050 in its table 7.
+# Targets; the paper has 0.239 and 0.050 (table 7).
 SCALE_ERROR, SCALE_STD = 0.15, 0.03
 
 
 def synchronisation(results: Results, command: str) -> Table:
-    """Table 3: out of step against in step."""
+    """As table 3: asynchronous against synchronous cameras."""
     rows = []
     for name in results.names:
         runs = [results.runs(s, OURS, name) for s in (ASYNC, HALVED, OPEN)]
@@ -51,23 +51,23 @@ def synchronisation(results: Results, command: str) -> Table:
     full = results.against((ASYNC, OURS), (OPEN, OURS))
     return Table(
         "22_sync",
-        "Kilometres: eyes out of step against in step, ATE",
+        "Kilometres: asynchronous against synchronous cameras, ATE",
         command,
-        (*COMPARED, "async m", "in step, same rate m", "in step, full rate m", "async / same rate"),
+        (*COMPARED, "async m", "sync, same rate m", "sync, full rate m", "async / same rate"),
         tuple(rows),
-        (within("async over in step at the same rate", fair, SYNC_RATIO),),
+        (within("async over sync at the same rate", fair, SYNC_RATIO),),
         notes(
             SCRIPTED,
-            "async: odd frames to one eye and even ones to the other, so 5 Hz an eye; same rate:"
-            " the same primary frames, the assistant's at the same instants: only the step differs",
-            f"async over in step at full rate, twice the pictures: {said(full)}",
+            "async: odd frames to one eye and even ones to the other, 5 Hz each; same rate: the"
+            " same primary frames with assistant frames at the same instants",
+            f"async over sync at full rate, twice the pictures: {shown(full)}",
             results.lacking(ASYNC, (OURS,), results.names),
         ),
     )
 
 
 def scales(results: Results, command: str) -> Table:
-    """Table 7: scale over windows of 100 frames."""
+    """As table 7: scale over windows of 100 frames."""
     rows: list[tuple[Any, ...]] = []
     for name in results.names:
         ours, theirs = results.runs(OPEN, OURS, name), results.runs(OPEN, SIM3, name)
@@ -81,10 +81,10 @@ def scales(results: Results, command: str) -> Table:
     rows.append(("mean", None, None, *averages))
     middles = (float(np.median(column)) if column else None for column in columns)
     rows.append(("median", None, None, *middles))
-    asked = zip(("mean error", "std"), averages, (SCALE_ERROR, SCALE_STD), strict=False)
+    targets = zip(("mean error", "std"), averages, (SCALE_ERROR, SCALE_STD), strict=False)
     checks = tuple(
         Check(f"ours, {what}", f"<= {target}", value, value is not None and value <= target)
-        for what, value, target in asked
+        for what, value, target in targets
     )
     ratio = results.against((OPEN, OURS), (OPEN, SIM3), "scale_error")
     return Table(
@@ -96,30 +96,30 @@ def scales(results: Results, command: str) -> Table:
         checks,
         notes(
             SCRIPTED,
-            "scale of windows of 100 keyframes, stride 5, over the first window's (paper, table 7:"
+            "scale of windows of 100 keyframes, stride 5, over that of the first (paper, table 7:"
             " ours 0.239 and 0.050, Sim(3) 1.402 and 1.643)",
-            f"ours over Sim(3), mean error: {said(ratio)}",
+            f"ours over Sim(3), mean error: {shown(ratio)}",
             results.lacking(OPEN, (OURS, SIM3), results.names),
         ),
     )
 
 
 def observed(focals: Focals) -> bool:
-    """Whether the primary's focal was seen in the motion, as a report would say."""
+    """Whether the primary's focal is observed, by the limit of the report."""
     sigma = focals.log_sigma[Eye.PRIMARY]
     return sigma is not None and 100 * sigma <= MAX_FOCAL_SIGMA_PERCENT
 
 
 def focal_table(results: Results, command: str) -> Table:
-    """Table 6: the primary's in px, the assistant's in percent of its own."""
+    """As table 6: errors of the primary in px, of the assistant in percent."""
     rows: list[tuple[Any, ...]] = []
-    told: list[tuple[Measured, Focals]] = []
+    found: list[tuple[Measured, Focals]] = []
     for run in results.runs(OPEN, OURS):
         if run.focals is None:
             continue
-        told.append((run, run.focals))
+        found.append((run, run.focals))
         rows.append(_focal_row(run, run.focals))
-    seen = [(run, focals) for run, focals in told if observed(focals)]
+    seen = [(run, focals) for run, focals in found if observed(focals)]
     average = mean(_mean_of_drives(seen))
     off = [_sigmas(focals) for _, focals in seen]
     checks = (
@@ -130,7 +130,7 @@ def focal_table(results: Results, command: str) -> Table:
             average is not None and average <= FOCAL_PX,
         ),
     )
-    all_of = [focals for _, focals in told]
+    all_of = [focals for _, focals in found]
     raw = mean(f.raw[0] for f in all_of)
     naive = mean(abs(f.mean[0] - f.true[0]) for f in all_of)
     last = ("mean", None, raw, naive, average, *[None] * 6)
@@ -144,11 +144,11 @@ def focal_table(results: Results, command: str) -> Table:
         checks,
         notes(
             SCRIPTED,
-            "absolute errors. raw: of the backbone's, mean over sub-maps; mean: of the plain mean"
-            " over the drive (paper, table 6: 34.67 and 25.50, its search 19.89)",
-            f"observed: sigma at most {MAX_FOCAL_SIGMA_PERCENT:g} %, {len(seen)} of {len(told)}"
-            " runs; where it is not, no figure stands for ours, for none is reported",
-            f"errors of the observed: {_rms(off)} sigma in the root mean square" if off else "",
+            "absolute errors. raw: of the backbone's, mean over sub-maps; mean: of their mean over"
+            " the drive (paper, table 6: 34.67 and 25.50, its search 19.89)",
+            f"observed: sigma at most {MAX_FOCAL_SIGMA_PERCENT:g} %, {len(seen)} of {len(found)}"
+            " runs; without it none is reported, and ours has no figure",
+            f"errors of the observed: {_rms(off)} sigma, root mean square" if off else "",
             results.lacking(OPEN, (OURS,), results.names),
         ),
     )  # fmt: skip
@@ -176,7 +176,7 @@ def _focal_row(run: Measured, focals: Focals) -> tuple[Any, ...]:
 
 
 def _sigmas(focals: Focals) -> float:
-    """How many of its own sigmas the primary's focal is off."""
+    """Error of the primary's focal in its own sigmas."""
     sigma = focals.log_sigma[0]
     off = math.log(focals.held[0] / focals.true[0])
     return off / sigma if sigma else math.nan
@@ -187,7 +187,7 @@ def _rms(values: Sequence[float]) -> str:
 
 
 def _mean_of_drives(seen: Sequence[tuple[Measured, Focals]]) -> list[float | None]:
-    """px off, a drive each."""
+    """Mean error [px] of each drive."""
     names = dict.fromkeys(run.drive for run, _ in seen)
     return [
         mean(abs(f.held[0] - f.true[0]) for run, f in seen if run.drive == name) for name in names
@@ -195,7 +195,7 @@ def _mean_of_drives(seen: Sequence[tuple[Measured, Focals]]) -> list[float | Non
 
 
 def ablation(results: Results, command: str) -> Table:
-    """Table 9: every variant over the full model."""
+    """As table 9: each variant over the full model."""
     rows: list[tuple[Any, ...]] = []
     remarks = []
     for part in ABLATIONS:
@@ -210,10 +210,10 @@ def ablation(results: Results, command: str) -> Table:
         counts = (ratio.drives, ratio.pairs, failed)
         rows.append((part.title, *figures, *metres, *counts, ratio.verdict))
         if ratio.low is not None and ratio.high is not None and ratio.low <= 1 <= ratio.high:
-            remarks.append(f"{part.title}: no difference shown, {said(ratio)}: {part.why}")
+            remarks.append(f"{part.title}: no significant difference, {shown(ratio)}: {part.why}")
     return Table(
         "25_ablation",
-        "Kilometres: what each part is worth, loops off",
+        "Kilometres: ablation, loops off",
         command,
         ("variant", "over full", "95 % from", "to", "paper", "SE(3) over full", "95 % from", "to",
          "drives", "pairs", "failed", "verdict"),
@@ -222,8 +222,8 @@ def ablation(results: Results, command: str) -> Table:
         notes(
             SCRIPTED,
             ALIGNED,
-            "above 1 the part is worth having; failed: of the variant / of the full model; paper:"
-            " table 9, KITTI-360, ratio of averages",
+            "above 1 the part helps; failed: of the variant / of the full model; paper: table 9,"
+            " KITTI-360, ratio of averages",
             _searches(results),
             *remarks,
         ),
@@ -231,7 +231,7 @@ def ablation(results: Results, command: str) -> Table:
 
 
 def _searches(results: Results) -> str:
-    """How far off the paper's search and ours leave the primary's focal, over runs of both."""
+    """Note on the primary's focal error of the paper's search and of ours, over common runs."""
     off: dict[str, dict[tuple[str, int], float]] = {}
     for variant in (OURS, PAPER_SEARCH):
         runs = results.runs(OPEN, variant)
@@ -246,6 +246,6 @@ def _searches(results: Results) -> str:
         return ""
     means = [sum(of[key] for key in both) / len(both) for of in (ours, paper)]
     return (
-        f"primary's focal, observed or not, off by {means[0]:.2f} % in the mean of {len(both)}"
-        f" runs; by the paper's search {means[1]:.2f} %"
+        f"mean error of the primary's focal, observed or not, over {len(both)} runs:"
+        f" {means[0]:.2f} %; with the paper's search {means[1]:.2f} %"
     )

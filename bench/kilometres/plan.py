@@ -1,4 +1,4 @@
-"""Which runs the kilometre tables need, and in which order: what every table needs comes first."""
+"""Runs that the kilometre tables need, in order: those that all tables share come first."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ RIVALS = (SIM3, SL4)
 
 @dataclass(frozen=True, slots=True)
 class Ablation:
-    """A variant of ours, the paper's own ratio to its full model (table 9), and what it is.
+    """A variant of ours with its title and the paper's ratio to the full model (table 9).
 
-    why: what is to be said where it makes no difference.
+    why: explanation printed if the difference is not significant.
     """
 
     variant: Variant
@@ -44,25 +44,25 @@ ABLATIONS = (
         _without("no-optimisation", posegraph={"optimise": False}),
         "w/o optimisation",
         19.24 / 19.07,
-        "without loops the graph only shares out what the windows' overlaps already say",
+        "without loops the graph only averages the overlaps of the windows",
     ),
     Ablation(
         _without("no-correction", correction={"apply": "never"}),
         "w/o pose correction",
         28.18 / 19.07,
-        "where the held focal is no nearer than the backbone's own, nothing is mended",
+        "no gain where the estimated focal is not better than the backbone's",
     ),
     Ablation(
         _without("no-rotation", correction={"rotation": False}),
         "w/o rotation correction",
         27.93 / 19.07,
-        "it mends turns where the held focal is right, and bends them where it is off",
+        "improves turns where the estimated focal is right and bends them where it is wrong",
     ),
     Ablation(
         _without("no-translation", correction={"translation": False}),
         "w/o translation correction",
         20.07 / 19.07,
-        "ahead the direction of travel hardly depends on the focal; the paper has 5 %",
+        "the direction of forward travel hardly depends on the focal; the paper has 5 %",
     ),
     Ablation(
         _without("no-scale", scale={"rectify": False}),
@@ -74,19 +74,19 @@ ABLATIONS = (
         PAPER_SEARCH,
         "search as in the paper",
         None,
-        "which of both searches ends nearer the focal differs by drive",
+        "which search is nearer to the true focal differs by drive",
     ),
     Ablation(
         _without("loose-rig", correction={"rigid_rig": False}),
-        "w/o the rig held rigid",
+        "w/o rigid rig",
         None,
-        "where focals are right the assistant has no even turn to take out",
+        "with right focals the assistant has no constant turn to remove",
     ),
     Ablation(
         _without("general-translation", correction={"general_translation": True}),
         "general translation form",
         None,
-        "between neighbouring keyframes rotation is small, and there both forms are one",
+        "rotation between neighbouring keyframes is small, where both forms agree",
     ),
 )
 
@@ -109,10 +109,10 @@ class Batch:
 def batches(
     only: Sequence[str], names: Sequence[str], seeds: Sequence[int], repeated: Sequence[str] = ()
 ) -> list[Batch]:
-    """Every batch of the tables `only`, first what all drives need at the first seed.
+    """All batches of the tables `only`: first those that all drives need at the first seed.
 
-    Then drive by drive what further tables and seeds ask for, the drives of SHORT before the
-    others. repeated: drives that are run at seeds past the first; none named, all.
+    Then, drive by drive, those of further tables and seeds, drives of SHORT before the others.
+    repeated: drives to run at seeds after the first; all if empty.
     """
     first, further, last = [], [], []
     ordered = [n for n in SHORT if n in names] + [n for n in names if n not in SHORT]

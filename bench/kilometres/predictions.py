@@ -1,4 +1,4 @@
-"""Predictions of a drive kept on the disk: every variant is judged on the very same ones."""
+"""Predictions of a drive kept on disk: all variants are measured on the same ones."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CODE = digest(("bench.scripted",))
 
 
 class CachedBackbone:
-    """A scripted backbone that predicts each window once in its life, not once a run."""
+    """Scripted backbone that caches the prediction of each window on disk."""
 
     name = "scripted"
 
@@ -35,7 +35,7 @@ class CachedBackbone:
         folder.mkdir(parents=True, exist_ok=True)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """As the backbone's."""
+        """As the scripted backbone; cached."""
         file = self._folder / f"{_key(hints)}.npz"
         if file.is_file():
             return _read(file)
@@ -46,11 +46,11 @@ class CachedBackbone:
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
-        """As the backbone's; depth is not kept."""
+        """As the scripted backbone; depth is not cached."""
         return self._backbone.densify(images, hints, prediction)
 
     def depth(self, hints: Hints, views: Int) -> tuple[Float32, Float32]:
-        """Depth and confidence (V, h, w) of some views of a batch; not kept."""
+        """Depth and confidence (V, h, w) of some views of a batch; not cached."""
         return self._backbone.depth(hints, views)
 
 
@@ -72,7 +72,7 @@ def _key(hints: Hints) -> str:
 
 
 def _write(file: Path, prediction: Prediction) -> None:
-    """Whole or not at all: several runs may share the folder."""
+    """Write atomically: several processes may share the folder."""
     optics = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in prediction.cameras]
     arrays: dict[str, Any] = {"optics": np.array(optics), "T_s_c": prediction.T_s_c}
     arrays["loop_found"] = np.array(prediction.loop_found)

@@ -1,4 +1,4 @@
-"""The baselines on the very sub-maps that ours is given, by their depth in the common pictures."""
+"""Baselines on the same sub-maps as ours, aligned by depth in their common pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from calm_edge.types import Float, Hints, Int, Prediction, Submap, SubmapWindow
 
 
 def rival(name: str, held: HeldViews | None = None) -> Variant:
-    """`sim3` or `sl4` as a row beside ours. held: shared by both, depth is made but once."""
+    """Variant `sim3` or `sl4`. held: cache to share, so that depth is computed once."""
     return Variant(name, aligner=_aligner(name, held or HeldViews()))
 
 
@@ -39,7 +39,7 @@ def _aligner(name: str, held: HeldViews) -> Aligner:
 
 
 class HeldViews:
-    """The views of the newest drive that was asked for: one drive's points are held, not more."""
+    """Cache of the views of one drive, the last one requested."""
 
     def __init__(self) -> None:
         self._of: tuple[Drive, ScriptedLoops | None] | None = None
@@ -52,7 +52,7 @@ class HeldViews:
         spacing: float,
         loops: ScriptedLoops | None,
     ) -> _Views:
-        """Those held where drive and loops are the very same objects, else new ones."""
+        """Cached views if drive and loops are identical objects, else new ones."""
         if (
             self._views is None
             or self._of is None
@@ -64,7 +64,7 @@ class HeldViews:
 
 
 class _Views:
-    """The raw sub-maps of a drive; depth is made for pictures two of them share, when asked."""
+    """Raw sub-maps of a drive; depth of pictures that two of them share is computed on demand."""
 
     def __init__(
         self,
@@ -92,12 +92,12 @@ class _Views:
             self._add(window)
 
     def between(self, previous: int, new: int) -> Correspondences:
-        """By all common keyframes of two sub-maps."""
+        """Correspondences in all common keyframes of two sub-maps."""
         pair = self.submaps[previous], self.submaps[new]
         return self._correspondences(previous, new, *overlap.common_views(*pair))
 
     def closures(self) -> Iterator[LoopOverlap]:
-        """By the loop keyframe and the first sub-map that held it."""
+        """Loop overlaps: of each loop keyframe with the first sub-map that contains it."""
         for query, match_id in self._matches:
             match = next(k for k, s in enumerate(self.submaps) if match_id in s.primary_ids)
             views = overlap.loop_views(self.submaps[match], self.submaps[query], match_id)
@@ -113,7 +113,7 @@ class _Views:
         prediction = replace(self._backbone.infer([], hints), landmarks=None)
         submap = window_submap.raw_submap(window, hints, prediction)
         if not self.submaps:
-            # metres by the first sub-map's spacing
+            # metric scale by the spacing in the first sub-map
             n, m = submap.n_primary, len(submap.assistant_ids)
             rig = scale.rig_samples(
                 submap.t_ns[:n],
@@ -141,12 +141,12 @@ class _Views:
         return self._found[key]
 
     def _with_depth(self, k: int, views: Int) -> Prediction:
-        """The k-th prediction with depth of at least these views."""
+        """Prediction k with depth of at least these views."""
         held = self._held.get(k)
         if held is not None and held.depth is not None and held.depth[views].any((1, 2)).all():
             return held
         if k + 1 < len(self.submaps):
-            # the next sub-map will ask for those it shares
+            # the next sub-map needs those it shares
             shared = overlap.common_views(self.submaps[k], self.submaps[k + 1])[0]
             views = np.union1d(views, shared)
         some, belief = self._backbone.depth(self._hints[k], views)

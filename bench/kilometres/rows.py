@@ -1,6 +1,6 @@
-"""From measured runs to the columns, rows and checks of the kilometre tables: ATE and its kin.
+"""Rows and checks of the kilometre tables of ATE, from measured runs.
 
-A cell is the mean over the seeds that were run; a run that failed is counted, not averaged.
+Cells are means over seeds; failed runs are counted and not averaged.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from bench.paired import MIN_PAIRS, Errors, PairedRatio, compare
 from bench.tables import Check, Table
 
 HEADLINE = "ate_sim3_m"
-# Targets: the paper has 0.884 % on KITTI-360 without loops.
+# Targets; the paper has 0.884 % on KITTI-360 without loops.
 AVERAGE_PERCENT, OPEN_RATIO, LOOP_RATIO = 0.6, 1 / 4, 1 / 2
 COMPARED = ("drive", "m", "seeds")
 SCRIPTED = (
     "scripted sub-maps over KITTI odometry's poses, errors sized by the paper's tables 2, 5 and 6;"
-    " the estimator never sees the dials, and the seeds are none of those used while developing"
+    " the estimator does not use the error model, and the seeds differ from those of development"
 )
-ALIGNED = "errors after the best similarity, as the paper's tools have them; SE(3): metres count"
+ALIGNED = "errors after Sim(3) alignment, as by the paper's tools; SE(3): with metric scale"
 
 
 class Results:
-    """The measured runs of one call, by setting, variant and drive."""
+    """Measured runs by setting, variant and drive."""
 
     def __init__(self, measured: Iterable[Measured], names: Sequence[str]) -> None:
         self.names = list(names)
@@ -45,7 +45,7 @@ class Results:
             self._of.setdefault((one.setting, one.variant, one.drive), []).append(one)
 
     def runs(self, setting: Setting, variant: Variant, name: str | None = None) -> list[Measured]:
-        """All runs, or those of one drive."""
+        """Runs of all drives or of one."""
         names = self.names if name is None else [name]
         return [m for n in names for m in self._of.get((setting.name, variant.name, n), [])]
 
@@ -59,29 +59,29 @@ class Results:
         other: tuple[Setting, Variant],
         field: str = HEADLINE,
     ) -> PairedRatio | None:
-        """One over the other over the runs both did; None without any."""
+        """Error ratio of one to the other over their common runs; None without any."""
         a, b = self.errors(*one, field), self.errors(*other, field)
         return compare(a, b) if a.keys() & b.keys() else None
 
     def lacking(self, setting: Setting, variants: Sequence[Variant], names: Sequence[str]) -> str:
-        """A note of the drives of which a variant has not been run, empty if there are none."""
+        """Note on the drives where a variant has not been run, empty without any."""
         missing = [n for n in names if not all(self.runs(setting, v, n) for v in variants)]
         return f"not run ({setting.name}): {', '.join(missing)}" if missing else ""
 
 
 def mean(values: Iterable[float | None]) -> float | None:
-    """Mean of those there are."""
+    """Mean of the values that are not None."""
     there = [value for value in values if value is not None]
     return float(np.mean(there)) if there else None
 
 
 def over_drives(results: Results, of: Callable[[str], float | None]) -> float | None:
-    """Mean over the drives, each alike."""
+    """Mean over the drives."""
     return mean(of(name) for name in results.names)
 
 
-def said(ratio: PairedRatio | None) -> str:
-    """`0.21 (0.15 to 0.29), 11 drives, 25 pairs`, and what failed."""
+def shown(ratio: PairedRatio | None) -> str:
+    """`0.21 (0.15 to 0.29), 11 drives, 25 pairs`, with the number of failures."""
     if ratio is None:
         return "not run"
     parts = [f"{ratio.drives} drives", f"{ratio.pairs} pairs"]
@@ -93,18 +93,18 @@ def said(ratio: PairedRatio | None) -> str:
 
 
 def within(what: str, ratio: PairedRatio | None, target: float) -> Check:
-    """The promise of a ratio; without MIN_PAIRS it is not kept."""
+    """Promise on a ratio; not kept with fewer than MIN_PAIRS."""
     kept = ratio is not None and ratio.pairs >= MIN_PAIRS and ratio.within(target)
-    return Check(what, f"<= {target:g}", said(ratio), kept)
+    return Check(what, f"<= {target:g}", shown(ratio), kept)
 
 
 def notes(*texts: str) -> tuple[str, ...]:
-    """Those that say something."""
+    """The non-empty texts."""
     return tuple(text for text in texts if text)
 
 
 def open_drives(results: Results, command: str) -> Table:
-    """Table 1 and 2's shape: loops off."""
+    """As tables 1 and 2: loops off."""
     average = over_drives(results, lambda n: mean(m.percent for m in results.runs(OPEN, OURS, n)))
     checks = (
         within("ours over Sim(3)", results.against((OPEN, OURS), (OPEN, SIM3)), OPEN_RATIO),
@@ -116,7 +116,7 @@ def open_drives(results: Results, command: str) -> Table:
         ),
     )
     own = (
-        f"ours over SL(4): {said(results.against((OPEN, OURS), (OPEN, SL4)))}",
+        f"ours over SL(4): {shown(results.against((OPEN, OURS), (OPEN, SL4)))}",
         f"average % without 01, the highway: {_without_highway(results)}",
     )
     return _accuracy(
@@ -125,7 +125,7 @@ def open_drives(results: Results, command: str) -> Table:
 
 
 def looped_drives(results: Results, command: str) -> Table:
-    """The drives that come back, loops on."""
+    """Drives with loops, loops on."""
     names = [name for name in results.names if name in REVISITING]
     checks = (
         within("ours over Sim(3)", results.against((LOOPS, OURS), (LOOPS, SIM3)), LOOP_RATIO),
@@ -134,10 +134,10 @@ def looped_drives(results: Results, command: str) -> Table:
         f"a place that is there again is found with chance {LOOPS.detection}; ours is also given a"
         f" false place in {100 * LOOPS.false_share:g} % of the other windows, alike to the model"
         " too; the baselines are given the true ones alone",
-        f"ours, loops on over off: {said(results.against((LOOPS, OURS), (OPEN, OURS)))}",
-        f"ours over SL(4): {said(results.against((LOOPS, OURS), (LOOPS, SL4)))}",
+        f"ours, loops on over off: {shown(results.against((LOOPS, OURS), (OPEN, OURS)))}",
+        f"ours over SL(4): {shown(results.against((LOOPS, OURS), (LOOPS, SL4)))}",
     )
-    title = "Kilometres that come back, loops on: ATE"
+    title = "Kilometres with loops, loops on: ATE"
     return _accuracy(results, LOOPS, "21_ate_loops", title, command, checks, names, own)
 
 
@@ -164,7 +164,7 @@ def _accuracy(
             theirs = results.runs(setting, rival, drive)
             row += [*_cells(theirs), mean(m.ate_se3_m for m in theirs), _fails(theirs)]
         rows.append(row)
-    # the mean of a column, where every drive of it has a figure
+    # means of the columns in which all drives have a figure
     figures = [k for k in range(3, len(rows[0])) if k not in (6, 10, 14)] if rows else []
     if rows:
         last: list[Any] = ["mean", None, None] + [None] * (len(rows[0]) - 3)
@@ -185,8 +185,8 @@ def _accuracy(
         notes(
             SCRIPTED,
             ALIGNED,
-            "no pose: keyframes without one in ours; FAIL: runs that gave no trajectory; seeds:"
-            " where they differ, of ours / Sim(3) / SL(4)",
+            "no pose: keyframes without one in ours; FAIL: runs without a trajectory; seeds: where"
+            " they differ, of ours / Sim(3) / SL(4)",
             *own,
             results.lacking(setting, (OURS, *RIVALS), names),
         ),

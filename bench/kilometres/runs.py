@@ -1,4 +1,4 @@
-"""One drive through one variant of the estimator, and how far it ends from the truth."""
+"""Run one drive through one variant of the estimator and compute its errors."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from calm_edge.estimator.localizer import Localizer
 from calm_edge.geometry.similarity import align
 from calm_edge.types import Float, Int
 
-# Another way to place the sub-maps of a drive: keyframe ids (N,) and T_w_p (N, 4, 4), any unit.
+# Alternative to the Localizer: returns keyframe ids (N,) and T_w_p (N, 4, 4), any unit.
 Aligner = Callable[[Drive, CachedBackbone, Config, ScriptedLoops | None], tuple[Int, Float]]
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A row of a table: changes to the config of the Localizer, or another aligner."""
+    """A variant: changes to the configuration of the Localizer, or another aligner."""
 
     name: str
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -32,10 +32,10 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run gave. keyframe_ids: (N,). T_w_p: (N, 4, 4). Errors: m, of all its keyframes.
+    """Result of a run. keyframe_ids: (N,). T_w_p: (N, 4, 4).
 
-    ate_sim3_m: after the best similarity, ate_se3_m: after the best rigid motion, the spacing being
-    known. ms: wall time a sub-map, finish included. missing: keyframes without a pose.
+    ate_sim3_m, ate_se3_m: ATE [m] after similarity and after rigid alignment, the spacing being
+    given. ms: wall time per sub-map, with `finish`. missing: keyframes without a pose.
     """
 
     keyframe_ids: Int
@@ -49,7 +49,7 @@ class Outcome:
 
     @property
     def percent(self) -> float:
-        """The error after the best similarity, of the path."""
+        """ATE after Sim(3) alignment, percent of the path."""
         return 100 * self.ate_sim3_m / self.path_m
 
 
@@ -61,9 +61,9 @@ def run(
     loops: ScriptedLoops | None = None,
     inspect: Callable[[Localizer], None] | None = None,
 ) -> Outcome:
-    """The drive's windows through the variant, in order, to the end.
+    """Run the windows of a drive through a variant.
 
-    inspect: is given the Localizer when it has finished, where there is one and not an aligner.
+    inspect: called with the finished Localizer, unless the variant has an aligner.
     """
     spacing_m = float(np.linalg.norm(drive.scene.T_p_a[:3, 3]))
     known = {"scale": {"spacing_m": spacing_m}, "loops": {"enabled": loops is not None}}
@@ -95,7 +95,7 @@ def _localized(
     loops: ScriptedLoops | None,
     inspect: Callable[[Localizer], None] | None,
 ) -> tuple[Int, Float]:
-    """The product's own way: Localizer over the windows, then its final optimum."""
+    """Run the Localizer over the windows and take its final optimum."""
     localizer = Localizer(config, backbone, loops)
     for window in drive.windows:
         localizer.process(window)
@@ -108,7 +108,7 @@ def _localized(
 
 
 def aligned_error(T_w_p: Float, truth: Float, *, with_scale: bool) -> float:
-    """Root mean square distance [m] of positions after alignment; inf without two of them."""
+    """Root mean square distance [m] of positions after alignment; inf for fewer than two."""
     if len(T_w_p) < 2:
         return float("inf")
     p, p_true = T_w_p[:, :3, 3], truth[:, :3, 3]

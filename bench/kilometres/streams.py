@@ -1,4 +1,4 @@
-"""Two cameras on one path: when each frame was exposed, and what its stamp says."""
+"""Exposure times and stamps of two cameras on one path."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ from device.frame import Eye
 
 @dataclass(frozen=True, slots=True)
 class Streams:
-    """How the frames of a path reach the two eyes, and how their stamps lie.
+    """Timing of the two picture streams, with errors of their stamps.
 
     alternate: odd frames to one eye and even ones to the other, the paper's asynchronous mode.
-    halved: every other frame to both eyes, what `alternate` is in step.
-    offset_s: the assistant is exposed so much later. late_s: stamps come so much after the
-    exposure, one an eye. jitter_s: sigma of both stamps. drift_ppm: of the assistant's clock.
-    drop_share: of the frames of either eye.
+    halved: every other frame to both eyes, the synchronous mode of the same rate. offset_s: delay
+    of the assistant's exposures. late_s: delay of stamps after exposure, one per eye. jitter_s:
+    sigma of all stamps. drift_ppm: of the assistant's clock. drop_share: of frames per eye.
     """
 
     alternate: bool = False
@@ -31,7 +30,7 @@ class Streams:
     drop_share: float = 0.0
 
     def exposures(self, t_ns: Int, seed: int) -> tuple[Exposures, Exposures]:
-        """Both eyes' frames of a path sampled at t_ns (N,)."""
+        """Frames of both eyes on a path sampled at t_ns (N,)."""
         rng = np.random.default_rng(seed)
         first = t_ns[::2] if self.alternate or self.halved else t_ns
         second = t_ns[1::2] if self.alternate else first

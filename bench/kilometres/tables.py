@@ -33,20 +33,20 @@ TABLES: dict[str, Callable[[Results, str], Table]] = {
     "focal": part_rows.focal_table,
     "ablation": part_rows.ablation,
 }
-# Seed 0 is what the dials and the correction were developed on.
+# Seed 0 was used in development.
 FIRST_SEED = 1
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add its arguments."""
     parser.add_argument("--sequences", default=",".join(SEQUENCES), help="00,05,...")
-    parser.add_argument("--seeds", type=int, default=1, help=f"so many, from {FIRST_SEED} on")
+    parser.add_argument("--seeds", type=int, default=1, help=f"number, from {FIRST_SEED} on")
     parser.add_argument("--repeated", default="", help="drives run at later seeds; default all")
     parser.add_argument("--only", default="", help=f"some of {','.join(TABLES)}")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no run after")
-    parser.add_argument("--fresh", action="store_true", help="run also what is kept")
-    parser.add_argument("--stale", action="store_true", help="earlier code's outcomes count too")
-    parser.add_argument("--frames", type=int, default=0, help="only the first so many; 0 all")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no run after")
+    parser.add_argument("--fresh", action="store_true", help="ignore kept outcomes")
+    parser.add_argument("--stale", action="store_true", help="also use outcomes of earlier code")
+    parser.add_argument("--frames", type=int, default=0, help="only the first frames; 0 for all")
     parser.add_argument("--outcomes", type=Path, default=OUTCOMES)
     parser.add_argument("--out", type=Path, default=OUT)
 
@@ -69,11 +69,11 @@ def run(asked: argparse.Namespace) -> int:
     for batch in plan.batches(only, names, seeds, repeated):
         measured += _measured(batch, store, asked, until)
     results = Results(measured, names)
-    said = f"{store.earlier} of {len(measured)} runs read here were made by earlier code"
+    note = f"{store.earlier} of {len(measured)} runs were made by earlier code"
     for name in only:
         table = TABLES[name](results, asked.command)
         if store.earlier:
-            table = replace(table, notes=(*table.notes, said))
+            table = replace(table, notes=(*table.notes, note))
         publish(table, asked.out)
     return 0
 
@@ -81,9 +81,9 @@ def run(asked: argparse.Namespace) -> int:
 def _measured(
     batch: Batch, store: Store, asked: argparse.Namespace, until: float
 ) -> list[Measured]:
-    """What is kept of a batch, and what could still be run of the rest."""
+    """Kept outcomes of a batch and, while there is time, new ones for the rest."""
     name, seed, setting = batch.name, batch.seed, batch.setting
-    # the first frames of a drive are another drive
+    # a shortened drive has its own key
     key = f"{name}-{asked.frames}" if asked.frames else name
     found, to_run = [], []
     for variant in batch.variants:
@@ -101,7 +101,7 @@ def _measured(
     for variant in to_run:
         if monotonic() > until:
             break
-        # baselines have nothing to tell a false loop by; they share one finder, hence its views
+        # baselines cannot reject false loops: they get true ones, by one finder to share its views
         ours = variant.aligner is None
         loops = _finder(batch, drive, config, setting.false_share) if ours else truths
         one = measure(drive, name, seed, backbone, setting, variant, loops, config)

@@ -37,9 +37,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--variants", default="ours", help=", ".join(VARIANTS))
-    parser.add_argument("--alternate", action="store_true", help="odd and even frames an eye")
+    parser.add_argument("--alternate", action="store_true", help="the paper's asynchronous mode")
     parser.add_argument("--loops", action="store_true", help="with a scripted loop finder")
-    parser.add_argument("--frames", type=int, default=0, help="only the first so many; 0 all")
+    parser.add_argument("--frames", type=int, default=0, help="only the first frames; 0 for all")
     parser.add_argument("--set", dest="assignments", action="append", default=[])
 
 

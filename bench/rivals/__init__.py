@@ -1,5 +1,5 @@
-"""What a user would pick instead, run on the same pictures: evaluation only, nothing ships.
+"""Other systems run on the same pictures: ORB-SLAM3 and COLMAP.
 
-Each is a process of its own in a Python environment of its own under build/rivals, made when it
-is first asked for; where that fails the rival is skipped and the reason said.
+Each runs as a process in its own Python environment under build/rivals, made at first use; if that
+fails the rival is skipped with the reason.
 """

@@ -1,4 +1,4 @@
-"""What a rival is told of the kit: the truth, or the truth with one thing wrong."""
+"""Calibration given to a rival: the true one, or with one parameter wrong."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ class Calibration:
     size: tuple[int, int]
 
     def with_focal(self, factor: float) -> Calibration:
-        """Both focals multiplied, principal points kept."""
+        """Scale both focal lengths and keep the principal points."""
         primary, assistant = (replace(c, fx=c.fx * factor, fy=c.fy * factor) for c in self.cameras)
         return replace(self, cameras=(primary, assistant))
 
     def with_yaw(self, degrees: float) -> Calibration:
-        """The assistant believed to look this much further to the right."""
+        """Turn the assistant to the right by this angle."""
         T = self.T_p_a.copy()
         T[:3, :3] = T[:3, :3] @ se3.so3_exp(np.array([0.0, np.radians(degrees), 0.0]))
         return replace(self, T_p_a=T)
 
 
 def true_calibration(folder: Path, spacing_m: float | None = None) -> Calibration:
-    """The kit of a sequence folder as `calib.txt` and `poses1.txt` have it.
+    """Calibration of a sequence folder from `calib.txt` and `poses1.txt`.
 
     The rig is the mean of T_w_p(t1)^-1 T_w_a(t1) with the primary interpolated at the
-    assistant's stamps. Without `poses1.txt` the pictures are taken as rectified, `spacing_m`
-    apart along x. Raises EvaluationError when neither tells.
+    assistant's stamps. Without `poses1.txt` the pictures are assumed rectified, `spacing_m` apart
+    along x. Raises EvaluationError without either.
     """
     truth, sequence = read_truth(folder), SequenceFolder(folder)
     if truth.cameras is None:
         raise EvaluationError(f"{folder / 'calib.txt'}: missing; a rival needs the calibration")
     size = sequence.size(Eye.PRIMARY)
     if sequence.size(Eye.ASSISTANT) != size:
-        raise EvaluationError(f"{folder}: the eyes differ in size; no rival takes that")
+        raise EvaluationError(f"{folder}: the eyes differ in size; the rivals need equal sizes")
     if (folder / "poses1.txt").is_file():
         T_w_a = read_kitti(folder / "poses1.txt")
         t = sequence.t_ns(Eye.ASSISTANT)
@@ -65,10 +65,9 @@ def true_calibration(folder: Path, spacing_m: float | None = None) -> Calibratio
 
 
 def nearest_pairs(t_primary: Int, t_assistant: Int, shift: int = 0) -> Int:
-    """Indices (N, 2) of primary frames and the assistant's nearest in time, `shift` frames on.
+    """Indices (N, 2) of primary frames and the nearest assistant frames plus `shift`.
 
-    t_primary (P,), t_assistant (A,): ns, sorted. Primary frames whose partner would lie
-    outside the stream are left out.
+    t_primary (P,), t_assistant (A,): ns, sorted. Pairs beyond the assistant's stream are left out.
     """
     right = np.clip(np.searchsorted(t_assistant, t_primary), 1, max(len(t_assistant) - 1, 1))
     right = np.minimum(right, len(t_assistant) - 1)

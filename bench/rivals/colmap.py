@@ -1,4 +1,4 @@
-"""COLMAP (PyPI `pycolmap`): structure from motion, also without a calibration, offline."""
+"""COLMAP (PyPI `pycolmap`): offline structure from motion without calibration."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from device.frame import Eye
 PACKAGES = ("pycolmap==4.2.1", "numpy")
 SCRIPT = Path(__file__).with_name("colmap_process.py")
 
-# Which pictures are matched: so many frames on in one eye, so many around in the other.
+# Frame distances matched within an eye, and half-width of the window matched in the other eye.
 STEPS = (1, 2, 3, 5, 8)
 ACROSS = 2
 
 
 def picture_pairs(primary: Sequence[str], assistant: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Names to match: each eye along time, and the eyes with each other."""
+    """Names of picture pairs to match, within each eye and between the eyes."""
     for names in (primary, assistant):
         for step in STEPS:
             yield from zip(names, names[step:], strict=False)
@@ -30,9 +30,9 @@ def picture_pairs(primary: Sequence[str], assistant: Sequence[str]) -> Iterator[
 
 
 def run(folder: Path, work: Path) -> RivalRun:
-    """COLMAP on a sequence folder: one unknown focal an eye, its largest model.
+    """Run COLMAP on a sequence folder with one unknown focal length per eye.
 
-    Raises RivalMissing, EvaluationError.
+    Returns its largest model. Raises RivalMissing, EvaluationError.
     """
     folder = folder.resolve()
     python = environment("colmap", *PACKAGES)

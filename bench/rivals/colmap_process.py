@@ -1,4 +1,4 @@
-"""COLMAP on a job of pictures. Run by file, in COLMAP's own environment."""
+"""Child process that runs COLMAP on a job, by file name in COLMAP's environment."""
 
 import importlib
 import json
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def main(job_file: str, answer: str) -> None:
-    """job: `images` a folder with cam0/ cam1/, `pairs` a file of names, `work`, `t_ns` of cam0."""
+    """Run a job: `images` (folder with cam0/, cam1/), `pairs` (file), `work`, `names`, `t_ns`."""
     job = json.loads(Path(job_file).read_text())
     colmap = importlib.import_module("pycolmap")
     colmap.set_random_seed(0)

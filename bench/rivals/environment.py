@@ -1,4 +1,4 @@
-"""An environment a rival, and the running of a rival's process in it."""
+"""Python environments of the rivals, and running a rival's process in one."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from bench.drives import ROOT
+from bench.process import last_line
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
@@ -23,21 +24,18 @@ RIVALS = ROOT / "build" / "rivals"
 INSTALL_LIMIT_S = 600
 RUN_LIMIT_S = 3 * 3600
 
-# How a rival's process ends when it cannot go on: last line of stderr, exit 1.
-_SILENT = "it said nothing"
-
 
 class RivalMissing(EvaluationError):
-    """A rival cannot be had on this machine; its rows are skipped."""
+    """A rival or its input is missing on this machine; its rows are skipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class RivalRun:
-    """What a rival made of a drive.
+    """Result of a rival on a drive.
 
-    t_ns: (N,) stamps of the primary frames it placed, on SequenceFolder's clock. T_w_c:
-    (N, 4, 4) camera->world, its own unit, and for ORB-SLAM3 the rectified camera's rotation.
-    frames: how many it was given. cpu_s: of all its threads, start-up left out.
+    t_ns: (N,) stamps of the primary frames with a pose, on SequenceFolder's clock. T_w_c:
+    (N, 4, 4) camera -> world, any unit; of ORB-SLAM3's rectified camera. frames: number of input
+    frames. cpu_s: of all threads, without start-up.
     """
 
     t_ns: Int
@@ -48,15 +46,10 @@ class RivalRun:
     focal_px: tuple[float, ...] = ()
 
 
-def _said(done: subprocess.CompletedProcess[str]) -> str:
-    lines = (done.stderr or done.stdout).strip().splitlines()
-    return lines[-1] if lines else _SILENT
-
-
 def environment(name: str, *packages: str) -> Path:
-    """The Python of build/rivals/`name` holding `packages`; raises RivalMissing.
+    """Python of the environment build/rivals/`name` with `packages`; raises RivalMissing.
 
-    Made once: a `ready` file names what was installed, so another list makes it again.
+    Made again only when the packages differ from those in its `ready` file.
     """
     folder = RIVALS / name
     python, ready = folder / "bin" / "python", folder / "ready"
@@ -76,16 +69,16 @@ def environment(name: str, *packages: str) -> Path:
         except (OSError, subprocess.TimeoutExpired) as error:
             raise RivalMissing(f"{name} cannot be installed ({type(error).__name__})") from None
         if done.returncode:
-            raise RivalMissing(f"{name} cannot be installed ({_said(done)})")
+            raise RivalMissing(f"{name} cannot be installed ({last_line(done)})")
     ready.write_text(wanted)
     return python
 
 
 def run_process(python: Path, script: Path, job: Mapping[str, Any], work: Path) -> RivalRun:
-    """Run `script` on work/job.json, with work/result.json as its answer.
+    """Run `script` on work/job.json and read its work/result.json.
 
     result.json: `t_ns` [N], `T_w_c` [N][16] row-major, `frames`, `cpu_s`, `focal_px` [].
-    Raises EvaluationError when it ends without one.
+    Raises EvaluationError without one.
     """
     work.mkdir(parents=True, exist_ok=True)
     answer = work / "result.json"
@@ -104,10 +97,10 @@ def run_process(python: Path, script: Path, job: Mapping[str, Any], work: Path) 
         except subprocess.TimeoutExpired:
             raise EvaluationError(f"{script.stem}: not done after {RUN_LIMIT_S} s") from None
     wall_s = time.monotonic() - start
-    # a rival may crash while it shuts down, after its answer is safe on the disk
+    # a crash at shutdown, after the result is written, does not matter
     if not answer.is_file():
         raise EvaluationError(
-            f"{script.stem}: exit {done.returncode} without an answer; see {work / 'log.txt'}"
+            f"{script.stem}: exit {done.returncode} without a result; see {work / 'log.txt'}"
         )
     result = json.loads(answer.read_text())
     t_ns = np.array(result["t_ns"], np.int64)

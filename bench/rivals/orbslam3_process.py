@@ -1,4 +1,4 @@
-"""ORB-SLAM3 on a job of paired pictures. Run by file, in ORB-SLAM3's own environment."""
+"""Child process that runs ORB-SLAM3 on a job, by file name in ORB-SLAM3's environment."""
 
 import importlib
 import json
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def main(job_file: str, answer: str) -> None:
-    """job: `settings`, `vocabulary`, `pairs` [[left, right, t_ns], ...]."""
+    """Run a job: `settings`, `vocabulary`, `pairs` [[left, right, t_ns], ...], `final`."""
     job = json.loads(Path(job_file).read_text())
     orb = importlib.import_module("pyorbslam3")
     slam = orb.Slam(job["vocabulary"], job["settings"], orb.Sensor.STEREO, use_viewer=False)
@@ -40,7 +40,7 @@ def main(job_file: str, answer: str) -> None:
 
 
 def read_final(path: Path, stamps: list[int]) -> dict[int, np.ndarray]:
-    """Rows `t_ns x y z qx qy qz qw`, the stamps rounded by the way through seconds."""
+    """Read rows `t_ns x y z qx qy qz qw`; stamps, rounded in seconds, become the nearest given."""
     out: dict[int, np.ndarray] = {}
     known = np.array(stamps)
     for line in path.read_text().splitlines() if path.is_file() else ():

@@ -1,7 +1,7 @@
-"""A tree of binary words in DBoW2's text form, grown from a drive's own frames.
+"""Vocabulary tree of binary words in DBoW2's text format, from the frames of one drive.
 
-ORB-SLAM3 does not start without one, and its own is 139 MB that pip does not bring. A tree of
-one drive serves its tracking (reference keyframes, relocalisation) and is no fair one for loops.
+ORB-SLAM3 requires a vocabulary; its own of 139 MB is not in the pip package. That of one drive
+serves tracking (reference keyframes, relocalisation), not loop closing.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from calm_edge.types import Bytes, Int
+from device.atomic_file import replace_text
 
 BRANCHES = 10
 LEVELS = 4
@@ -21,7 +22,7 @@ FEATURES = 1000
 
 
 def describe(pictures: Sequence[Path], features: int = FEATURES) -> tuple[Bytes, Int]:
-    """ORB descriptors (M, 32) of the pictures and the picture each is from (M,)."""
+    """ORB descriptors (M, 32) of the pictures, and the index of the picture of each (M,)."""
     orb = cv2.ORB_create(nfeatures=features)  # type: ignore[attr-defined]
     rows, source = [], []
     for k, path in enumerate(pictures):
@@ -36,23 +37,23 @@ def describe(pictures: Sequence[Path], features: int = FEATURES) -> tuple[Bytes,
 
 
 def _split(bits: np.ndarray, rng_state: int) -> tuple[Bytes, Int]:
-    """Up to BRANCHES binary centres (k, 32) of bits (M, 256) in {0, 1} and whose each row is."""
+    """Up to BRANCHES binary centres (k, 32) of bits (M, 256) in {0, 1}, and each row's centre."""
     k = min(BRANCHES, len(bits))
     cv2.setRNGSeed(rng_state)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 10, 1e-3)
     centre_bits = cv2.kmeans(bits, k, None, stop, 1, cv2.KMEANS_PP_CENTERS)[2]  # type: ignore[call-overload]
     words = np.packbits(np.asarray(centre_bits) > 0.5, axis=1)
-    # the centres were rounded: rows go to the nearest as the rival will see them
+    # assign rows to the nearest of the rounded centres, as ORB-SLAM3 will
     distance = bits @ (1 - 2 * np.unpackbits(words, axis=1).astype(np.float32)).T
     distance += np.unpackbits(words, axis=1).sum(1)
     return words, distance.argmin(1)
 
 
 def grow(descriptors: Bytes, source: Int) -> str:
-    """The tree's text: `k L scoring weighting`, then `parent leaf 32-bytes weight` a node.
+    """Text of the tree: `k L scoring weighting`, then `parent leaf 32-bytes weight` per node.
 
-    descriptors: (M, 32). source: (M,) the picture of each; a word's weight is its inverse
-    document frequency, log(pictures / pictures that show it).
+    descriptors: (M, 32). source: (M,) index of the picture. The weight of a word is its inverse
+    document frequency, log(pictures / pictures that contain it).
     """
     bits = np.unpackbits(descriptors, axis=1).astype(np.float32)
     pictures = len(np.unique(source))
@@ -76,11 +77,9 @@ def grow(descriptors: Bytes, source: Int) -> str:
 
 
 def vocabulary_of(pictures: Sequence[Path], where: Path) -> Path:
-    """`where`, written from FRAMES of the pictures spread evenly unless it is there."""
+    """Write the vocabulary of FRAMES evenly spread pictures to `where`, unless it exists."""
     if not where.is_file():
         some = [pictures[i] for i in np.linspace(0, len(pictures) - 1, FRAMES).astype(int)]
         where.parent.mkdir(parents=True, exist_ok=True)
-        part = where.with_suffix(".part")
-        part.write_text(grow(*describe(some)))
-        part.rename(where)
+        replace_text(where, grow(*describe(some)))
     return where

@@ -1,4 +1,4 @@
-"""A backbone whose faults are set: what a model would say of a drive that is known."""
+"""Scripted backbone: predictions from the ground truth of a drive, with configured errors."""
 
 from bench.scripted.backbone import ScriptedBackbone
 from bench.scripted.batch import DEPTH_STRIDE

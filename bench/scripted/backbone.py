@@ -1,4 +1,4 @@
-"""Predictions played from ground truth with dial-in errors: tests everything behind a backbone."""
+"""Backbone that computes predictions from ground truth with configured errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calm_edge.types import Float32, Hints, Int, Prediction
 
 
 class ScriptedBackbone:
-    """The scene seen through the errors. Images are ignored; every draw is seeded by the stamps."""
+    """Predictions of a scene under errors. Ignores images; all draws are seeded by the stamps."""
 
     name = "scripted"
 
@@ -28,10 +28,9 @@ class ScriptedBackbone:
 
     @classmethod
     def from_config(cls, config: Config) -> ScriptedBackbone:
-        """`scripted:FOLDER` with a sequence's poses0.txt, and its times0.txt, calib.txt if any.
+        """Open `scripted:FOLDER` with poses0.txt and, if present, times0.txt and calib.txt.
 
-        T_p_a.txt (12 numbers, a KITTI row) is the rig; else one unit to the right. Raises
-        BackboneError.
+        Rig: T_p_a.txt (12 numbers, a KITTI row), or one unit to the right. Raises BackboneError.
         """
         folder = config.backbone.name.partition(":")[2]
         if not folder:
@@ -46,7 +45,7 @@ class ScriptedBackbone:
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
-        """Adds depth at 1 / DEPTH_STRIDE of the image, and confidence."""
+        """Add depth at 1 / DEPTH_STRIDE of the image size, and confidence."""
         if prediction.depth is not None:
             return prediction
         depth, confidence = self.depth(hints, np.arange(len(hints.t_ns)))

@@ -1,4 +1,4 @@
-"""One batch of views: its truth, its draw of errors, and what a model makes of both."""
+"""One batch of views: ground truth, its draw of errors, and the prediction from both."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
 
 DEPTH_STRIDE = 8
-# A street's corners are anywhere in their cells of the picture, a room's in the middle.
+# Cells of the feature grid: random positions in the cells on a street, their centres in a room.
 _STREET_GRID, _ROOM_GRID = (5, 8), (6, 10)
-# A loop keyframe from farther away (world units), or turned further, shows another place.
+# A loop keyframe beyond this distance (world units) or angle shows another place.
 _SAME_PLACE, _SAME_WAY_RAD = 10.0, np.radians(60.0)
-# How far from one of the batch's own views a model puts such a picture.
+# Sigma of its false pose relative to one of the batch's views.
 _FALSE_TWIST = np.array([1.0, 0.2, 1.5, 0.02, 0.05, 0.02])
-# A loop keyframe that shares fewer points with every other view cannot be placed.
+# Minimum number of points shared with some view to place a loop keyframe.
 _MIN_SHARED = 24
 
 
 def false_place(t_ns: int, n_primary: int) -> tuple[int, Float]:
-    """Where a model puts a picture of another place, exposed at t_ns: a view and T_view_picture.
+    """False pose of a picture of another place exposed at t_ns: view index and T_view_picture.
 
-    What fools a model may fool a look-up in the same way, so both can ask.
+    Shared with the scripted loop finder, for perceptual aliasing that affects both.
     """
     rng = np.random.default_rng([t_ns % (1 << 64), n_primary])
     view = int(rng.integers(n_primary))
@@ -36,7 +36,7 @@ def false_place(t_ns: int, n_primary: int) -> tuple[int, Float]:
 
 
 class Batch:
-    """What the backbone says of one batch of N views; all of it follows from the hints."""
+    """Prediction for one batch of N views, determined by the hints."""
 
     def __init__(self, scene: ScriptedScene, errors: Errors, hints: Hints) -> None:
         self._scene, self._eyes, self._dials = scene, hints.eyes, errors.dials
@@ -45,7 +45,7 @@ class Batch:
         self._T_w_c = scene.T_w_c(hints.eyes, self._t_ns)
         self._n_primary = coupled.n_primary(hints.eyes, hints.loop)
         self._draw = errors.draw(hints, self._T_w_c)
-        self._false_loop = self._mistake_the_loop()
+        self._false_loop = self._place_false_loop()
         self._size = scene.size[hints.eyes]
         self._true = [scene.cameras[eye] for eye in hints.eyes]
         self._cameras = tuple(
@@ -57,7 +57,7 @@ class Batch:
         self._T = self._poses()
 
     def prediction(self) -> Prediction:
-        """Everything but depth."""
+        """Return the prediction without depth."""
         draw = self._draw
         T_s_c = self._bent() @ se3.exp(draw.twists)
         T_s_c[:, :3, 3] *= draw.scale
@@ -73,13 +73,13 @@ class Batch:
         )
 
     def _bent(self) -> Float:
-        """The poses with their path bent into an arc: half the turn before, half after each."""
+        """Bend the path into an arc: half of each turn before the pose, half after."""
         half = np.zeros((len(self._eyes), 6))
         half[:, 4] = self._draw.bend / 2
         return np.asarray(se3.exp(half) @ self._T @ se3.exp(half))
 
     def depth(self, views: Int) -> tuple[Float32, Float32]:
-        """Depth and confidence (V, h, w) of some of the views, at 1 / DEPTH_STRIDE."""
+        """Depth and confidence (V, h, w) of some views at 1 / DEPTH_STRIDE of the image size."""
         width, height = self._scene.size.min(0) // DEPTH_STRIDE
         small = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
         out = np.zeros((2, len(views), height, width), np.float32)
@@ -94,7 +94,7 @@ class Batch:
         return out[0], out[1]
 
     def _depth_at(self, view: int, uv: Float) -> tuple[Float, Float]:
-        """z (P,) of pixels (P, 2) in true length units, 0 unknown, and confidence (P,)."""
+        """z-depth (P,) of pixels (P, 2) in world units, 0 unknown, and confidence (P,)."""
         one = slice(view, view + 1)
         (true,), (p_w,) = self._scene.surface(self._true[one], self._T_w_c[one], uv[None])
         known = np.isfinite(true)
@@ -113,8 +113,8 @@ class Batch:
             self._cameras[view].fx,
         )
 
-    def _mistake_the_loop(self) -> bool:
-        """Puts a loop keyframe of another place where a model would see it; whether it did."""
+    def _place_false_loop(self) -> bool:
+        """Give a loop keyframe of another place a false pose; False if there is none."""
         if not self._loop:
             return False
         rest = len(self._eyes) - 1
@@ -128,12 +128,12 @@ class Batch:
         return True
 
     def _sight(self) -> Sightings:
-        """A grid of surface points of each view, in every view that sees them."""
+        """Sightings of a grid of surface points of each view, in all views."""
         scene, street = self._scene, self._scene.street is not None
         grid = _STREET_GRID if street else _ROOM_GRID
         uv = np.empty((len(self._eyes), grid[0] * grid[1], 2))
         for view, eye in enumerate(self._eyes):
-            # the corners of a picture are its own, whichever batch holds it
+            # a picture has the same corners in every batch
             seed = [int(self._t_ns[view]) % (1 << 64), int(eye)]
             jitter = np.random.default_rng(seed) if street else None
             width, height = scene.size[eye]
@@ -145,7 +145,7 @@ class Batch:
         return landmarks.sightings(p_w, seeded_by, self._true, self._T_w_c, self._size, zoom)
 
     def _poses(self) -> Float:
-        """T_s_c (N, 4, 4) in true length, before the model's own noise."""
+        """T_s_c (N, 4, 4) in world units, before pose noise."""
         if not self._dials.coupled:
             return np.asarray(se3.inverse(self._T_w_c[0]) @ self._T_w_c)
         seen = rays(self._cameras, self._sightings.uv)
@@ -168,7 +168,7 @@ class Batch:
         return T if n == len(self._eyes) else np.concatenate([T, np.eye(4)[None]])
 
     def _landmarks(self) -> Landmarks:
-        """The matches: pixels with noise and outliers, points as the model has them."""
+        """Landmarks: pixels with noise and outliers, and the model's points."""
         sightings, rng = self._sightings, self._draw.rng
         points, known = self._points()
         seen = sightings.seen & known
@@ -183,7 +183,7 @@ class Batch:
         return Landmarks(points[kept] * self._draw.scale, index, view, uv.astype(np.float32))
 
     def _points(self) -> tuple[Float, Bool]:
-        """(M, 3) the sightings' points in the sub-map, true length units, and which are known."""
+        """Points (M, 3) of the sightings in the sub-map, world units, and whether each is known."""
         sightings, draw = self._sightings, self._draw
         if not self._dials.coupled:
             points = se3.transform(se3.inverse(self._T_w_c[0]), sightings.p_w)

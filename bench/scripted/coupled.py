@@ -1,8 +1,8 @@
-"""Poses as a model with a wrong K sees them: those that fit the matches best under that K.
+"""Poses of a model with a wrong K: those with the least epipolar error under that K.
 
-Each primary view is solved against the one before it and a loop view against the view that shares
-most with it; lengths follow from depths of points that neighbouring pairs have in common. Assistant
-views start so, then each is solved against three primary views at once.
+Each primary view is solved relative to the previous one, a loop view relative to the view that
+shares most points with it; baseline lengths follow from the depths of points that neighbouring
+pairs share. Each assistant view is then solved against three primary views at once.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 from device.frame import Eye
 
-# Of a pair of primary views, and of each of the three pairs that hold an assistant view.
+# Matches of a pair of primary views, and of each of the three pairs of an assistant view.
 MATCHES, _MATCHES_OF_THREE = 160, 80
 _MIN_MATCHES = 12
-# An assistant view is held against its nearest primary view and those so many before and after.
+# Distance in views of the first and last primary view an assistant view is solved against.
 _REACH = 2
-# A pair closer than this shows no direction of motion, world units.
+# Minimum baseline of a pair, world units.
 _MIN_STEP = 0.02
 
 
 class _Pairs(NamedTuple):
-    """View a of each pair, its view b, and the pair that its length is measured against."""
+    """Views a and b of each pair, and the pair that its length is measured relative to."""
 
     a: Int
     b: Int
@@ -40,8 +40,8 @@ def poses(
 ) -> Float:
     """T_s_c (N, 4, 4) that minimise the epipolar error of the sightings under wrong rays.
 
-    rays: (N, M, 3) pixels divided by the wrong K. focals: (N, 2) px, wrong. T_w_c: the true
-    poses, where the search starts; the path's length is theirs. n: leading primary views. Raises
+    rays: (N, M, 3) pixels divided by the wrong K. focals: (N, 2) px of it. T_w_c: true poses, the
+    initial values; the path keeps their length. n: number of leading primary views. Raises
     BackboneError.
     """
     if n < 2:
@@ -66,7 +66,7 @@ def poses(
 
 
 def n_primary(eyes: Int, loop: bool) -> int:
-    """How many leading views are primary keyframes, the trailing loop keyframe not counted."""
+    """Number of leading primary keyframes, without the trailing loop keyframe."""
     return int(np.sum(eyes == Eye.PRIMARY)) - loop
 
 
@@ -89,9 +89,9 @@ def _pairs(sightings: Sightings, T_w_c: Float, eyes: Int, t_ns: Int, n: int) -> 
 def _with_assistants(
     T: Float, n: int, rays: Float, focals: Float, sightings: Sightings, eyes: Int, t_ns: Int
 ) -> Float:
-    """Assistant views where they fit several primary views at once, as many-view models do.
+    """Solve assistant views against several primary views at once, as multi-view models do.
 
-    Two views of different focals alone would explain a wrong ratio by a motion no third one sees.
+    Two views alone could explain a wrong ratio of their focals by a wrong motion.
     """
     (views,) = np.nonzero(eyes == Eye.ASSISTANT)
     if not len(views):
@@ -108,14 +108,14 @@ def _with_assistants(
 def _matches(
     a: Int, b: Int, rays: Float, focals: Float, sightings: Sightings, most: int = MATCHES
 ) -> epipolar.Matches:
-    """What views a (P,) and b (P,) see both; raises BackboneError where that is too little."""
+    """Common matches of views a (P,) and b (P,); raises BackboneError where they are too few."""
     index, weight = _some(sightings.seen[a] & sightings.seen[b], most)
     x_a, x_b = rays[a[:, None], index], rays[b[:, None], index]
     return epipolar.Matches(x_a, x_b, focals[a], focals[b], weight)
 
 
 def _some(mask: Bool, most: int = MATCHES) -> tuple[Int, Float]:
-    """Up to `most` columns of each row of a mask (P, M), spread over it -> (P, C), weights (P, C).
+    """Up to `most` random columns of each row of a mask (P, M): indices and weights (P, C).
 
     Raises BackboneError where a row has too few.
     """
@@ -128,11 +128,11 @@ def _some(mask: Bool, most: int = MATCHES) -> tuple[Int, Float]:
 
 
 def _ratios(solved: Float, pairs: _Pairs, rays: Float, sightings: Sightings) -> Float:
-    """(P,) length of each pair against its parent's, from depths in the view they share."""
+    """Length ratios (P,) of pairs to their parents, from depths in the view they share."""
     child = np.arange(1, len(pairs.a))
     mother = pairs.parent[child]
     shared = pairs.a[child]
-    # the parent pair holds the shared view as its b, or, at the ends of the path, as its a
+    # the shared view is the parent's b or, at the ends of the path, its a
     as_b = pairs.b[mother] == shared
     other = np.where(as_b, pairs.a[mother], pairs.b[mother])
     seen = sightings.seen

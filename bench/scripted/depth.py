@@ -1,4 +1,4 @@
-"""Depth as a model with a wrong K and its poses triangulates it from what truly corresponds."""
+"""Depth of a model with a wrong K: true correspondences triangulated with its poses."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from bench.scripted import epipolar
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
-# How many views, nearest in time, each picture is compared with.
+# Number of views, nearest in time, to triangulate each picture with.
 _PARTNERS = 4
-# What a model's correspondences are worth, and the relative depth error it half believes.
+# Sigma of correspondences, and relative depth error of confidence one half.
 _MATCH_PX = 0.3
-_HALF_BELIEVED = 0.1
+_HALF_CONFIDENT = 0.1
 
 
 def partners(t_ns: Int) -> Int:
-    """(N, P) other views nearest in time of each of N views."""
+    """Indices (N, P) of the views nearest in time to each of N views."""
     apart = np.abs(t_ns[:, None] - t_ns).astype(np.float64)
     np.fill_diagonal(apart, np.inf)
     return np.argsort(apart, axis=1, kind="stable")[:, : min(_PARTNERS, len(t_ns) - 1)]
@@ -25,10 +25,10 @@ def partners(t_ns: Int) -> Int:
 def triangulated(
     T_s_v: Float, x_v: Float, T_s_o: Float, x_o: Float, weight: Float, focal: float
 ) -> tuple[Float, Float]:
-    """z-depth (M,) of rays x_v (M, 3) of a view, 0 unknown, and confidence (M,).
+    """z-depth (M,) along rays x_v (M, 3) of a view, 0 unknown, and confidence (M,).
 
-    T_s_v (4, 4), T_s_o (O, 4, 4): the model's poses of it and of O others. x_o: (O, M, 3) where
-    those see the same points. weight: (O, M), 0 where they do not. focal: of the view, px.
+    T_s_v (4, 4), T_s_o (O, 4, 4): poses of the view and of O others. x_o: (O, M, 3) rays to the
+    same points. weight: (O, M), 0 where a point is not seen. focal: of the view, px.
     """
     inverse, information = epipolar.inverse_depth(se3.inverse(T_s_o) @ T_s_v, x_v[None], x_o)
     information = information * weight
@@ -37,11 +37,11 @@ def triangulated(
     known = (total > 0) & (inverse > 1e-6)
     depth = np.where(known, 1 / np.where(known, inverse, 1.0), 0.0)
     relative = _MATCH_PX / focal * depth / np.sqrt(np.maximum(total, 1e-18))
-    return depth, np.where(known, 1 / (1 + (relative / _HALF_BELIEVED) ** 2), 0.0)
+    return depth, np.where(known, 1 / (1 + (relative / _HALF_CONFIDENT) ** 2), 0.0)
 
 
 def warp(at: Float, phases: Float) -> Float:
-    """(...) smooth values in [-1, 1] at places (..., 2) of the unit picture, by phases (3,)."""
+    """Smooth values (...) in [-1, 1] at positions (..., 2) in the unit picture, by phases (3,)."""
     x, y, z = phases
     return np.asarray(
         np.sin(2 * np.pi * at[..., 0] + x) * np.cos(np.pi * at[..., 1] + y) * np.sin(z)

@@ -1,6 +1,7 @@
-"""Two views from their matches under any K: pairs solved at once, and lengths between pairs.
+"""Relative poses from matches under a given K, many pairs at once.
 
 Rays are pixels divided by K, (x, y, 1); p_b = R p_a + t, and x_b^T E x_a = 0 with E = [t]x R.
+Sampson distance: Hartley, Zisserman, "Multiple view geometry", 11.4.3.
 """
 
 from __future__ import annotations
@@ -17,8 +18,7 @@ from calm_edge.types import Float, Int
 Bool = NDArray[np.bool_]
 
 _ITERATIONS = 40
-# A pair has its answer when a step lowers its cost by less than this share, or no step lowers it,
-# or its cost is that of rounding, px^2.
+# Stop at this relative decrease of the cost, at this damping, or at this cost [px^2].
 _CONVERGED, _STUCK, _EXACT = 1e-9, 1e6, 1e-18
 _AXES = se3.hat(np.eye(3))
 
@@ -31,7 +31,7 @@ def essential(T_b_a: Float) -> Float:
 def sampson(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> Float:
     """Signed Sampson distances (P, C) [px] of matches (P, C, 3) to E (P, 3, 3).
 
-    f_a, f_b: (P, 2) focals that the rays were made with, px.
+    f_a, f_b: (P, 2) focal lengths of the rays, px.
     """
     return _residuals(E[:, None], x_a, x_b, f_a, f_b)[0]
 
@@ -39,7 +39,7 @@ def sampson(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> Float:
 class Matches(NamedTuple):
     """P pairs of views with up to C matches each.
 
-    x_a, x_b: (P, C, 3) rays. f_a, f_b: (P, 2) px. weight: (P, C), 0 leaves a match out.
+    x_a, x_b: (P, C, 3) rays. f_a, f_b: (P, 2) px. weight: (P, C), 0 for unused matches.
     """
 
     x_a: Float
@@ -49,14 +49,14 @@ class Matches(NamedTuple):
     weight: Float
 
     def of(self, rows: Int) -> Matches:
-        """Some of the pairs."""
+        """Return some of the pairs."""
         return Matches(*(field[rows] for field in self))
 
 
 def solve(T_b_a: Float, matches: Matches) -> Float:
-    """The relative poses (P, 4, 4) that minimise sum weight * sampson^2; translations of length 1.
+    """Relative poses (P, 4, 4) that minimise sum weight * sampson^2, with unit translations.
 
-    T_b_a: (P, 4, 4) starts. Each pair on its own: three rotations, two directions.
+    T_b_a: (P, 4, 4) initial values. Pairs are independent, with five parameters each.
     """
 
     def linearised(T: Float, rows: Int) -> _Linear:
@@ -76,10 +76,10 @@ def solve(T_b_a: Float, matches: Matches) -> Float:
 
 
 def resect(T_b_s: Float, T_s_a: Float, matches: Matches) -> Float:
-    """The poses T_b_s (Q, 4, 4) that minimise the epipolar error against several views at once.
+    """Poses T_b_s (Q, 4, 4) that minimise the epipolar error against several views at once.
 
-    T_s_a: (Q, J, 4, 4) of those views, held. matches: (Q * J) pairs, of each b in turn. Lengths
-    follow from those between the views unless all lie on one line, where the start's is kept.
+    T_s_a: (Q, J, 4, 4) fixed poses of those views. matches: Q * J pairs, J for each b. The scale
+    follows from the baselines between the views, or from the initial value if all are collinear.
     """
     J = T_s_a.shape[1]
 
@@ -103,7 +103,7 @@ def _descend(
     linearised: Callable[[Float, Int], _Linear],
     moved: Callable[[Float, Float], Float],
 ) -> Float:
-    """Levenberg-Marquardt from poses (P, 4, 4), each on its own. linearised: of some rows."""
+    """Levenberg-Marquardt on independent poses (P, 4, 4). linearised: normal equations of rows."""
     T, damping = np.array(start), np.full(len(start), 1e-4)
     going = np.arange(len(T))
     state = linearised(T, going)
@@ -125,8 +125,8 @@ def _descend(
 def inverse_depth(T_b_a: Float, x_a: Float, x_b: Float) -> tuple[Float, Float]:
     """1 / z (..., C) in view a of matches (..., C, 3), and its information (..., C).
 
-    Linear in 1 / z: x_b x (R x_a + t / z) = 0. Sums of both over several b are the
-    least-squares answer: sum(information * value) / sum(information). T_b_a: (..., 4, 4).
+    From x_b x (R x_a + t / z) = 0, linear in 1 / z. The least-squares value over several b is
+    sum(information * value) / sum(information). T_b_a: (..., 4, 4).
     """
     turned = x_a @ np.swapaxes(T_b_a[..., :3, :3], -1, -2)
     across = _cross(x_b, T_b_a[..., None, :3, 3])
@@ -136,7 +136,7 @@ def inverse_depth(T_b_a: Float, x_a: Float, x_b: Float) -> tuple[Float, Float]:
 
 
 def weighted_median(value: Float, weight: Float) -> Float:
-    """(P,) of rows (P, C); weights >= 0 with a positive sum."""
+    """Weighted medians (P,) of rows (P, C); weights >= 0 with a positive sum."""
     order = np.argsort(value, axis=1)
     value = np.take_along_axis(value, order, 1)
     share = np.cumsum(np.take_along_axis(weight, order, 1), axis=1)
@@ -145,7 +145,7 @@ def weighted_median(value: Float, weight: Float) -> Float:
 
 
 def _residuals(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> tuple[Float, Float]:
-    """Sampson distances (P, C) of E[:, 0], and their slopes (P, k, C) along E[:, 1:]."""
+    """Sampson distances (P, C) of E[:, 0], and their derivatives (P, k, C) along E[:, 1:]."""
     in_b = E @ np.swapaxes(x_a, 1, 2)[:, None]
     in_a = np.swapaxes(E, -1, -2) @ np.swapaxes(x_b, 1, 2)[:, None]
     value = (in_b * np.swapaxes(x_b, 1, 2)[:, None]).sum(2)
@@ -159,7 +159,7 @@ def _residuals(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> tupl
 
 
 class _Linear(NamedTuple):
-    """Costs (P,) about poses, their gradients (P, k) and Gauss-Newton Hessians (P, k, k)."""
+    """Costs (P,) with gradients (P, k) and Gauss-Newton Hessians (P, k, k)."""
 
     cost: Float
     gradient: Float
@@ -174,7 +174,7 @@ class _Linear(NamedTuple):
 
 
 def _linear(slopes: Float, T_b_a: Float, matches: Matches) -> _Linear:
-    """About T_b_a (P, 4, 4), whose essential matrices change along slopes (P, k, 3, 3)."""
+    """Linearise at T_b_a (P, 4, 4); slopes (P, k, 3, 3): derivatives of the essential matrices."""
     x_a, x_b, f_a, f_b, weight = matches
     E = np.concatenate([essential(T_b_a)[:, None], slopes], 1)
     r, J = _residuals(E, x_a, x_b, f_a, f_b)
@@ -184,12 +184,12 @@ def _linear(slopes: Float, T_b_a: Float, matches: Matches) -> _Linear:
 
 
 def _chosen(mask: Bool, yes: Float, no: Float) -> Float:
-    """Rows of (P, ...) by a mask (P,)."""
+    """Select rows of (P, ...) by a mask (P,)."""
     return np.where(mask.reshape(-1, *[1] * (yes.ndim - 1)), yes, no)
 
 
 def _cross(a: Float, b: Float) -> Float:
-    """np.cross of (..., 3), several times as fast on many short rows."""
+    """np.cross of (..., 3), several times faster on many short rows."""
     return np.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
@@ -201,7 +201,7 @@ def _cross(a: Float, b: Float) -> Float:
 
 
 def _tangent(t: Float) -> Float:
-    """(P, 2, 3) unit vectors across unit vectors t (P, 3)."""
+    """Unit vectors (P, 2, 3) orthogonal to unit vectors t (P, 3)."""
     helper = np.eye(3)[np.argmin(np.abs(t), axis=1)]
     first = _cross(t, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""The dials: how wrong scripted predictions are, and what one batch draws from them."""
+"""Configured errors of scripted predictions, and their draw for one batch."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, Int
 from device.frame import Eye
 
-# focal_factor: what is left in sharp turns, how soon, and its mean over KITTI's eleven drives.
+# focal_factor: its limit in sharp turns, its scale [deg], and its mean over KITTI's eleven drives.
 _IN_TURNS, _TURN_DEG, _MEAN = 0.3, 10.0, 0.96
-# One model looks through both eyes: their matches show the ratio of the focals to a percent or so.
+# Correlation of both eyes' focal errors: matches between them fix the ratio to about a percent.
 _CORRELATION = 0.98
 
 
 @dataclass(frozen=True, slots=True)
 class ScriptedErrors:
-    """How wrong the predictions are. Lengths: world units.
+    """Sizes of the errors; lengths in world units.
 
-    of a drive: focal_bias_log_sigma, nearly common to both eyes.
-    scale_walk: sigma of log raw scale after 100 of path.
-    of a batch: scale_log_sigma, of log raw units a world unit. focal_log_error: one an eye, as is.
-    focal_log_sigma: of its focals' log error, nearly common to both eyes. This and the bias grow on
-    straight roads (`focal_factor`). depth_drift: sigma of log depth against poses, from the first
-    view in time to the last. bend_sigma_rad: of the turn by which its path is bent into an arc.
-    of a view: rotation_sigma_rad, translation_sigma of its pose. depth_warp: amplitude of a smooth
+    Per drive: focal_bias_log_sigma, correlated between the eyes; scale_walk, sigma of the log raw
+    scale after a path of 100.
+    Per batch: scale_log_sigma, of the log raw units per world unit; focal_log_error, constant, one
+    per eye; focal_log_sigma, correlated between the eyes (this and the bias grow on straight roads,
+    see `focal_factor`); depth_drift, sigma of the log ratio of depth to poses from the first view
+    in time to the last; bend_sigma_rad, of the turn by which the path is bent into an arc.
+    Per view: rotation_sigma_rad, translation_sigma of the pose; depth_warp, amplitude of a smooth
     relative depth error over the picture.
-    of an observation: match_sigma_px; outlier_share of them lie anywhere in the picture.
+    Per observation: match_sigma_px; outlier_share, uniform in the picture.
     coupled: poses minimise the epipolar error of exact matches under the wrong K, and depth is
-    triangulated from them; off, a wrong K moves nothing else.
+    triangulated from them; off, a wrong K changes nothing else.
     false_loop_matches: a loop keyframe of another place has matches that fit its false pose.
     """
 
@@ -55,9 +55,9 @@ class ScriptedErrors:
 class Draw:
     """The errors of one batch of N views.
 
-    scale: raw units a world unit. focal: (N,) log errors. twists: (N, 6) of the poses, world
+    scale: raw units per world unit. focal: (N,) log errors. twists: (N, 6) of the poses, world
     units. bend: (N,) rad about the first view's y. phases: (N, 3) of the depth warp. depth: (N,)
-    log errors of depth against poses.
+    log errors of depth relative to poses.
     """
 
     scale: float
@@ -70,7 +70,7 @@ class Draw:
 
 
 class Errors:
-    """The dials over one drive: what is drawn once, and the draw of each batch."""
+    """Errors of one drive: those drawn once, and the draw of each batch."""
 
     def __init__(self, dials: ScriptedErrors, t_ns: Int, T_w_p: Float) -> None:
         self.dials = dials
@@ -82,7 +82,7 @@ class Errors:
         self._walk = dials.scale_walk * np.concatenate([[0.0], walk])
 
     def draw(self, hints: Hints, T_w_c: Float) -> Draw:
-        """Of the views T_w_c (N, 4, 4): seeded by the stamps, so equal batches err alike."""
+        """Draw the errors of views T_w_c (N, 4, 4); seeded by the stamps, hence repeatable."""
         dials, n, eyes = self.dials, len(hints.t_ns), hints.eyes
         stamps = [int(t) % (1 << 64) for t in hints.t_ns]
         rng = np.random.default_rng([dials.seed, *stamps, *(int(e) for e in eyes)])
@@ -108,10 +108,10 @@ class Errors:
 
 
 def focal_factor(T_w_p: Float) -> float:
-    """How wrong the focal of a batch of poses (N, 4, 4) is against the mean batch of KITTI.
+    """Focal error of a batch of poses (N, 4, 4) relative to the mean batch of KITTI.
 
-    Motion shows the focal in a turn alone: 1.35 on a straight road, 0.5 in a turn of 40 degrees.
-    An assumption about models, not a measurement of one.
+    The focal is observable only in turns: 1.35 on a straight road, 0.5 in a turn of 40 degrees.
+    Assumed, not measured on a model.
     """
     turns = se3.so3_log(np.swapaxes(T_w_p[:-1, :3, :3], 1, 2) @ T_w_p[1:, :3, :3])
     degrees = float(np.degrees(np.linalg.norm(turns.sum(0))))
@@ -119,13 +119,13 @@ def focal_factor(T_w_p: Float) -> float:
 
 
 def _alike(rng: np.random.Generator) -> Float:
-    """(2,) unit normals, one an eye."""
+    """Unit normal variables (2,) of both eyes, with correlation _CORRELATION."""
     common, *own = rng.standard_normal(3)
     apart = np.sqrt(1 - _CORRELATION) * np.array(own)
     return np.asarray(np.sqrt(_CORRELATION) * common + apart)
 
 
 def _progress(t_ns: Int) -> Float:
-    """(N,) 0 at the first view in time and 1 at the last, a loop keyframe's clipped."""
+    """Progress (N,) in time: 0 at the first view, 1 at the last, clipped for a loop keyframe."""
     span = max(int(t_ns.max() - t_ns[0]), 1)
     return np.asarray(np.clip((t_ns - t_ns[0]) / span, 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Which surface points the views of a batch see, and at which pixels: its matches."""
+"""Exact matches of a batch: surface points and their pixels in the views that see them."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from calm_edge.types import Float, Int
 
 Bool = NDArray[np.bool_]
 
-# A picture is matched while the point's distance changes by no more than this factor.
+# Largest factor between the distances of a point in two views that match.
 MAX_ZOOM = 2.5
 
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """M surface points and the exact pixels of N views that see them.
+    """M surface points and their exact pixels in N views.
 
-    p_w: (M, 3) world units. seeded_by: (M,) view whose grid the point comes from. uv: (N, M, 2) px.
-    depth: (N, M) z-depth. seen: (N, M) bool.
+    p_w: (M, 3) world units. seeded_by: (M,) view of the grid that the point comes from. uv:
+    (N, M, 2) px. depth: (N, M) z-depth. seen: (N, M) bool.
     """
 
     p_w: Float
@@ -42,16 +42,16 @@ def project_all(cameras: Sequence[Camera], T_w_c: Float, p_w: Float) -> tuple[Fl
 
 
 def inside(uv: Float, size: Int) -> Bool:
-    """(N, M) of pixels (N, M, 2) in pictures of width, height (N, 2)."""
+    """Whether (N, M) pixels (N, M, 2) are inside pictures of width, height (N, 2)."""
     return np.asarray((uv >= 0).all(-1) & (uv <= size[:, None] - 1).all(-1))
 
 
 def sightings(
     p_w: Float, seeded_by: Int, cameras: Sequence[Camera], T_w_c: Float, size: Int, max_zoom: float
 ) -> Sightings:
-    """Points (M, 3) in every view that has them in its picture at a distance like its seed's.
+    """Sightings of points (M, 3) in all views.
 
-    max_zoom: how many times nearer or farther than from its seed a point is still known.
+    max_zoom: largest factor between the distance of a point and that from the view of its grid.
     """
     uv, depth = project_all(cameras, T_w_c, p_w)
     at_seed = depth[seeded_by, np.arange(len(p_w))]
@@ -63,7 +63,7 @@ def sightings(
 def grid_pixels(
     width: int, height: int, grid: tuple[int, int], jitter: np.random.Generator | None
 ) -> Float:
-    """(R * C, 2) px: the centres of the grid's cells, or any place in each."""
+    """Pixels (R * C, 2): the centres of the grid's cells, or random positions in them."""
     rows, columns = grid
     v, u = np.mgrid[0:rows, 0:columns].astype(np.float64)
     place = 0.5 if jitter is None else jitter.uniform(0, 1, (2, rows, columns))

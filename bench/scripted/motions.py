@@ -20,10 +20,10 @@ N_VIEWS = 15
 
 
 def motion(kind: str, n: int = N_VIEWS) -> Float:
-    """T_w_c (n, 4, 4) of a car whose rear axle moves a metre a view; a leading - mirrors it.
+    """T_w_c (n, 4, 4) of a car whose rear axle moves 1 m per view; a leading - mirrors it.
 
-    straight; tangent: an arc the optical axis is tangent to; ahead: 1.5 m before the axle;
-    yawed: by 15 degrees, over the axle; general: yaw that comes and goes, some pitch.
+    straight; tangent: an arc with the optical axis tangent to it; ahead: camera 1.5 m before the
+    axle; yawed: camera over the axle, yawed by 15 degrees; general: varying yaw and pitch.
     """
     name, phase = kind.lstrip("-"), np.arange(n - 1) / 4
     yaw, pitch, mount, ahead = np.full(n - 1, np.radians(3.0)), np.zeros(n - 1), np.zeros(3), 0.0

@@ -1,4 +1,4 @@
-"""The truth that scripted predictions are played from: a drive, its rig, its cameras, its world."""
+"""Ground truth of a scripted drive: trajectory, rig, cameras and world."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from device.frame import Eye
 
 @dataclass(frozen=True, slots=True)
 class Exposures:
-    """When frames were truly exposed: t_ns (N,) of frames stamped stamp_ns (N,), growing."""
+    """True exposure times t_ns (N,) of frames with stamps stamp_ns (N,), increasing."""
 
     stamp_ns: Int
     t_ns: Int
 
     def at(self, stamp_ns: Int) -> Int:
-        """(M,) true times of stamps (M,); raises BackboneError for one that no frame has."""
+        """True times (M,) of stamps (M,); raises BackboneError for an unknown stamp."""
         place = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 0, len(self.stamp_ns) - 1)
         if np.any(self.stamp_ns[place] != stamp_ns):
-            raise BackboneError("scripted: no frame of the scripted drive has this stamp")
+            raise BackboneError("scripted: a stamp belongs to no frame of the scripted drive")
         return self.t_ns[place]
 
 
@@ -54,7 +54,7 @@ class ScriptedScene:
         return np.array([(camera.width, camera.height) for camera in self.cameras])
 
     def true_ns(self, hints: Hints) -> Int:
-        """(N,) when the views of a batch were exposed; raises BackboneError."""
+        """True exposure times (N,) of the views of a batch; raises BackboneError."""
         if self.exposures is None:
             return hints.t_ns
         t_ns = np.empty_like(hints.t_ns)
@@ -64,7 +64,7 @@ class ScriptedScene:
         return t_ns
 
     def T_w_c(self, eyes: Int, t_ns: Int) -> Float:
-        """(N, 4, 4) of views at any time within a frame gap of the drive; raises BackboneError."""
+        """Poses (N, 4, 4) of views within one frame gap of the drive; raises BackboneError."""
         gap = np.diff(self.t_ns[[0, 1, -2, -1]])[[0, 2]]
         if t_ns.min() < self.t_ns[0] - gap[0] or t_ns.max() > self.t_ns[-1] + gap[1]:
             raise BackboneError("scripted: a frame's stamp lies outside the scripted drive")
@@ -73,7 +73,7 @@ class ScriptedScene:
         return np.asarray(T_w_p @ np.stack([np.eye(4), self.T_p_a])[eyes])
 
     def depth(self, rays_w: Float, centre_w: Float) -> Float:
-        """Multiples (...) of rays (..., 3) from centres (..., 3) to a surface, inf for none."""
+        """Depth (...) along rays (..., 3) from centres (..., 3), in ray lengths; inf for sky."""
         if self.street is not None:
             return self.street.depth(rays_w, centre_w)
         return self._room(rays_w, centre_w)
@@ -108,7 +108,7 @@ def rays(cameras: Sequence[Camera], uv: Float) -> Float:
 
 
 def read_rows(path: Path, columns: int) -> Float:
-    """(N, columns) of a text table; raises BackboneError."""
+    """Read a text table (N, columns); raises BackboneError."""
     try:
         rows = np.loadtxt(path, ndmin=2)
     except OSError as error:
@@ -121,7 +121,7 @@ def read_rows(path: Path, columns: int) -> Float:
 
 
 def read_poses(path: Path) -> Float:
-    """(N, 4, 4) of KITTI rows; raises BackboneError."""
+    """Read poses (N, 4, 4) from KITTI rows; raises BackboneError."""
     rows = read_rows(path, 12).reshape(-1, 3, 4)
     return se3.compose(rows[:, :, :3], rows[:, :, 3])
 
@@ -134,7 +134,7 @@ def read_cameras(path: Path) -> tuple[Camera, Camera]:
 
 
 def read_scene(folder: Path, config: Config) -> ScriptedScene:
-    """A sequence folder's truth in a convex room; raises BackboneError."""
+    """Read the ground truth of a sequence folder, in a convex room; raises BackboneError."""
     from calm_edge.recording import sequence_folder
 
     T_w_p = read_poses(folder / "poses0.txt")

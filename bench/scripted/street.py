@@ -1,7 +1,7 @@
-"""A street along a path: ground under it, facades at both sides, sky above their roofs.
+"""Street along a path: ground, facades at both sides, and sky above the roofs.
 
-Every surface is a field over the level plane (x, z), so that roads which cross share their
-junction, a ray is followed in a few strides, and the world is the same for every view of it.
+All surfaces are height or distance fields over the plane (x, z), in which rays are marched in a few
+steps (sphere tracing: Hart, 1996); crossing roads share their junction.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from calm_edge.types import Float, Float32
 
 CAMERA_HEIGHT_M = 1.65
 MAX_RANGE_M = 120.0
-# Grid step, and how far the grid reaches beyond the path: farther than any facade.
+# Grid step, and margin of the grid around the path, beyond all facades.
 _CELL_M = 1.0
 _MARGIN_M = 30.0
-# Facades stand this far from the path, their roofs this high; both vary over _BLOCK_M.
+# Ranges of the facades' distance from the path and of roof heights; both vary over _BLOCK_M.
 _FACADE_M = (4.5, 13.0)
 _ROOF_M = (2.5, 9.0)
 _BLOCK_M = 8.0
-# No ray meets ground that rises more steeply; a stride is safe below this grade.
+# Largest grade of the ground that a marching step allows for.
 _GRADE = 0.3
 _STRIDES = 64
 _TOUCH_M = 0.01
@@ -32,8 +32,8 @@ _TOUCH_M = 0.01
 class Street:
     """Fields (H, W) over cells of _CELL_M, rows along z: world units, y down.
 
-    origin: (2,) x and z of cell (0, 0). clear: distance to the nearest facade, negative inside
-    one. ground, roof: their y.
+    origin: (2,) x and z of cell (0, 0). clear: signed distance to the nearest facade, negative
+    inside. ground, roof: y.
     """
 
     origin: Float
@@ -43,7 +43,7 @@ class Street:
 
     @classmethod
     def along(cls, T_w_p: Float, seed: int = 0) -> Street:
-        """The street of primary camera poses T_w_p (N, 4, 4), N >= 2, world units."""
+        """Build the street along primary poses T_w_p (N, 4, 4), N >= 2, world units."""
         path = _dense(T_w_p[:, :3, 3])
         origin = path[:, [0, 2]].min(0) - _MARGIN_M
         cells = np.round((path[:, [0, 2]] - origin) / _CELL_M).astype(np.int64)
@@ -58,7 +58,7 @@ class Street:
         inside = away < facade
         clear = ndimage.distance_transform_edt(inside, sampling=_CELL_M)
         clear -= ndimage.distance_transform_edt(~inside, sampling=_CELL_M)
-        # where the path comes back at another height the camera stays above either road
+        # where the path crosses itself at another height, the ground stays below both cameras
         ground = ndimage.maximum_filter(lowest[tuple(nearest)], int(7 / _CELL_M))
         ground = ndimage.gaussian_filter(ground, 2.0 / _CELL_M) + CAMERA_HEIGHT_M
         roof = ground - _varied(rng, (height, width), *_ROOF_M)
@@ -70,9 +70,9 @@ class Street:
         )
 
     def depth(self, rays_w: Float, centre_w: Float) -> Float:
-        """Multiples (...) of rays (..., 3) from centres (..., 3) to the first surface; inf: sky.
+        """Depth (...) along rays (..., 3) from centres (..., 3), in ray lengths.
 
-        inf too beyond MAX_RANGE_M.
+        inf for sky and beyond MAX_RANGE_M.
         """
         rays = rays_w.reshape(-1, 3)
         centre = np.broadcast_to(centre_w, rays_w.shape).reshape(-1, 3)
@@ -97,7 +97,7 @@ class Street:
         return out.reshape(rays_w.shape[:-1])
 
     def _at(self, field: Float32, p_w: Float) -> Float:
-        """(M,) a field at points (M, 3), bilinear; the border's value beyond the grid."""
+        """Bilinear values (M,) of a field at points (M, 3), clamped at the border."""
         height, width = field.shape
         x = np.clip((p_w[:, 0] - self.origin[0]) / _CELL_M, 0, width - 1.001)
         z = np.clip((p_w[:, 2] - self.origin[1]) / _CELL_M, 0, height - 1.001)
@@ -110,14 +110,14 @@ class Street:
 
 
 def _dense(p: Float) -> Float:
-    """The polyline p (N, 3) with points at most half a cell apart."""
+    """Resample the polyline p (N, 3) to steps of at most half a cell."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
     at = np.linspace(0.0, along[-1], int(along[-1] / (_CELL_M / 2)) + 2)
     return np.stack([np.interp(at, along, p[:, axis]) for axis in range(3)], -1)
 
 
 def _varied(rng: np.random.Generator, shape: tuple[int, int], low: float, high: float) -> Float:
-    """(H, W) values between low and high that vary smoothly over _BLOCK_M."""
+    """Values (H, W) between low and high that vary smoothly over _BLOCK_M."""
     noise = ndimage.gaussian_filter(rng.standard_normal(shape), _BLOCK_M / _CELL_M, mode="wrap")
     share = 0.5 + 0.5 * np.tanh(noise / noise.std())
     return np.asarray(low + (high - low) * share)

@@ -47,9 +47,9 @@ def test_no_points_are_none(tmp_path: Path) -> None:
         (b"solid", "not a PLY"),
         (header("binary_little_endian", ["float x", "float y"]), "not a PLY"),
         (header("strange", ["float x", "float y", "float z"]), "not a PLY"),
-        (header("binary_little_endian", ["float x", "float y", "float z"]) + b"12", "cut short"),
-        (header("ascii", ["float x", "float y", "float z"]) + b"1 2 3\n", "cut short"),
-        (header("ascii", ["float x", "float y", "float z"]) + b"1 2\n3 4\n", "cut short"),
+        (header("binary_little_endian", ["float x", "float y", "float z"]) + b"12", "truncated"),
+        (header("ascii", ["float x", "float y", "float z"]) + b"1 2 3\n", "truncated"),
+        (header("ascii", ["float x", "float y", "float z"]) + b"1 2\n3 4\n", "truncated"),
     ],
 )
 def test_what_is_no_point_file_is_named(tmp_path: Path, raw: bytes, names: str) -> None:

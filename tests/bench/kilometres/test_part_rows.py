@@ -58,4 +58,4 @@ def test_both_searches_are_compared_by_the_runs_of_both():
     made = [measured(focals=focals(7.0)), measured("05", focals=focals(70.0))]
     made.append(measured(variant=PAPER_SEARCH.name, focals=focals(-14.0)))
     table = part_rows.ablation(Results(made, NAMES), "x")
-    assert any("1.00 % in the mean of 1 runs" in n and "2.00 %" in n for n in table.notes)
+    assert any("over 1 runs: 1.00 %" in n and "2.00 %" in n for n in table.notes)

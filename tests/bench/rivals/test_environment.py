@@ -73,6 +73,6 @@ def test_no_answer_names_the_log(tmp_path: Path) -> None:
     work = tmp_path / "w"
     work.mkdir()
     (work / "result.json").write_text("of an earlier run")
-    with pytest.raises(EvaluationError, match=r"s: exit 1 without an answer; see .*log\.txt"):
+    with pytest.raises(EvaluationError, match=r"s: exit 1 without a result; see .*log\.txt"):
         run_process(Path(sys.executable), script, {}, work)
     assert "lost" in (work / "log.txt").read_text()
