@@ -59,7 +59,7 @@ class Capture:
             if self._lockstep:
                 self._run_lockstep()
             else:
-                with prompt():
+                with low_latency():
                     self._run_realtime()
             self._monitor.stop(self._source.clock.now_ns())
             self._finish()
@@ -173,9 +173,9 @@ class Capture:
 
 
 @contextmanager
-def prompt() -> Iterator[None]:
-    """Shorten the capture loop's waits: for the interpreter lock, to SWITCH_S, and for the garbage
-    collector, by exempting all existing objects, whose traversal takes a tenth of a second.
+def low_latency() -> Iterator[None]:
+    """Shorten the waits of the capture loop: for the interpreter lock to SWITCH_S, and for the
+    garbage collector by exempting all existing objects, which take a tenth of a second to traverse.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)

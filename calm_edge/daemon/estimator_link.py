@@ -114,7 +114,7 @@ class EstimatorLink:
     def offer(self, window: SubmapWindow) -> bool:
         """Queue a window; False if the queue is full and it is left to `map`."""
         if self.given_up or len(self._inbox) >= INBOX_WINDOWS:
-            self.leave(window)
+            self.leave_to_map(window)
             return False
         self._inbox.append(window)
         self.pump()
@@ -127,7 +127,7 @@ class EstimatorLink:
             self._sent.add(frame_key(keyframe))
             self.child.send(Expect(keyframe))
 
-    def leave(self, window: SubmapWindow) -> None:
+    def leave_to_map(self, window: SubmapWindow) -> None:
         """Leave a window to `map`."""
         self.left_to_map.append(window.submap_id)
         if not self.given_up:
@@ -211,7 +211,7 @@ class EstimatorLink:
             self._say("windows come too late to give a pose: late ones are left to map")
         self.overtaken += len(late)
         for window in late:
-            self.leave(window)
+            self.leave_to_map(window)
         self._inbox = deque([newest])
 
     def _spawn(self) -> Child:

@@ -1,4 +1,4 @@
-"""Passes frames to tracker and estimator, and what comes back to the outputs, in order."""
+"""Frames to the tracker, windows to the estimator, and the results of both to the outputs."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class Hub:
     """Owner of the links to both children, and of the outputs, the recording first.
 
     The recording is opened once both children are ready and the cameras are open, so that neither a
-    refused configuration nor an absent camera leaves an empty one behind. Nothing here waits, but
-    for `until`. say: prints a line for the user.
+    refused configuration nor an absent camera leaves an empty one behind. Only `start` and `until`
+    wait. say: prints a line for the user.
     """
 
     def __init__(
@@ -245,7 +245,7 @@ class Hub:
         if is_thin(window):
             self.say(f"window {window.submap_id}: only {len(window.assistant)} assistant frames")
         if self._shed >= Shed.ALL_WINDOWS:
-            self.estimator.leave(window)
+            self.estimator.leave_to_map(window)
         elif not self.estimator.offer(window):
             self.say(f"window {window.submap_id}: estimator too far behind; left to map")
 

@@ -49,7 +49,7 @@ def take_status(
 ) -> HubStatus:
     """The status at now_ns; the pose age in `result` starts anew."""
     links = {"estimator": estimator.given_up, "tracker": tracker.given_up}
-    given_up = [f"{name} given up" for name, gone in links.items() if gone]
+    given_up = [f"{name} failed, not restarted" for name, gone in links.items() if gone]
     return HubStatus(
         now_ns,
         frame_ns,

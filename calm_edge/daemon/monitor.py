@@ -99,7 +99,7 @@ class Monitor:
         waiting = status.windows_waiting
         late = [f"{waiting} windows wait"] if waiting > LAGGING_WINDOWS else []
         if ticks_late:
-            late.append("ticks come late")
+            late.append("capture loop is late")
         faults = [*self._camera_faults(status), *status.faults]
         if shed is not Shed.NOTHING:
             why = ", ".join(self._ladder.reasons) or "cooling down, catching up"

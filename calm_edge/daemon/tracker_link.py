@@ -65,7 +65,7 @@ class TrackerLink:
         self._counters = Counters()
         self._deaths_in_a_row = 0
         self._flushing = self._lagging = self._sparse = False
-        self._heard_s = time.monotonic()
+        self._answered_s = time.monotonic()
         # in the ring, by slot; and handled, but not yet released
         self._in_ring: dict[int, Frame] = {}
         self._held: dict[FrameKey, Frame] = {}
@@ -98,7 +98,7 @@ class TrackerLink:
         if slot is None:
             return False
         if not self._in_ring:
-            self._heard_s = time.monotonic()
+            self._answered_s = time.monotonic()
         self._in_ring[slot] = frame
         size = len(frame.image)
         self.child.send(FrameIn(frame.eye, frame.sequence, frame.t_ns, slot, size))
@@ -129,16 +129,16 @@ class TrackerLink:
 
     def pump(self) -> None:
         """Restart a dead process, kill a hung one."""
-        if self._in_ring and time.monotonic() - self._heard_s > HUNG_S:
+        if self._in_ring and time.monotonic() - self._answered_s > HUNG_S:
             self._say(f"tracker has not answered for {HUNG_S:.0f} s; ended")
-            self._heard_s = time.monotonic()
+            self._answered_s = time.monotonic()
             self.child.kill()
         if not self.given_up and not self.child.alive:
             self._replace()
 
     def accept(self, message: Any) -> tuple[tuple[SubmapWindow, ...], Frame | None]:
         """Handle a message of the current process; the windows and the keyframe in it."""
-        self._heard_s = time.monotonic()
+        self._answered_s = time.monotonic()
         match message:
             case Ready():
                 self.ready = True

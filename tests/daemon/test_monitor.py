@@ -122,7 +122,7 @@ def test_a_drive_from_its_start_to_its_end(scene: Scene) -> None:
     assert scene.look(replace(WELL, pose_ns=98 * S)) == "LOST (no pose for 2 s)"
     assert scene.look(replace(WELL, pose_lost=True)) == "LOST (no pose for 0 s)"
     assert scene.look(replace(WELL, windows_waiting=3)) == "LAGGING (3 windows wait)"
-    assert scene.look(WELL, ticks_late=True) == "LAGGING (ticks come late)"
+    assert scene.look(WELL, ticks_late=True) == "LAGGING (capture loop is late)"
     scene.monitor.stop(100 * S)
     assert scene.journal.lines[-2:] == ["stopping", "STOPPING"]
     # the outputs can act on the end at once: the next tick may be a whole window away
@@ -142,10 +142,10 @@ def test_what_is_missing_is_named(scene: Scene) -> None:
     assert "assistant camera y: disconnected, waiting for it" in scene.journal.lines[-1]
     scene.cameras[1].state = CameraState.FAILED
     scene.cameras[1].error = "assistant camera y: burnt"
-    scene.look(replace(WELL, faults=("rec: disk full", "estimator given up")))
+    scene.look(replace(WELL, faults=("rec: disk full", "estimator failed")))
     second = scene.kept.messages[-1]
     assert second["reasons"] == [
-        "assistant camera y: burnt", "rec: disk full", "estimator given up"
+        "assistant camera y: burnt", "rec: disk full", "estimator failed"
     ]  # fmt: skip
 
 

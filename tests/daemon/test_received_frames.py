@@ -88,7 +88,7 @@ def test_of_windows_left_out_only_what_another_one_needs_crosses(link: Estimator
     link.offer(window(0))
     for keyframe in window(1).primary[N_OVERLAP:]:
         link.expect(keyframe.frame)
-    link.leave(window(1))
+    link.leave_to_map(window(1))
     there.answer(link)
     link.offer(window(2))
     assert there.windows == [window(0), window(2)]
