@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 
 from calm_edge import __version__
-from calm_edge.commands.exit_codes import ERROR
+from calm_edge.commands.console import ERROR
 
 COMMANDS = {
     "record": "record two cameras (or replay a folder) and estimate poses live",

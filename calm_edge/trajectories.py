@@ -40,17 +40,9 @@ def folded(pieces: Iterable[Trajectory]) -> Trajectory | None:
     )
 
 
-def quaternions(R: Float) -> Float:
-    """Convert rotations (..., 3, 3) to unit quaternions (..., 4) in order x y z w, w >= 0."""
-    half = se3.so3_log(R) / 2
-    angle = np.linalg.norm(half, axis=-1, keepdims=True)
-    # sinc is finite at an angle of zero
-    return np.concatenate([half * np.sinc(angle / np.pi), np.cos(angle)], -1)
-
-
 def tum_text(t_ns: Int, T_w_c: Float) -> str:
     """Format t_ns (N,), T_w_c (N, 4, 4) as TUM rows, seconds exact to the nanosecond."""
-    q = quaternions(T_w_c[:, :3, :3])
+    q = se3.quaternions(T_w_c[:, :3, :3])
     lines = []
     for t, p, r in zip(t_ns, T_w_c[:, :3, 3], q, strict=True):
         seconds, rest = divmod(int(t), 1_000_000_000)
@@ -63,13 +55,6 @@ def tum_text(t_ns: Int, T_w_c: Float) -> str:
 def write_tum(path: Path, t_ns: Int, T_w_c: Float) -> None:
     """Write t_ns (N,), T_w_c (N, 4, 4) as a TUM file."""
     path.write_text(tum_text(t_ns, T_w_c))
-
-
-def rotations(q: Float) -> Float:
-    """Convert unit quaternions (..., 4) in order x y z w to rotations (..., 3, 3)."""
-    v, w = q[..., :3], q[..., 3:, None]
-    V = se3.hat(v)
-    return np.asarray(np.eye(3) + 2 * w * V + 2 * V @ V)
 
 
 def kitti_text(T_w_c: Float) -> str:
@@ -132,7 +117,7 @@ def read_tum(path: Path) -> tuple[Int, Float]:
     t_ns, table = np.array(stamps, np.int64), np.array(values)
     order = np.argsort(t_ns, kind="stable")
     q = table[:, 4:] / np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-    return t_ns[order], se3.compose(rotations(q), table[:, 1:4])[order]
+    return t_ns[order], se3.compose(se3.rotations(q), table[:, 1:4])[order]
 
 
 def read_kitti(path: Path) -> Float:

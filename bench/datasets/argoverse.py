@@ -18,7 +18,6 @@ import numpy as np
 from bench.datasets.drive import Dataset, DatasetError, Drive, first, folder
 from bench.datasets.point_file import read_points
 from calm_edge.geometry import se3
-from calm_edge.trajectories import rotations
 from calm_edge.types import Float, Int
 
 EYES = ("stereo_front_left", "stereo_front_right")
@@ -84,7 +83,7 @@ def _pose(path: Path, rotation: Any, translation: Any) -> Float:
         q, t = np.zeros(0), np.zeros(0)
     if q.shape != (4,) or t.shape != (3,) or np.linalg.norm(q) < 1e-6:
         raise DatasetError(f"{path}: not a quaternion of four and a translation of three numbers")
-    return se3.compose(rotations(np.roll(q / np.linalg.norm(q), -1)), t)
+    return se3.compose(se3.rotations(np.roll(q / np.linalg.norm(q), -1)), t)
 
 
 def _camera(path: Path, calibration: Any, name: str) -> tuple[Float, Float]:

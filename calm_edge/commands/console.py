@@ -1,8 +1,14 @@
-"""Messages of the commands to the user; results go to stdout, everything else to stderr."""
+"""Exit codes of the commands and their messages to the user.
+
+Results go to stdout, everything else to stderr.
+"""
 
 from __future__ import annotations
 
 import sys
+
+# 2 is argparse's own, for wrong usage
+OK, ERROR, LOSS = 0, 1, 3
 
 
 def say(text: str) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from calm_edge.commands.exit_codes import ERROR, OK
+from calm_edge.commands.console import ERROR, OK
 
 PLAIN = "only the backbone without one works (--set backbone.name=bundle)"
 # module -> what does not work without it

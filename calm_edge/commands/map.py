@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.exit_codes import LOSS, OK
+from calm_edge.commands.console import LOSS, OK
 
 if TYPE_CHECKING:
     from calm_edge.evaluation.estimate import Estimate

@@ -9,7 +9,7 @@ import re
 import sys
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.exit_codes import ERROR, OK
+from calm_edge.commands.console import ERROR, OK
 
 if TYPE_CHECKING:
     from calm_edge.backbones.model_check.check import Report

@@ -7,8 +7,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import say
-from calm_edge.commands.exit_codes import ERROR, LOSS, OK
+from calm_edge.commands.console import ERROR, LOSS, OK, say
 
 if TYPE_CHECKING:
     from calm_edge.config import Config

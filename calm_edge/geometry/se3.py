@@ -73,6 +73,21 @@ def so3_log(R: Float) -> Float:
     return np.asarray(q[..., 1:] * factor)
 
 
+def quaternions(R: Float) -> Float:
+    """Convert rotations (..., 3, 3) to unit quaternions (..., 4) in order x y z w, w >= 0."""
+    half = so3_log(R) / 2
+    angle = np.linalg.norm(half, axis=-1, keepdims=True)
+    # sinc is finite at an angle of zero
+    return np.concatenate([half * np.sinc(angle / np.pi), np.cos(angle)], -1)
+
+
+def rotations(q: Float) -> Float:
+    """Convert unit quaternions (..., 4) in order x y z w to rotations (..., 3, 3)."""
+    v, w = q[..., :3], q[..., 3:, None]
+    V = hat(v)
+    return np.asarray(np.eye(3) + 2 * w * V + 2 * V @ V)
+
+
 def compose(R: Float, t: Float) -> Float:
     """Poses (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3)."""
     R, t = np.asarray(R, np.float64), np.asarray(t, np.float64)

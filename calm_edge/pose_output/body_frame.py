@@ -44,15 +44,6 @@ def body_twist(T_b_c: Float, velocity_c: Float, turn_rate_c: Float) -> tuple[Flo
     return velocity, turn_rate
 
 
-def quaternion(R: Float) -> tuple[float, ...]:
-    """Convert a rotation (3, 3) to a unit quaternion (w, x, y, z) with w >= 0."""
-    rotation = se3.so3_log(R)
-    angle = float(np.linalg.norm(rotation))
-    # sinc is finite at an angle of zero
-    xyz = rotation * 0.5 * np.sinc(angle / 2 / np.pi)
-    return (float(np.cos(angle / 2)), *xyz.tolist())
-
-
 def local_covariance(T_b_c: Float, T_l_b: Float, covariance: Float) -> tuple[float, ...]:
     """Transform a pose covariance (6, 6) in camera axes to local axes; upper triangle by rows (21).
 

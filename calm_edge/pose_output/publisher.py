@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from calm_edge.config import ConfigError, PoseOutputConfig
+from calm_edge.geometry import se3
 from calm_edge.pose_output import body_frame
 from calm_edge.pose_output.jump import jumped
 from calm_edge.pose_output.line_budget import ANSWERS_HZ, check_rate
@@ -207,7 +208,7 @@ class PosePublisher:
         return Odometry(
             time_usec=newest.t_ns // 1000,
             position=tuple(T_l_b[:3, 3].tolist()),
-            quaternion=body_frame.quaternion(T_l_b[:3, :3]),
+            quaternion=tuple(np.roll(se3.quaternions(T_l_b[:3, :3]), 1).tolist()),
             velocity=tuple(twist[0].tolist()),
             turn_rate=tuple(twist[1].tolist()),
             pose_covariance=pose_covariance,

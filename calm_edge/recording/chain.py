@@ -9,10 +9,10 @@ from pathlib import Path
 
 from calm_edge.config import RecordingConfig
 from calm_edge.recording import schema
+from calm_edge.recording.health import Space
 from calm_edge.recording.room import Room
 from calm_edge.recording.schema import LogMessage
 from calm_edge.recording.segment import Segment, Write
-from calm_edge.recording.space import Space
 
 _log = logging.getLogger(__name__)
 
@@ -40,7 +40,7 @@ class SegmentChain:
         self._room = Room(folder, config, root)
         self._segment: Segment | None = None
         self._number = 0
-        self._closed_messages = self._closed_bytes = 0
+        self._closed_bytes = 0
         self._unwritten: list[LogMessage] = []
         self.error = ""
         self.sync_ms = 0.0
@@ -49,12 +49,6 @@ class SegmentChain:
     def is_open(self) -> bool:
         """True while a segment is being written."""
         return self._segment is not None
-
-    @property
-    def written(self) -> int:
-        """Number of messages written to files."""
-        segment = self._segment
-        return self._closed_messages + (segment.kept_messages if segment is not None else 0)
 
     @property
     def space(self) -> Space:
@@ -175,7 +169,6 @@ class SegmentChain:
         return enough
 
     def _close(self, segment: Segment) -> None:
-        self._closed_messages += segment.kept_messages
         self._closed_bytes += segment.size
         self._segment = None
 

@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from calm_edge.geometry.se3 import so3_log
+from calm_edge.geometry.se3 import quaternions
 from calm_edge.types import Float, PoseSample, Trajectory
 from device.frame import Eye
 
@@ -40,18 +40,10 @@ def camera_frame(eye: Eye) -> str:
     return eye.name.lower()
 
 
-def _quaternions(R: Float) -> Float:
-    """Convert rotations (N, 3, 3) to unit quaternions (N, 4) in the order x, y, z, w."""
-    w = so3_log(R)
-    half = np.linalg.norm(w, axis=-1, keepdims=True) / 2
-    # sin(half) / (2 half), finite at zero: numpy's sinc carries a pi
-    return np.concatenate([w * np.sinc(half / np.pi) / 2, np.cos(half)], -1)
-
-
 def poses(T: Float) -> list[Pose]:
     """Convert rigid transforms (N, 4, 4) to Foxglove poses."""
     made = []
-    for t, q in zip(T[:, :3, 3], _quaternions(T[:, :3, :3]), strict=True):
+    for t, q in zip(T[:, :3, 3], quaternions(T[:, :3, :3]), strict=True):
         pose = Pose()
         pose.position.x, pose.position.y, pose.position.z = t.tolist()
         o = pose.orientation

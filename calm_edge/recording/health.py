@@ -1,36 +1,50 @@
-"""State of the recording's writer, and the kernel's boot id."""
+"""State of the recording's writer and of its disk, and the kernel's boot id."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from calm_edge.recording.space import Space
-
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """A measurement of the disk.
+
+    free_bytes: available to an unprivileged user, None if unknown. floor_bytes: have to stay
+    free. bytes_per_s: current rate of recording. removes_old: old drives are removed at the floor.
+    """
+
+    free_bytes: int | None = None
+    floor_bytes: int = 0
+    bytes_per_s: float = 0.0
+    removes_old: bool = False
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds until the floor is reached at the current rate; None if unknown."""
+        if self.free_bytes is None or self.bytes_per_s <= 0:
+            return None
+        return max(0.0, (self.free_bytes - self.floor_bytes) / self.bytes_per_s)
 
 
 @dataclass(frozen=True, slots=True)
 class WriterHealth:
     """State of the writer. error: empty while recording works.
 
-    written: messages in files. dropped_*: items lost to a full queue. unwritable: items that
+    dropped_*: items lost to a full queue. unwritable: items that
     could not be encoded or stored. queue_fill: 0 ... 1. sync_ms: duration of the last sync to
     disk. space: the disk when last checked.
     """
 
     error: str
-    written: int
     dropped_images: int
     dropped_others: int
     unwritable: int
     queue_fill: float
     sync_ms: float
     space: Space = field(default_factory=Space)
-
-    @property
-    def ok(self) -> bool:
-        return not self.error
 
 
 def boot_id() -> str:

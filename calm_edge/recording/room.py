@@ -8,8 +8,8 @@ from pathlib import Path
 
 from calm_edge.config import ConfigError, RecordingConfig
 from calm_edge.recording.errors import RecordingError
+from calm_edge.recording.health import Space
 from calm_edge.recording.retention import remove_oldest
-from calm_edge.recording.space import Space
 
 # least floor: room for a segment's summary and for the system
 RESERVE_BYTES = 8 << 20

@@ -105,7 +105,6 @@ class RecordingWriter:
         chain = self._chain
         return WriterHealth(
             chain.error,
-            chain.written,
             images,
             others,
             self._unwritable,

@@ -10,12 +10,11 @@ import pytest
 from calm_edge.daemon.health import Health, time_left
 from calm_edge.daemon.state import Standing, State
 from calm_edge.daemon.tick_latency import TickLatency
-from calm_edge.recording.health import WriterHealth
-from calm_edge.recording.space import Space
+from calm_edge.recording.health import Space, WriterHealth
 from device.thermal import Thermal
 
 GIB = 1 << 30
-WRITER = WriterHealth("", 10, 0, 0, 0, 0.01, 2.0, Space(62 * GIB, 2 * GIB, 6e6))
+WRITER = WriterHealth("", 0, 0, 0, 0.01, 2.0, Space(62 * GIB, 2 * GIB, 6e6))
 HEALTH = Health(
     standing=Standing(State.RUNNING),
     shed="nothing left out",

@@ -38,7 +38,7 @@ WELL = HubStatus(
     drops={"images_not_recorded": 4},
     queues={"recording_fill": 0.1},
     stage_ms={"infer": 1.0},
-    writer=WriterHealth("", 0, 4, 0, 0, 0.1, 0.0),
+    writer=WriterHealth("", 4, 0, 0, 0.1, 0.0),
 )
 
 

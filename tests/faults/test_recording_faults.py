@@ -117,13 +117,13 @@ def test_a_full_or_failing_disk_is_reported_and_nothing_is_lost_within_the_queue
     for k in range(30):
         writer.write_frame(samples.frame(Eye.PRIMARY, k))
         writer.write_pose(samples.pose(k))
-    until(lambda: not writer.health.ok)
+    until(lambda: writer.health.error)
     assert os.strerror(code) in writer.health.error
     assert "\n" not in writer.health.error
     readable = list(Recording(tmp_path).frames(Eye.PRIMARY))
     assert readable == [samples.frame(Eye.PRIMARY, k) for k in range(len(readable))]
     disk.room = 10**9
-    until(lambda: writer.health.ok)
+    until(lambda: not writer.health.error)
     writer.write_frame(samples.frame(Eye.PRIMARY, 30))
     health = writer.close()
     assert (health.dropped_images, health.dropped_others, health.unwritable) == (0, 0, 0)
@@ -159,7 +159,7 @@ def test_the_first_error_is_reported_if_files_cannot_be_removed(
         errors.add(writer.health.error)
     assert all(os.strerror(errno.EIO) in text for text in errors if text)
     disk.room = 10**9
-    until(lambda: writer.health.ok)
+    until(lambda: not writer.health.error)
     writer.write_frame(samples.frame(Eye.PRIMARY, 1))
     writer.close()
     assert [f.sequence for f in Recording(tmp_path).frames(Eye.PRIMARY)] == [0, 1]
@@ -170,7 +170,7 @@ def test_closing_on_a_full_disk_returns_and_counts_the_loss(tmp_path: Path) -> N
     writer = RecordingWriter(tmp_path, samples.config(chunk_bytes=8192), write=disk)
     for k in range(40):
         writer.write_frame(samples.frame(Eye.PRIMARY, k))
-    until(lambda: not writer.health.ok)
+    until(lambda: writer.health.error)
     health = writer.close()
     kept = len(list(Recording(tmp_path).frames(Eye.PRIMARY)))
     # a clock message may be among the unwritten
@@ -205,7 +205,7 @@ def test_a_slow_sync_does_not_delay_writing(
         # what would be left after a kill
         until(lambda k=k: Recording(tmp_path).count("/primary/image") == k + 1)
     go.set()
-    assert writer.close().ok
+    assert not writer.close().error
     assert Recording(tmp_path).losses == []
 
 
@@ -219,8 +219,8 @@ def test_a_sync_that_fails_is_reported(tmp_path: Path, monkeypatch: pytest.Monke
             raise OSError(errno.EIO, "Input/output error")
 
         patch.setattr(os, "fdatasync", failing)
-        until(lambda: not writer.health.ok)
-    until(lambda: writer.health.ok)
+        until(lambda: writer.health.error)
+    until(lambda: not writer.health.error)
     writer.write_frame(samples.frame(Eye.PRIMARY, 1))
     writer.close()
     assert [f.sequence for f in Recording(tmp_path).frames(Eye.PRIMARY)] == [0, 1]
@@ -239,7 +239,7 @@ def test_an_error_in_the_writer_thread_is_reported_and_recording_goes_on(
         patch.setattr(schema, "clock_message", broken)
         until(lambda: "a bug" in writer.health.error)
         writer.write_pose(samples.pose(1))
-    until(lambda: writer.health.ok)
+    until(lambda: not writer.health.error)
     writer.close()
     assert [p.epoch for p in Recording(tmp_path).poses()] == [0, 1]
 
@@ -263,7 +263,7 @@ def test_a_full_file_system_closes_the_segment_complete(small_disk: Path) -> Non
     image = samples.jpeg(0, 320)
     stop = threading.Event()
     k = 0
-    while writer.health.ok and not stop.wait(0.002):
+    while not writer.health.error and not stop.wait(0.002):
         frame = samples.frame(Eye.PRIMARY, 0)
         writer.write_frame(type(frame)(Eye.PRIMARY, k, k, image))
         k += 1

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 from calm_edge.geometry import se3
 
@@ -49,6 +50,21 @@ def test_so3_log_up_to_and_including_half_a_turn(axis, angle):
     # at pi both signs of the axis give the same rotation
     np.testing.assert_allclose(se3.so3_exp(w), R, atol=1e-7)
     assert np.linalg.norm(w) == pytest.approx(angle, abs=1e-6)
+
+
+@given(vectors)
+def test_quaternions_equal_scipys_with_nonnegative_w_last(w):
+    R = se3.so3_exp(w)
+    expected, found = Rotation.from_matrix(R).as_quat(canonical=True), se3.quaternions(R)
+    assert found[3] >= 0
+    # at half a turn both signs are valid
+    assert abs(abs(found @ expected) - 1) < 1e-9
+    np.testing.assert_allclose(se3.rotations(found), R, atol=1e-12)
+
+
+def test_the_quaternions_of_no_rotation_and_of_half_a_turn():
+    found = se3.quaternions(np.stack([np.eye(3), np.diag([1.0, -1, -1])]))
+    np.testing.assert_allclose(found, [[0, 0, 0, 1], [1, 0, 0, 0]], atol=1e-15)
 
 
 @given(twists(), twists())

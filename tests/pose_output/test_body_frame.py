@@ -14,7 +14,6 @@ from calm_edge.pose_output.body_frame import (
     body_twist,
     local_covariance,
     mounting,
-    quaternion,
 )
 
 RIGHT, DOWN, FORWARD = np.eye(3)
@@ -108,21 +107,6 @@ def test_velocity_without_lever_arm_needs_no_turn_rate() -> None:
     velocity, turn_rate = body_twist(mounting((0, 0, 0)), FORWARD, unknown)
     assert np.allclose(velocity, [1, 0, 0]) and np.isnan(turn_rate).all()
     assert np.isnan(body_twist(mounting((0, 0, 0), (1, 0, 0)), FORWARD, unknown)[0]).any()
-
-
-@given(angles, angles, angles)
-def test_quaternion_equals_scipy_with_nonnegative_w_first(a: float, b: float, c: float) -> None:
-    R = so3_exp(np.array([a, b, c]))
-    expected = Rotation.from_matrix(R).as_quat(canonical=True)
-    got = np.array(quaternion(R))
-    assert got[0] >= 0
-    # at half a turn both signs are valid
-    assert abs(abs(got @ expected[[3, 0, 1, 2]]) - 1) < 1e-9
-
-
-def test_quaternion_of_no_rotation_and_of_half_a_turn() -> None:
-    assert quaternion(np.eye(3)) == (1.0, 0.0, 0.0, 0.0)
-    assert np.allclose(quaternion(np.diag([1.0, -1, -1])), [0, 1, 0, 0])
 
 
 def test_pose_covariance_is_rotated_to_local_axes() -> None:

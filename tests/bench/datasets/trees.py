@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from calm_edge.geometry import se3
-from calm_edge.trajectories import quaternions, write_kitti
+from calm_edge.trajectories import write_kitti
 from tests.evaluation.worlds import curve
 
 N = 12
@@ -90,7 +90,7 @@ def mount(name: str) -> np.ndarray:
 
 
 def wxyz(R: np.ndarray) -> list[float]:
-    return [float(v) for v in np.roll(quaternions(R[None])[0], 1)]
+    return [float(v) for v in np.roll(se3.quaternions(R[None])[0], 1)]
 
 
 def argoverse(root: Path, log: str = "0ef28d5c-ae34-370b-99e7-6709e1c4b929") -> Path:

@@ -11,8 +11,8 @@ from bench.rivals import orbslam3
 from bench.rivals.calibration import Calibration, true_calibration
 from bench.rivals.environment import RivalRun
 from bench.rivals.orbslam3_process import read_final
+from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
-from calm_edge.trajectories import quaternions
 from tests.bench.rivals.test_calibration import RIG, write
 
 
@@ -55,7 +55,7 @@ def test_its_job_pairs_the_pictures_and_keeps_our_stamps(
 
 
 def test_its_final_poses_are_read_back_to_their_stamps(tmp_path: Path) -> None:
-    q = quaternions(RIG[None, :3, :3])[0]
+    q = se3.quaternions(RIG[None, :3, :3])[0]
     values = " ".join(f"{v:.9f}" for v in (*RIG[:3, 3], *q))
     (tmp_path / "f.txt").write_text(f"1100000000.000119 {values}\n")
     found = read_final(tmp_path / "f.txt", [10**9, 1_100_000_000])
