@@ -1,8 +1,8 @@
-"""Camera models: points in camera axes (x right, y down, z forward) to pixels and back.
+"""Camera models: projection of points in camera axes (x right, y down, z forward) and its inverse.
 
 Pixels: the centre of the top-left one is (0, 0). `Perspective` is OpenCV's pinhole model with
-distortion (calib3d); `geometry/fisheye.py` has the angle model. OpenCV's own inverses fail towards
-90 degrees off the axis, these do not.
+distortion (calib3d); `geometry/fisheye.py` has the fisheye model. Unlike cv2.undistortPoints, the
+inverses also converge near 90 degrees off the axis.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Int = NDArray[np.int64]
 
-# inverses: Newton's method, started from a table over the angle off the axis
+# inverse of the distortion: Newton iterations, initialised from a table over the angle
 NEWTON_STEPS = 8
 TABLE_RAD = np.radians(np.linspace(0.0, 89.9, 1000))
 
 
 @dataclass(frozen=True, slots=True)
 class Camera(ABC):
-    """Focal lengths and centre [px], picture size [px] and distortion coefficients."""
+    """Focal lengths, principal point, image size [px] and distortion coefficients."""
 
     fx: float
     fy: float
@@ -43,45 +43,45 @@ class Camera(ABC):
     @property
     @abstractmethod
     def max_angle(self) -> float:
-        """Largest angle off the axis [rad] up to which the radius in the picture grows."""
+        """Validity limit: largest angle off the axis [rad] where the image radius increases."""
 
     @abstractmethod
     def project_jacobian(self, p_c: Float) -> Float:
-        """Derivative (..., 2, 3) of `project` by the camera points (..., 3)."""
+        """Derivative (..., 2, 3) of `project` by camera points (..., 3)."""
 
     @abstractmethod
     def rays(self, uv: Float) -> Float:
-        """Unit vectors (..., 3) towards pixels (..., 2); NaN as in `normalized`."""
+        """Unit bearing vectors (..., 3) of pixels (..., 2); NaN as in `normalized`."""
 
     @abstractmethod
     def normalized(self, uv: Float) -> Float:
-        """(x/z, y/z) of pixels (..., 2); NaN where no ray within max_angle meets the pixel."""
+        """Normalised coordinates x/z, y/z of pixels (..., 2); NaN if none are within max_angle."""
 
     @abstractmethod
     def _plane(self, p_c: Float) -> Float:
-        """Where points (..., 3) land in the picture, in focal lengths from the centre (..., 2)."""
+        """Distorted image coordinates (..., 2) of points (..., 3), in focal lengths."""
 
     @abstractmethod
     def _terms(self, p_c: Float) -> Float:
-        """Derivative (..., 2, n) of `_plane` by the distortion's coefficients."""
+        """Derivative (..., 2, n) of `_plane` by the distortion coefficients."""
 
     @property
     def is_pinhole(self) -> bool:
-        """`matrix` alone describes the camera."""
+        """Whether the camera is fully described by `matrix`."""
         return False
 
     @property
     def matrix(self) -> Float:
-        """K (3, 3) px of the pinhole part."""
+        """Intrinsic matrix K (3, 3) px, without the distortion."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
     @property
     def pinhole(self) -> Perspective:
-        """The pinhole part alone."""
+        """The camera without its distortion."""
         return Perspective(self.fx, self.fy, self.cx, self.cy, self.width, self.height)
 
     def project(self, p_c: Float) -> Float:
-        """Camera points (..., 3) -> pixels (..., 2); the caller masks what is beyond max_angle."""
+        """Project camera points (..., 3) to pixels (..., 2); invalid beyond max_angle."""
         q = self._plane(p_c)
         return np.stack([self.fx * q[..., 0] + self.cx, self.fy * q[..., 1] + self.cy], -1)
 
@@ -96,30 +96,30 @@ class Camera(ABC):
         return J
 
     def rays_jacobian(self, uv: Float) -> Float:
-        """Derivative (..., 3, 2) of `rays` by the pixels (..., 2).
+        """Derivative (..., 3, 2) of `rays` by pixels (..., 2).
 
-        A point moved along its ray keeps its pixel, so the pseudo-inverse of `project_jacobian`
-        stays on the unit sphere.
+        It is the pseudo-inverse of `project_jacobian`, whose null space is the ray itself, so that
+        the derivative is tangent to the unit sphere.
         """
         return np.asarray(np.linalg.pinv(self.project_jacobian(self.rays(uv))))
 
     def back_project(self, uv: Float, depth: Float) -> Float:
-        """Pixels (..., 2) and z-depths (...) -> camera points (..., 3) in the depth's unit."""
+        """Back-project pixels (..., 2) with z-depths (...) to camera points (..., 3)."""
         x, y = np.moveaxis(self.normalized(uv), -1, 0)
         return np.stack([x * depth, y * depth, np.broadcast_to(depth, x.shape)], -1)
 
     def undistorted(self, uv: Float) -> Float:
-        """Pixels (..., 2) where `matrix` alone would put what is seen at pixels (..., 2)."""
+        """Undistort pixels (..., 2): their positions for the pinhole camera `matrix`."""
         if self.is_pinhole:
             return uv
         return np.asarray(self.normalized(uv) * [self.fx, self.fy] + [self.cx, self.cy])
 
     def with_focal(self, focal: float) -> Self:
-        """The camera with another fx [px] and the same ratio of fy to it."""
+        """The camera with another focal length fx [px] and the same aspect ratio."""
         return replace(self, fx=focal, fy=focal * self.fy / self.fx)
 
     def scaled(self, sx: float, sy: float) -> Self:
-        """The camera of the picture resized by sx, sy as cv2.resize does."""
+        """The camera of the image resized by sx, sy, with the pixel convention of cv2.resize."""
         K = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1.0]]) @ self.matrix
         size = round(self.width * sx), round(self.height * sy)
         return type(self)(*_entries(K), *size, self.distortion)
@@ -131,13 +131,13 @@ class Perspective(Camera):
 
     @classmethod
     def from_hfov(cls, hfov_deg: float, width: int, height: int) -> Perspective:
-        """Pinhole camera of a horizontal field of view, its centre in the middle."""
+        """Pinhole camera of a horizontal field of view, principal point at the image centre."""
         f = float(width / 2 / np.tan(np.radians(hfov_deg) / 2))
         return cls(f, f, (width - 1) / 2, (height - 1) / 2, width, height)
 
     @classmethod
     def from_matrix(cls, K: Float, width: int, height: int) -> Perspective:
-        """Pinhole camera of K (3, 3) px; a skew is not kept."""
+        """Pinhole camera of K (3, 3) px; skew is ignored."""
         return cls(*_entries(K), width, height)
 
     @property
@@ -195,13 +195,13 @@ class Perspective(Camera):
         return np.asarray(np.moveaxis(J, (0, 1), (-1, -2)))
 
     def _distorted(self, q: Float) -> Float:
-        """Points (..., 2) of the plane z = 1 where the lens puts points (..., 2) of it."""
+        """Apply the distortion to normalised coordinates (..., 2)."""
         there = distorted(np.moveaxis(q, -1, 0), self.distortion)
         return np.asarray(np.moveaxis(there, 0, -1))
 
 
 def project_each(cameras: Sequence[Camera], view: Int, p_c: Float) -> Float:
-    """Points (M, 3) in the axes of views (M,) -> pixels (M, 2)."""
+    """Project points (M, 3), in the axes of views (M,), to pixels (M, 2) of these views."""
     uv = np.empty((len(p_c), 2))
     for n in np.unique(view):
         uv[view == n] = cameras[n].project(p_c[view == n])
@@ -209,7 +209,7 @@ def project_each(cameras: Sequence[Camera], view: Int, p_c: Float) -> Float:
 
 
 def back_project_each(cameras: Sequence[Camera], view: Int, uv: Float, depth: Float) -> Float:
-    """Pixels (M, 2) of views (M,) at z-depths (M,) -> points (M, 3) in the views' axes."""
+    """Back-project pixels (M, 2) of views (M,) with z-depths (M,) to points in the views' axes."""
     p_c = np.empty((len(uv), 3))
     for n in np.unique(view):
         p_c[view == n] = cameras[n].back_project(uv[view == n], depth[view == n])
@@ -231,7 +231,7 @@ def _nonzero(z: Float) -> Float:
 
 @lru_cache
 def _perspective_limit(distortion: tuple[float, ...]) -> float:
-    """Angle where the distorted radius stops growing, or its denominator is zero [rad]."""
+    """Smallest angle [rad] where the distorted radius has a maximum or a pole."""
     k1, k2, _, _, k3, k4, k5, k6 = _padded(distortion)
     radius, D = Polynomial([0, 1, 0, k1, 0, k2, 0, k3]), Polynomial([1, 0, k4, 0, k5, 0, k6])
     slope = radius.deriv() * D - radius * D.deriv()

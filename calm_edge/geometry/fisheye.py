@@ -1,4 +1,4 @@
-"""The angle model of wide lenses (cv2.fisheye; Kannala and Brandt, PAMI 2006)."""
+"""Fisheye camera model of cv2.fisheye (Kannala and Brandt, 2006)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ MAX_FISHEYE_DEG = 160.0
 
 @dataclass(frozen=True, slots=True)
 class Fisheye(Camera):
-    """Lens whose radius in the picture is f (a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9) at angle a.
+    """Camera with image radius f (a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9) at angle a off the axis.
 
-    Raises ValueError where the picture is more than MAX_FISHEYE_DEG wide or high.
+    Raises ValueError for a field of view of more than MAX_FISHEYE_DEG.
     """
 
     def __post_init__(self) -> None:
@@ -27,7 +27,8 @@ class Fisheye(Camera):
         across = np.degrees(max(angle[:2].sum(), angle[2:].sum()))
         if across > MAX_FISHEYE_DEG:
             raise ValueError(
-                f"a fisheye lens of {across:.0f} degrees across: at most {MAX_FISHEYE_DEG:.0f} work"
+                f"fisheye lens with a field of view of {across:.0f} degrees: "
+                f"at most {MAX_FISHEYE_DEG:.0f} are supported"
             )
 
     @property
@@ -72,13 +73,13 @@ class Fisheye(Camera):
         return np.asarray(p_c[..., :2, None] * powers[..., None, :])
 
     def _radius(self, angle: Float) -> tuple[Float, Float]:
-        """Radius in the picture [focal lengths] at angles [rad], and its derivative."""
+        """Image radius [focal lengths] at angles [rad], and its derivative."""
         radius = _odd(self.distortion)
         return radius(angle), radius.deriv()(angle)
 
 
 def _off_axis(p_c: Float) -> tuple[Float, Float]:
-    """Distance from the axis, never zero, and angle off it [rad] of points (..., 3)."""
+    """Distance from the optical axis, bounded away from zero, and angle off it [rad]."""
     z = p_c[..., 2]
     rho = np.hypot(p_c[..., 0], p_c[..., 1])
     rho = np.maximum(rho, 1e-9 * np.maximum(np.abs(z), 1e-9))
@@ -86,7 +87,7 @@ def _off_axis(p_c: Float) -> tuple[Float, Float]:
 
 
 def _odd(distortion: tuple[float, ...]) -> Polynomial:
-    """The fisheye's radius as a polynomial of the angle."""
+    """Image radius as a polynomial of the angle."""
     odd = np.zeros(2 * len(distortion) + 2)
     odd[1::2] = (1.0, *distortion)
     return Polynomial(odd)

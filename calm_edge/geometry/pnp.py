@@ -1,4 +1,4 @@
-"""A camera pose from points of known position and where they are seen."""
+"""Camera pose from 3-D points and their pixels (PnP), with covariance."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ Float32 = NDArray[np.float32]
 
 HUBER_PX = 1.0
 ITERATIONS = 10
-# The residual's scale is never believed to be below a good corner's own noise.
+# Lower bound of the residuals' sigma: the noise of a good corner.
 NOISE_FLOOR_PX = 0.2
 NEAREST_DEPTH = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class PoseFit:
-    """T_w_c (4, 4). covariance (6, 6) of (translation, rotation), camera axes. inlier (M,)."""
+    """Estimated pose T_w_c (4, 4). covariance: (6, 6) of (translation, rotation), camera axes.
+
+    inlier: (M,) mask.
+    """
 
     T_w_c: Float
     covariance: Float
@@ -35,7 +38,7 @@ class PoseFit:
 
 
 def reprojection(camera: Camera, p_w: Float, T_w_c: Float) -> tuple[Float, Float]:
-    """Pixels (M, 2) of world points (M, 3), inf where behind the camera; and camera points."""
+    """Pixels (M, 2) of world points (M, 3), inf behind the camera; and camera points (M, 3)."""
     p_c = se3.transform(se3.inverse(T_w_c), p_w)
     uv = camera.project(p_c)
     uv[p_c[:, 2] < NEAREST_DEPTH] = np.inf
@@ -45,10 +48,10 @@ def reprojection(camera: Camera, p_w: Float, T_w_c: Float) -> tuple[Float, Float
 def refine(
     camera: Camera, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float
 ) -> PoseFit | None:
-    """Gauss-Newton with Huber weights from T_w_c; None when the points do not fix a pose.
+    """Refine a pose by Gauss-Newton with Huber weights; None if the points do not determine it.
 
-    p_w (M, 3), uv (M, 2) px. Points beyond threshold_px are no inliers. The
-    covariance is the inverse Hessian times the squared scale of the inliers' residual.
+    p_w: (M, 3). uv: (M, 2) px. T_w_c: initial pose. Inliers have residuals below threshold_px.
+    The covariance is the inverse Hessian times the mean squared residual of the inliers.
     """
     if len(p_w) < 6:
         return None
@@ -73,7 +76,7 @@ def refine(
         T_w_c = T_w_c @ se3.exp(step)
         if np.linalg.norm(step) < 1e-9:
             break
-    # poses are predicted from poses for a whole drive: rounding must not add up
+    # orthonormalise, since poses are predicted from earlier ones and rounding would accumulate
     T_w_c = se3.compose(se3.so3_exp(se3.so3_log(T_w_c[:3, :3])), T_w_c[:3, 3])
     seen, p_c = reprojection(camera, p_w, T_w_c)
     size = np.linalg.norm(uv - seen, axis=1)
@@ -89,7 +92,7 @@ def refine(
 
 
 def _jacobian(camera: Camera, p_c: Float) -> Float:
-    """d uv / d xi of T_w_c exp(xi), (M, 2, 6): p_c moves by -rho + [p_c]x w."""
+    """Derivative (M, 2, 6) of pixels by xi = (rho, w) of T_w_c exp(xi): dp_c = -rho + [p_c]x w."""
     d_uv = camera.project_jacobian(p_c)
     return np.asarray(np.concatenate([-d_uv, d_uv @ se3.hat(p_c)], -1))
 
@@ -97,7 +100,10 @@ def _jacobian(camera: Camera, p_c: Float) -> Float:
 def locate(
     camera: Camera, p_w: Float, uv: Float32, T_w_c: Float, threshold_px: float
 ) -> PoseFit | None:
-    """The pose near a predicted T_w_c; RANSAC (seeded) when the prediction does not explain uv."""
+    """Estimate the pose from a predicted T_w_c, or by RANSAC if that has under 60 % inliers.
+
+    See cv2.solvePnPRansac, whose random seed is fixed. None if neither succeeds.
+    """
     fit = refine(camera, p_w, uv, T_w_c, threshold_px)
     if fit is not None and fit.n_inliers >= 0.6 * len(p_w):
         return fit

@@ -66,7 +66,7 @@ def match(a: Features, b: Features) -> Int:
     likeness = a.vector @ b.vector.T
     to_b, to_a = likeness.argmax(1), likeness.argmax(0)
     rows = np.arange(len(a.uv))
-    # unit vectors: the squared distance is 2 - 2 likeness
+    # squared distance of unit vectors: 2 - 2 likeness
     best, second = np.partition(likeness, -2, axis=1)[:, [-1, -2]].T
     clear = (1 - best) < RATIO**2 * (1 - second)
     keep = clear & (to_a[to_b] == rows)

@@ -1,4 +1,4 @@
-"""The map from a lens's picture to a pinhole camera's."""
+"""Undistortion maps from a camera with distortion to a pinhole camera."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from calm_edge.geometry.camera import Camera, Float32, Perspective
 
 @dataclass(frozen=True, slots=True)
 class Undistortion:
-    """Maps (H, W) float32 px for cv2.remap into `camera`'s picture, -1 where the lens has none.
+    """Maps for cv2.remap to a pinhole camera. map_x, map_y: (H, W) px, -1 for invalid pixels.
 
-    cut: share of the lens's pixels that lie outside `camera`'s picture.
+    cut: share of the original image that is outside the pinhole camera's image.
     """
 
     camera: Perspective
@@ -23,9 +23,9 @@ class Undistortion:
 
 
 def undistortion(lens: Camera, max_fov_deg: float = 100.0) -> Undistortion:
-    """The map to a pinhole camera as wide as the lens, max_fov_deg across at most.
+    """Compute the maps to a pinhole camera with the lens's field of view, at most max_fov_deg.
 
-    It has the lens's picture size, centre and ratio of focals.
+    Image size, principal point and aspect ratio are those of the lens.
     """
     size = lens.width, lens.height
     sides = np.array([-0.5, lens.width - 0.5])

@@ -19,7 +19,7 @@ MIN_DISTANCE2 = 1e-6
 SLAB = 100_000
 # rows by which the file grows
 BLOCK = 1 << 16
-# columns of a row
+# columns of a row of the file
 WEIGHTED, WEIGHT, COUNT = slice(0, 3), 3, 4
 
 

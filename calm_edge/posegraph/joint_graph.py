@@ -48,7 +48,7 @@ class JointGraph:
 
     @property
     def keyframe_ids(self) -> Int:
-        """(N,) in the order they were added."""
+        """Ids (N,) of the keyframes in the order of insertion."""
         return np.fromiter(self._row, np.int64, len(self._row))
 
     @property
@@ -57,11 +57,11 @@ class JointGraph:
         return self._T_p_a
 
     def poses(self) -> Float:
-        """T_w_p (N, 4, 4) in the order of keyframe_ids, world units."""
+        """Poses T_w_p (N, 4, 4) in the order of keyframe_ids, world units."""
         return np.array(self._T_w_p).reshape(-1, 4, 4)
 
     def pose(self, keyframe_id: int) -> Float:
-        """T_w_p (4, 4) of one keyframe."""
+        """Pose T_w_p (4, 4) of a keyframe. Raises KeyError for an unknown id."""
         return self._T_w_p[self._row[keyframe_id]]
 
     def state(self) -> State:

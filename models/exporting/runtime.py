@@ -22,7 +22,7 @@ def session(path: Path, threads: int = 1) -> onnxruntime.InferenceSession:
 def run(
     graph: onnxruntime.InferenceSession, image: NDArray[np.float32]
 ) -> dict[str, NDArray[np.float32]]:
-    """Outputs of a graph by name."""
+    """Run a graph on an input tensor; returns its outputs by name."""
     names = [output.name for output in graph.get_outputs()]
     return dict(zip(names, graph.run(names, {INPUT: image}), strict=True))
 

@@ -1,4 +1,4 @@
-"""Both camera models against OpenCV, numeric derivatives, round trips and their limits."""
+"""Both camera models: comparison with OpenCV, numeric derivatives, round trips, validity limits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ every_camera = pytest.mark.parametrize("camera", CAMERAS)
 
 
 def points(camera: Camera, n: int = 400, below_deg: float = 85.0) -> np.ndarray:
-    """Points (n, 3) all round the axis, inside the model and below an angle off the axis."""
+    """Random points (n, 3) around the axis, below an angle off it and within the model's limit."""
     rng = np.random.default_rng(0)
     angle = rng.uniform(0, min(0.97 * camera.max_angle, np.radians(below_deg)), n)
     around = rng.uniform(0, 2 * np.pi, n)
@@ -73,7 +73,7 @@ def test_inverse_is_that_of_opencv(camera):
 
 
 @every_camera
-def test_rays_undo_projection_up_to_the_limit(camera):
+def test_rays_invert_projection_up_to_the_limit(camera):
     p_c = points(camera)
     ray = camera.rays(camera.project(p_c))
     np.testing.assert_allclose(ray, p_c / np.linalg.norm(p_c, axis=1)[:, None], atol=1e-8)
@@ -159,10 +159,10 @@ def test_pixels_beyond_the_limit_have_no_ray():
     assert np.isnan(narrow.rays(uv)).all(1).tolist() == [False, True]
 
 
-def test_lenses_wider_than_the_model_are_refused():
+def test_a_lens_wider_than_the_model_is_an_error():
     f = 320 / np.radians(79.9)
     assert Fisheye(f, f, 319.5, 199.5, *SIZE).max_angle == np.pi / 2
-    with pytest.raises(ValueError, match="161 degrees across: at most 160"):
+    with pytest.raises(ValueError, match="161 degrees: at most 160"):
         Fisheye(320 / np.radians(80.5), f, 319.5, 199.5, *SIZE)
     with pytest.raises(ValueError, match="180 degrees"):
         Fisheye(150.0, 150.0, 319.5, 199.5, *SIZE)
@@ -222,7 +222,7 @@ def test_scaled_moves_pixel_edges_not_centres(camera):
     np.testing.assert_allclose(small.project(p_c), expected, rtol=1e-12, atol=1e-9)
 
 
-def test_scaled_is_what_opencv_does_to_a_picture():
+def test_scaled_matches_an_image_resized_by_opencv():
     # a linear ramp keeps its value at every place under area averaging
     ramp = np.tile(np.arange(64, dtype=np.float32), (32, 1))
     small = cv2.resize(ramp, (16, 8), interpolation=cv2.INTER_AREA)

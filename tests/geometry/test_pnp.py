@@ -1,4 +1,4 @@
-"""A pose from points: exact, robust, sure of itself as far as it may be, and always a rotation."""
+"""Pose from points: exact, robust, with a correct covariance, and always a rotation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ THRESHOLD_PX = 3.0
 def scene(
     camera: Camera = CAMERA, n: int = 120, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """World points (n, 3) before a camera, its pose (4, 4) and their exact pixels (n, 2)."""
+    """World points (n, 3) in front of a camera, its pose (4, 4) and their exact pixels (n, 2)."""
     rng = np.random.default_rng(seed)
     T_w_c = se3.exp(np.array([3.0, -1.0, 2.0, 0.1, 0.4, -0.05]))
     uv = rng.uniform([0, 0], [639, 239], (n, 2))
@@ -37,7 +37,7 @@ def test_exact_pixels_give_the_exact_pose(camera: Camera) -> None:
 
 
 @pytest.mark.parametrize("camera", [CAMERA, BARREL, FISHEYE])
-def test_a_third_of_wrong_matches_and_a_bad_prediction_are_survived(camera: Camera) -> None:
+def test_the_pose_is_robust_to_outliers_and_a_bad_prediction(camera: Camera) -> None:
     p_w, T_w_c, uv = scene(camera)
     rng = np.random.default_rng(1)
     wrong = rng.permutation(len(uv))[:40]
@@ -49,7 +49,7 @@ def test_a_third_of_wrong_matches_and_a_bad_prediction_are_survived(camera: Came
     assert fit.inlier.sum() >= 80 and fit.inlier[wrong].sum() < 4
 
 
-def test_the_covariance_says_how_far_off_noisy_pixels_put_it() -> None:
+def test_the_covariance_matches_the_errors_from_noisy_pixels() -> None:
     p_w, T_w_c, uv = scene()
     rng = np.random.default_rng(2)
     distances = []
@@ -59,16 +59,16 @@ def test_the_covariance_says_how_far_off_noisy_pixels_put_it() -> None:
         assert fit is not None
         miss = se3.log(se3.inverse(fit.T_w_c) @ T_w_c)
         distances.append(miss @ np.linalg.solve(fit.covariance, miss))
-    # chi-square of six degrees
+    # chi-square with six degrees of freedom
     assert 4.5 < np.mean(distances) < 8.0
 
 
-def test_a_pose_predicted_from_poses_for_hours_is_still_a_rotation() -> None:
+def test_poses_predicted_from_poses_stay_rotations() -> None:
     p_w, T_w_c, uv = scene()
     seen = uv.astype(np.float32)
     T_map_odom, T_o_c = np.eye(4), T_w_c
     for _ in range(60):
-        # what the tracker does with every sub-map and frame: products grow what is not a rotation
+        # as the tracker does for each frame: products increase the deviation from a rotation
         T_map_odom = T_w_c @ se3.inverse(T_o_c)
         for _ in range(3):
             fit = refine(CAMERA, p_w, seen, T_map_odom @ T_o_c, THRESHOLD_PX)

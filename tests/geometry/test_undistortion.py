@@ -1,4 +1,4 @@
-"""The map to a pinhole camera: exact without distortion, and it states what it cuts."""
+"""Undistortion maps: identity without distortion, and the share that is cut."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from calm_edge.geometry.undistortion import undistortion
 SIZE = (320, 200)
 
 
-def test_a_pinhole_camera_keeps_its_picture():
+def test_a_pinhole_camera_keeps_its_image():
     camera = Perspective(200.0, 190.0, 150.0, 104.0, *SIZE, (0.0, 0.0))
     out = undistortion(camera)
     np.testing.assert_allclose(out.camera.matrix, camera.matrix, rtol=1e-12)
@@ -30,9 +30,9 @@ def test_a_pinhole_camera_keeps_its_picture():
         (Fisheye(120.0, 120.0, 159.5, 99.5, *SIZE, (0.02, -0.003, 0.0, 0.0)), 100.0),
     ],
 )
-def test_what_the_map_brings_is_where_the_pinhole_camera_projects(lens, hfov_deg):
+def test_the_undistorted_image_is_that_of_the_pinhole_camera(lens, hfov_deg):
     out = undistortion(lens)
-    # every pixel's own direction as a picture of the lens: smooth, so remap interpolates it well
+    # image with the direction of each pixel as value: smooth, so that remap interpolates it well
     x, y = np.meshgrid(np.arange(320.0), np.arange(200.0))
     directions = lens.normalized(np.stack([x, y], -1)).astype(np.float32)
     brought = cv2.remap(directions, out.map_x, out.map_y, cv2.INTER_CUBIC)
@@ -58,7 +58,7 @@ def test_the_cut_is_the_share_of_pixels_outside():
     assert 0 < wide.cut < out.cut < 1
 
 
-def test_pixels_the_lens_cannot_see_are_marked():
+def test_pixels_outside_the_field_of_view_are_marked():
     lens = Perspective(150.0, 150.0, 159.5, 99.5, *SIZE, (-0.25,))
     out = undistortion(lens, 98.0)
     rays = out.camera.rays(np.stack(np.meshgrid(np.arange(320.0), np.arange(200.0)), -1))
