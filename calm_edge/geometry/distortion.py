@@ -1,8 +1,7 @@
-"""OpenCV's distortion of perspective lenses on arrays, the two components of a point first.
+"""OpenCV's distortion model of perspective lenses (calib3d, Detailed Description), vectorised.
 
-q: points (2, ...) of the plane z = 1. k: the leading terms of (k1, k2, p1, p2, k3, k4, k5, k6),
-each a number or (...), one a point (OpenCV, calib3d, Detailed Description). f: focal length, 1 for
-the plane itself.
+q: normalised coordinates (2, ...). k: the leading coefficients of (k1, k2, p1, p2, k3, k4, k5, k6),
+each a number, or (...) with one per point. f: focal length by which the result is multiplied.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ Scale = Float | float
 
 
 def distorted(q: Float, k: Sequence[Scale], f: Scale = 1.0) -> Float:
-    """Points (2, ...), f times where the lens puts q."""
+    """Distorted coordinates (2, ...) of q, times f."""
     x, y = q
     s = x * x + y * y
     out = f * radial(s, k)[0] * q
@@ -46,7 +45,7 @@ def distorted_jacobian(q: Float, k: Sequence[Scale], f: Scale = 1.0) -> Float:
 
 
 def term_jacobian(q: Float, k: Sequence[Scale], f: Scale = 1.0) -> Float:
-    """Derivative (len(k), 2, ...) of `distorted` by the terms of k."""
+    """Derivative (len(k), 2, ...) of `distorted` by the coefficients k."""
     x, y = q
     s = x * x + y * y
     J = np.empty((len(k), *q.shape))
@@ -62,7 +61,7 @@ def term_jacobian(q: Float, k: Sequence[Scale], f: Scale = 1.0) -> Float:
 
 
 def radial(s: Float, k: Sequence[Scale]) -> tuple[Scale, Scale]:
-    """The radial factor at squared radii s, and its derivative by s."""
+    """Radial distortion factor at squared radii s, and its derivative by s."""
     if not len(k):
         return 1.0, 0.0
     k123 = [*k[:2], *k[4:5]]

@@ -48,14 +48,17 @@ def homogeneous(uv: Float) -> Float:
 
 
 def from_motion(a: Camera, b: Camera, T_b_a: Float) -> Float:
-    """F (..., 3, 3) of two views' pinhole parts and relative pose (..., 4, 4)."""
+    """F (..., 3, 3) of two cameras, ignoring distortion, and a relative pose (..., 4, 4)."""
     E = se3.hat(T_b_a[..., :3, 3]) @ T_b_a[..., :3, :3]
     F = np.linalg.inv(b.matrix).T @ E @ np.linalg.inv(a.matrix)
     return np.asarray(F / np.linalg.norm(F, axis=(-2, -1), keepdims=True))
 
 
 def triangulated(a: Camera, b: Camera, T_b_a: Float, uv_a: Float, uv_b: Float) -> Float:
-    """Points (M, 3), axes of a, of matches (M, 2) px of two views' pinhole parts (linear)."""
+    """Triangulate matches (M, 2) px of two cameras: points (M, 3) in axes of a.
+
+    Linear, ignoring distortion; see cv2.triangulatePoints.
+    """
     P_a, P_b = a.matrix @ np.eye(3, 4), b.matrix @ T_b_a[:3]
     X = np.asarray(cv2.triangulatePoints(P_a, P_b, uv_a.T, uv_b.T), np.float64).T
     return np.asarray(X[:, :3] / np.where(np.abs(X[:, 3:]) < 1e-9, 1e-9, X[:, 3:]))
