@@ -21,17 +21,17 @@ class Scene:
             for eye in Eye
         ]
         self.described: list[Mapping[str, str]] = []
-        self.said: list[str] = []
-        self.notes = CameraNotes(self.cameras, self.described.append, self.said.append)
+        self.remarks: list[str] = []
+        self.notes = CameraNotes(self.cameras, self.described.append, self.remarks.append)
 
 
-def test_settings_are_passed_on_at_once_and_when_they_change() -> None:
+def test_settings_are_passed_on_at_start_and_on_change() -> None:
     scene = Scene()
     scene.notes.look(5)
     scene.notes.look(6)
     assert scene.described == [{"primary": AUTO, "assistant": AUTO, "since_ns": "5"}]
     scene.cameras[0].settings = {"gain": 7}
-    # a camera that is gone has no settings
+    # a disconnected camera has no settings
     scene.cameras[1].settings = {}
     scene.notes.look(7)
     assert scene.described[1:] == [{"primary": '{"gain": 7}', "assistant": AUTO, "since_ns": "7"}]
@@ -42,4 +42,4 @@ def test_a_remark_is_passed_on_once() -> None:
     scene.cameras[1].remarks = ("assistant camera y: has no gain control; not set",)
     scene.notes.look(5)
     scene.notes.look(6)
-    assert scene.said == ["assistant camera y: has no gain control; not set"]
+    assert scene.remarks == ["assistant camera y: has no gain control; not set"]

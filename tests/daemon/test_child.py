@@ -1,4 +1,4 @@
-"""A child's main loop."""
+"""Main loop of a child process."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from calm_edge.daemon.child import serve
 from calm_edge.daemon.messages import Stop
 
 
-def test_arrived_messages_are_noted_before_the_first_of_them_is_handled() -> None:
+def test_all_arrived_messages_are_noted_before_the_first_is_handled() -> None:
     ours, theirs = Pipe()
     for message in (1, 2, 3, Stop()):
         ours.send(message)
@@ -24,7 +24,7 @@ def test_arrived_messages_are_noted_before_the_first_of_them_is_handled() -> Non
     assert [ours.recv() for _ in range(3)] == [10, 20, 30]
 
 
-def test_it_ends_with_the_parent() -> None:
+def test_serve_ends_with_the_parent() -> None:
     ours, theirs = Pipe()
     ours.close()
     serve(theirs, Stop, lambda message: message)

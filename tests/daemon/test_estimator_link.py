@@ -1,4 +1,4 @@
-"""Which windows and which pictures the estimator is sent."""
+"""Which windows and images are sent to the estimator."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ S = 1_000_000_000
 
 
 class IdleChild:
-    """A process that takes everything and answers nothing."""
+    """A process that accepts every message and never answers."""
 
     def __init__(self, *_: object) -> None:
         self.alive, self.exit_code = True, None
@@ -37,16 +37,16 @@ def window(number: int, ends_s: float) -> SubmapWindow:
 
 
 class Bench:
-    """The link on a clock of its own; a window each 2 s, its newest keyframe just exposed."""
+    """The link on a fake clock; windows every 2 s, each ending with the current time."""
 
     def __init__(self, patch: pytest.MonkeyPatch, *, lockstep: bool = False) -> None:
-        self.now_s, self.said = 100.0, list[str]()
+        self.now_s, self.lines = 100.0, list[str]()
         patch.setattr(estimator_link, "Child", IdleChild)
         patch.setattr(estimator_link.time, "monotonic", lambda: self.now_s)
         self.link = EstimatorLink(
             Config(),
             queue.Queue(),
-            self.said.append,
+            self.lines.append,
             lockstep=lockstep,
             now_ns=lambda: int(self.now_s * S),
         )
@@ -72,7 +72,7 @@ class Bench:
         return [message for message in sent if isinstance(message, Process)]
 
     def answer(self) -> int:
-        """The window in hand is solved; the one that is handed over then."""
+        """Report the current window as solved and return the id of the one sent next."""
         self.link.accept(Processed(self.handed[-1].window.submap_id, None))
         return self.handed[-1].window.submap_id
 
@@ -85,21 +85,21 @@ def make_bench(monkeypatch: pytest.MonkeyPatch) -> MakeBench:
     return lambda **options: Bench(monkeypatch, **options)
 
 
-def test_the_newest_window_goes_first_when_the_next_would_be_too_late(
+def test_the_newest_window_is_solved_first_if_the_next_would_be_late(
     make_bench: MakeBench,
 ) -> None:
     bench = make_bench()
-    # the first takes as long as six others need to come
+    # solving the first takes as long as six others need to arrive
     bench.windows(7)
     assert bench.answer() == 6
     assert bench.link.left_to_map == [1, 2, 3, 4, 5] and bench.waiting == []
     assert bench.link.overtaken == 5
     bench.windows(7)
     assert bench.answer() == 13 and bench.link.overtaken == 11
-    assert bench.said == ["windows come too late to give a pose: late ones are left to map"]
+    assert bench.lines == ["windows come too late to give a pose: late ones are left to map"]
 
 
-def test_without_a_pose_it_goes_first_at_once(make_bench: MakeBench) -> None:
+def test_while_lost_the_newest_window_is_solved_first(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.link.pose_lost = True
     bench.windows(3, every_s=0.1)
@@ -121,9 +121,9 @@ def test_the_stamps_of_left_out_windows_are_sent(
     assert bench.handed[-1].left_out == ()
 
 
-def test_windows_that_are_still_in_time_are_kept(make_bench: MakeBench) -> None:
+def test_windows_still_in_time_are_solved_in_order(make_bench: MakeBench) -> None:
     bench = make_bench()
-    # took 3 s; the oldest that waits has waited 2 s
+    # solving took 3 s; the oldest waiting window has waited for 2 s
     bench.windows(2, every_s=1.0)
     bench.windows(1, every_s=1.0)
     assert IN_TIME_S >= 2.0 + 3.0
@@ -132,18 +132,18 @@ def test_windows_that_are_still_in_time_are_kept(make_bench: MakeBench) -> None:
     assert bench.link.left_to_map == []
 
 
-def test_how_long_the_last_one_took_counts(make_bench: MakeBench) -> None:
+def test_the_duration_of_the_last_window_decides(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.windows(1, every_s=0.6 * IN_TIME_S)
     bench.windows(2, every_s=0.1)
-    # so long again and window 1 would be in time; a little longer, and it would not
+    # with the same duration window 1 is in time; with a slightly longer one it is not
     assert bench.answer() == 1
     bench.windows(1, every_s=0.6 * IN_TIME_S)
     assert bench.answer() == 3
     assert bench.link.left_to_map == [2]
 
 
-def test_a_single_window_is_never_left_out(make_bench: MakeBench) -> None:
+def test_a_single_waiting_window_is_not_left_out(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.link.pose_lost = True
     bench.windows(1, every_s=0.1)
@@ -170,7 +170,7 @@ def test_keyframes_are_sent_ahead_unless_windows_wait(make_bench: MakeBench) -> 
     assert sent == [Expect, Process, Expect]
 
 
-def test_keyframes_are_not_sent_ahead_where_they_are_of_no_use(
+def test_keyframes_are_not_sent_ahead_without_a_network(
     make_bench: MakeBench,
 ) -> None:
     bench = make_bench()
@@ -179,7 +179,7 @@ def test_keyframes_are_not_sent_ahead_where_they_are_of_no_use(
     assert not bench.link.child.sent  # type: ignore[attr-defined]
 
 
-def test_when_frames_have_ended_every_window_is_solved(make_bench: MakeBench) -> None:
+def test_after_the_last_frame_every_window_is_solved(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.windows(9)
     bench.link.capturing, bench.link.pose_lost = False, True
@@ -187,7 +187,7 @@ def test_when_frames_have_ended_every_window_is_solved(make_bench: MakeBench) ->
     assert bench.link.left_to_map == []
 
 
-def test_the_stamps_of_windows_beyond_the_queue_are_sent(make_bench: MakeBench) -> None:
+def test_the_stamps_of_windows_that_exceed_the_queue_are_sent(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.windows(INBOX_WINDOWS + 3)
     assert bench.link.left_to_map == [INBOX_WINDOWS + 1, INBOX_WINDOWS + 2]

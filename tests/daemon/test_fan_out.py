@@ -1,4 +1,4 @@
-"""A slow or failing output loses its own messages, all of them counted, and delays nobody."""
+"""A slow or failing output loses only its own messages, which are counted, and delays no other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from calm_edge.daemon.result import RecordResult
 
 
 class Kept(Output):
-    """Takes every line."""
+    """Output that keeps every line."""
 
     name, immediate = "kept", True
 
@@ -31,20 +31,20 @@ class Kept(Output):
 
     def close(self, result: RecordResult) -> None:
         self.closed = result
-        # those of the others are counted before
+        # the losses of the other outputs have been counted by now
         self.losses_when_closed = dict(result.output_losses)
 
 
 class Queued(Kept):
-    """The same on a thread of its own."""
+    """The same output with a queue and a thread of its own."""
 
     name, immediate = "queued", False
 
 
-class Standing(Queued):
-    """Stands still over its first line until it is let go."""
+class Blocking(Queued):
+    """Blocks in its first line until `go` is set."""
 
-    name, queue_bytes = "standing", 4 * fan_out.MESSAGE_BYTES
+    name, queue_bytes = "blocking", 4 * fan_out.MESSAGE_BYTES
 
     def __init__(self) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class Standing(Queued):
 
 
 class Raising(Kept):
-    """Raises over every other line."""
+    """Raises on every other line."""
 
     name = "raising"
 
@@ -78,7 +78,7 @@ def say(outputs: FanOut, count: int, start: int = 0) -> list[str]:
     return texts
 
 
-def test_every_output_gets_every_message_in_order() -> None:
+def test_every_output_receives_every_message_in_order() -> None:
     first, second = Kept(), Queued()
     outputs = FanOut([first, second])
     texts, result = say(outputs, 50), RecordResult()
@@ -89,45 +89,45 @@ def test_every_output_gets_every_message_in_order() -> None:
     assert not list(outputs.faults())
 
 
-def test_a_standing_output_delays_nobody_and_loses_the_oldest(
+def test_a_blocking_output_delays_no_other_and_loses_the_oldest_messages(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(fan_out, "CLOSE_S", 10.0)
-    other, standing = Kept(), Standing()
-    outputs = FanOut([other, standing])
+    other, blocking = Kept(), Blocking()
+    outputs = FanOut([other, blocking])
     texts = say(outputs, 1)
-    assert standing.busy.wait(10)
+    assert blocking.busy.wait(10)
     start_s = time.monotonic()
     texts += say(outputs, 1000, 1)
     assert time.monotonic() - start_s < 1.0
     assert other.lines == texts
-    # one in hand, four in the queue
-    assert outputs.lost() == {"kept": 0, "standing": 996}
-    standing.go.set()
+    # one being processed, four in the queue
+    assert outputs.lost() == {"kept": 0, "blocking": 996}
+    blocking.go.set()
     outputs.close(RecordResult())
-    assert standing.lines == [texts[0], *texts[-4:]]
-    assert standing.closed is not None and outputs.lost()["standing"] == 996
+    assert blocking.lines == [texts[0], *texts[-4:]]
+    assert blocking.closed is not None and outputs.lost()["blocking"] == 996
 
 
-def test_an_output_that_stands_to_the_end_is_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_close_does_not_wait_for_a_blocking_output(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fan_out, "CLOSE_S", 0.2)
-    other, standing = Kept(), Standing()
-    outputs = FanOut([other, standing])
+    other, blocking = Kept(), Blocking()
+    outputs = FanOut([other, blocking])
     texts, result = say(outputs, 1), RecordResult()
-    assert standing.busy.wait(10)
+    assert blocking.busy.wait(10)
     texts += say(outputs, 3, 1)
     start_s = time.monotonic()
     outputs.close(result)
     assert time.monotonic() - start_s < 2.0
     assert other.lines == texts and other.closed is result
-    # four lines and the close; the first output is closed last and has the count
-    assert result.output_losses["standing"] == 5
-    assert other.losses_when_closed["standing"] == 5
-    standing.go.set()
+    # four lines and the close; the first output is closed last and receives the count
+    assert result.output_losses["blocking"] == 5
+    assert other.losses_when_closed["blocking"] == 5
+    blocking.go.set()
 
 
 @pytest.mark.parametrize("make", [Raising, RaisingQueued])
-def test_an_exception_costs_the_message_and_is_a_fault_for_a_while(
+def test_an_exception_loses_its_message_and_is_a_fault_for_a_time(
     make: Callable[[], Raising], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     raising, other = make(), Kept()
@@ -155,7 +155,7 @@ def test_an_exception_of_a_required_output_ends_the_run() -> None:
     assert outputs.lost() == {}
 
 
-def test_ticks_go_to_immediate_outputs_alone() -> None:
+def test_ticks_go_to_immediate_outputs_only() -> None:
     first, second = Kept(), Queued()
     outputs = FanOut([first, second])
     outputs.tick(7)

@@ -1,4 +1,4 @@
-"""The message and the line of one second."""
+"""The health message and the status line of one second."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HEALTH = Health(
 )
 
 
-def test_the_line_says_it_in_words() -> None:
+def test_the_status_line() -> None:
     assert HEALTH.line() == (
         "RUNNING: 600+598 frames, none lost, 15 of 16 sub-maps, pose 43 ms old, 61 °C, "
         "2 h 58 min left"

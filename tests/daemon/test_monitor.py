@@ -1,4 +1,4 @@
-"""The state and the figures of a second, from a status of the hub and played cameras."""
+"""State and statistics of one second, from a status of the hub and fake cameras."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ WELL = HubStatus(
 
 
 class Journal(NullNotifier):
-    """Keeps the lines for the service manager."""
+    """Notifier that keeps its lines."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -56,7 +56,7 @@ class Journal(NullNotifier):
 
 
 class Kept(Output):
-    """Keeps what outputs are given."""
+    """Output that keeps what it receives."""
 
     immediate = True
 
@@ -87,7 +87,7 @@ def camera(name: str, eye: Eye) -> SimpleNamespace:
 
 
 class Scene:
-    """A monitor that is always due, with two cameras."""
+    """A monitor with two cameras, due at every call."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         patch.setattr(monitor, "PERIOD_S", 0.0)
@@ -100,7 +100,7 @@ class Scene:
         self.monitor.watch(self.cameras)  # type: ignore[arg-type]
 
     def look(self, status: HubStatus, ticks_late: bool = False) -> str:
-        """The state of a second with its first reason."""
+        """Run one update and return the state with its first reason."""
         assert self.monitor.due()
         assert self.monitor.look(status, ticks_late, 0) == (Shed.NOTHING, "cool and caught up")
         return self.journal.lines[-1].partition(": ")[0]
@@ -111,7 +111,7 @@ def scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
     return Scene(monkeypatch)
 
 
-def test_a_drive_from_its_start_to_its_end(scene: Scene) -> None:
+def test_the_states_of_a_drive(scene: Scene) -> None:
     assert scene.journal.lines == ["STARTING"]
     nothing = RecordResult(frames=[10, 10])
     assert scene.look(replace(WELL, counts=nothing.counts())) == "STARTING (no sub-map yet"
@@ -125,7 +125,7 @@ def test_a_drive_from_its_start_to_its_end(scene: Scene) -> None:
     assert scene.look(WELL, ticks_late=True) == "LAGGING (capture loop is late)"
     scene.monitor.stop(100 * S)
     assert scene.journal.lines[-2:] == ["stopping", "STOPPING"]
-    # the outputs can act on the end at once: the next tick may be a whole window away
+    # a tick follows, so that outputs act on the end at once and not only after the last window
     assert scene.kept.calls == [
         "STARTING", "STARTING", "RUNNING", "LOST", "LOST", "LAGGING", "LAGGING", "STOPPING", "tick"
     ]  # fmt: skip
@@ -134,7 +134,7 @@ def test_a_drive_from_its_start_to_its_end(scene: Scene) -> None:
     ]  # fmt: skip
 
 
-def test_what_is_missing_is_named(scene: Scene) -> None:
+def test_faults_are_named_as_reasons(scene: Scene) -> None:
     assert scene.look(replace(WELL, frame_ns=(100 * S, 99 * S))) == "DEGRADED (assistant camera y"
     assert "assistant camera y: no frame for 1.0 s" in scene.journal.lines[-1]
     scene.cameras[1].camera.connected = False
@@ -149,7 +149,7 @@ def test_what_is_missing_is_named(scene: Scene) -> None:
     ]  # fmt: skip
 
 
-def test_figures_of_cameras_and_hub_are_put_together(scene: Scene) -> None:
+def test_counts_of_cameras_and_hub_are_combined(scene: Scene) -> None:
     scene.look(WELL)
     second = scene.kept.messages[-1]
     assert second["drops"] == {
@@ -164,12 +164,12 @@ def test_figures_of_cameras_and_hub_are_put_together(scene: Scene) -> None:
     assert second["counts"]["submaps"] == 2 and second["pose_age_ms"] == 20.0
 
 
-def test_a_finished_replay_is_no_fault(scene: Scene) -> None:
+def test_a_finished_replay_is_not_a_fault(scene: Scene) -> None:
     scene.cameras[1].state = CameraState.FINISHED
     assert scene.look(replace(WELL, frame_ns=(100 * S, 50 * S))) == "RUNNING"
 
 
-def test_a_backlog_sheds_and_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_backlog_reduces_work_and_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = ManualClock()
     monkeypatch.setattr(monitor.time, "monotonic", lambda: clock.now_ns() / S)
     scene = Scene(monkeypatch)

@@ -1,4 +1,4 @@
-"""Every frame crosses to the estimator once, and every window can be put together there."""
+"""Every frame is sent to the estimator once, and every window can be assembled there."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def frame(eye: Eye, index: int) -> Frame:
 
 
 def window(number: int) -> SubmapWindow:
-    """N_MAX keyframes an eye, N_OVERLAP of them those of the window before."""
+    """N_MAX keyframes per eye, N_OVERLAP of them from the preceding window."""
     first = number * (N_MAX - N_OVERLAP)
     views = [tuple(Keyframe(i, frame(eye, i)) for i in range(first, first + N_MAX)) for eye in Eye]
     return SubmapWindow(number, views[0], views[1], N_OVERLAP if number else 0)
 
 
 class Receiver:
-    """The estimator's end of the pipe, which answers when asked to."""
+    """The estimator's end of the pipe, which answers on request."""
 
     def __init__(self, *_: object) -> None:
         self.alive, self.exit_code = True, None
@@ -67,7 +67,7 @@ def receiver(link: EstimatorLink) -> Receiver:
     return link.child
 
 
-def test_a_frame_crosses_once_whether_sent_ahead_or_with_its_window(link: EstimatorLink) -> None:
+def test_a_frame_is_sent_once_ahead_or_with_its_window(link: EstimatorLink) -> None:
     there = receiver(link)
     rng = np.random.default_rng(0)
     for number in range(12):
@@ -79,11 +79,11 @@ def test_a_frame_crosses_once_whether_sent_ahead_or_with_its_window(link: Estima
     assert there.windows == [window(number) for number in range(12)]
     assert set(there.crossed.values()) == {1}
     assert len(there.crossed) == 2 * (12 * (N_MAX - N_OVERLAP) + N_OVERLAP)
-    # nothing is kept but the last window
+    # only the last window is kept
     assert len(there.frames) == 2 * N_MAX
 
 
-def test_of_windows_left_out_only_what_another_one_needs_crosses(link: EstimatorLink) -> None:
+def test_of_left_out_windows_only_frames_shared_with_others_are_sent(link: EstimatorLink) -> None:
     there = receiver(link)
     link.offer(window(0))
     for keyframe in window(1).primary[N_OVERLAP:]:
@@ -99,7 +99,7 @@ def test_of_windows_left_out_only_what_another_one_needs_crosses(link: Estimator
     assert len(there.frames) == 2 * N_MAX
 
 
-def test_a_new_process_is_sent_all_it_needs(link: EstimatorLink) -> None:
+def test_a_restarted_process_is_sent_the_frames_it_needs(link: EstimatorLink) -> None:
     link.offer(window(0))
     link.offer(window(1))
     receiver(link).alive = False

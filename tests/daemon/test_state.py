@@ -1,4 +1,4 @@
-"""Every state from every state."""
+"""All transitions between the daemon's states."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STOP = Conditions(stopping=True, pose="no pose")
 AFTER_A_POSE = (RUNNING, LAGGING, LOST, DEGRADED)
 SEEN = (GOOD, NO_POSE, FAULT, LATE, BOTH, ALL, STOP)
 
-# seen -> the state from STARTING, and from any state after a first pose
+# conditions, the state that follows STARTING, and the one that follows any state after a first pose
 TABLE = [
     (GOOD, RUNNING, RUNNING),
     (NO_POSE, STARTING, LOST),
@@ -33,13 +33,13 @@ TABLE = [
 
 
 @pytest.mark.parametrize(("seen", "from_start", "later"), TABLE)
-def test_the_table(seen: Conditions, from_start: State, later: State) -> None:
+def test_state_transitions(seen: Conditions, from_start: State, later: State) -> None:
     assert advance(STARTING, seen).state is from_start
     assert {advance(before, seen).state for before in AFTER_A_POSE} == {later}
     assert advance(STOPPING, seen).state is STOPPING
 
 
-def test_starting_never_comes_back_and_stopping_is_for_good() -> None:
+def test_starting_is_not_reentered_and_stopping_is_final() -> None:
     for path in itertools.product(SEEN, repeat=3):
         state = STARTING
         for seen in path:
@@ -49,7 +49,7 @@ def test_starting_never_comes_back_and_stopping_is_for_good() -> None:
             state = after
 
 
-def test_every_reason_is_given_whatever_the_state() -> None:
+def test_all_reasons_are_given_in_every_state() -> None:
     assert advance(RUNNING, ALL).reasons == ("no pose", "disk full", "3 windows wait")
     assert str(advance(RUNNING, BOTH)) == "DEGRADED (disk full; 3 windows wait)"
     assert str(Standing(RUNNING)) == "RUNNING"

@@ -1,4 +1,4 @@
-"""Percentiles of lateness."""
+"""Percentiles of the tick latency."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from calm_edge.daemon.tick_latency import TickLatency, TickLatencyMeter
 
 
-def test_a_second_and_the_whole_run() -> None:
+def test_percentiles_of_a_second_and_of_the_run() -> None:
     meter = TickLatencyMeter()
     assert meter.take() == meter.overall() == TickLatency()
     late_ms = np.random.default_rng(0).exponential(1.0, (50, 100))
@@ -28,7 +28,7 @@ def test_a_second_and_the_whole_run() -> None:
     )
 
 
-def test_early_is_zero_and_a_stall_of_minutes_still_has_its_maximum() -> None:
+def test_early_ticks_count_as_zero_and_long_stalls_keep_their_maximum() -> None:
     meter = TickLatencyMeter()
     meter.add(-5)
     meter.add(90 * 10**9)

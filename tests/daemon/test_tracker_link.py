@@ -1,4 +1,4 @@
-"""The frames that capture holds for the tracker: all that a window needs, and no more."""
+"""Capture holds exactly the frames that the tracker's windows still need."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EVERY_NS = 33_000_000
 
 
 class InlineChild:
-    """The tracker's work in this process; it handles what it was sent when asked to."""
+    """The tracker in this process; it handles its messages when `handle` is called."""
 
     def __init__(self, _: str, __: Any, arguments: tuple[Any, ...], inbox: Any) -> None:
         name, slot_bytes, config, start = arguments
@@ -38,7 +38,7 @@ class InlineChild:
         self._sent.append(message)
 
     def handle(self) -> list[Any]:
-        """The answers to all that was sent."""
+        """Handle all messages sent so far and return the answers."""
         sent, self._sent = self._sent, []
         return [answer for answer in map(self._work.handle, sent) if answer is not None]
 
@@ -50,7 +50,7 @@ class InlineChild:
 
 
 class Bench:
-    """The link with frames of a drive, 30 a second of each eye."""
+    """The link, with frames of a drive at 30 Hz per eye."""
 
     def __init__(self) -> None:
         self.link = TrackerLink(CONFIG, queue.Queue(), lambda _: None)
@@ -78,12 +78,12 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     bench.link.stop()
 
 
-def test_windows_have_the_bytes_of_their_frames_and_the_rest_is_released(bench: Bench) -> None:
+def test_windows_get_their_frames_and_all_others_are_released(bench: Bench) -> None:
     windows: list[SubmapWindow] = []
     for _ in range(50):
         bench.offer(1)
         windows += bench.handle()
-        # two windows' keyframes at most, and the assistant frames of the longest pairing gap
+        # at most the keyframes of two windows, and the assistant frames of the longest pairing gap
         gap_frames = int(CONFIG.max_pair_gap_s * 1e9 / EVERY_NS) + 2
         assert bench.link.frames_held <= 2 * (2 * CONFIG.n_max) + gap_frames
     bench.link.flush()
@@ -95,13 +95,13 @@ def test_windows_have_the_bytes_of_their_frames_and_the_rest_is_released(bench: 
             assert keyframe.frame is frames[keyframe.frame.eye, keyframe.frame.t_ns]
 
 
-def test_a_standing_tracker_holds_no_more_than_its_ring(bench: Bench) -> None:
+def test_a_suspended_tracker_holds_at_most_the_ring(bench: Bench) -> None:
     bench.offer(RING_SLOTS)
     assert bench.link.in_flight == bench.link.frames_held == RING_SLOTS
     assert bench.handle() and bench.link.in_flight == 0
 
 
-def test_a_dead_tracker_holds_nothing(bench: Bench) -> None:
+def test_a_dead_tracker_holds_no_frames(bench: Bench) -> None:
     bench.offer(10)
     bench.handle()
     bench.offer(2)
@@ -112,6 +112,6 @@ def test_a_dead_tracker_holds_nothing(bench: Bench) -> None:
     before.stop()
     assert bench.link.restarts == 1 and bench.link.frames_lost == 4
     assert bench.link.frames_held == 0
-    # the next one numbers on from what came of the first
+    # the next tracker continues the numbering of the first
     bench.offer(20)
     assert bench.handle()[0].n_overlap == 0

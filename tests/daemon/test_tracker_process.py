@@ -1,4 +1,4 @@
-"""Which frames get a pose when the tracker cannot keep up."""
+"""Frames that get a pose when the tracker cannot keep up."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WORLD, POSES = PlaneWorld(), drive(60)
 
 
 class Bench:
-    """The tracker's work with a sub-map of its first frames, 30 a second."""
+    """The tracker with a sub-map of its first frames, at 30 Hz."""
 
     def __init__(self) -> None:
         self.ring = FrameRing(60, 1 << 18)
@@ -31,8 +31,8 @@ class Bench:
         self.work = TrackerWork(config, reader, Counters(), self.posed.append)
         self._frames = 0
 
-    def come(self, count: int) -> list[FrameIn]:
-        """The next frames, which have come but are not handled."""
+    def arrive(self, count: int) -> list[FrameIn]:
+        """Let the next frames arrive without handling them."""
         frames = []
         for i in range(self._frames, self._frames + count):
             jpeg = cv2.imencode(".jpg", WORLD.render(POSES[i]))[1].tobytes()
@@ -44,7 +44,7 @@ class Bench:
         return frames
 
     def handle(self, frames: list[FrameIn]) -> list[bool]:
-        """Which of them were too late for a pose."""
+        """Handle frames; return for each whether it was too late for a pose."""
         answers = [self.work.handle(frame) for frame in frames]
         assert all(isinstance(answer, Tracked) for answer in answers)
         return [answer.late for answer in answers]
@@ -55,10 +55,10 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    """Ten frames have been tracked, one by one, and a sub-map of them is followed."""
+    """Ten frames have been tracked and a sub-map of them is attached."""
     bench = Bench()
     for _ in range(10):
-        assert bench.handle(bench.come(1)) == [False]
+        assert bench.handle(bench.arrive(1)) == [False]
     assert len(bench.posed) == 10
     keyframes = [(p.keyframe_id, i) for i, p in enumerate(bench.work._tracker._past)]
     known = [(k, i) for k, i in keyframes if k is not None]
@@ -70,8 +70,8 @@ def bench() -> Iterator[Bench]:
     bench.ring.close()
 
 
-def test_frames_that_wait_too_long_get_no_pose_and_the_newest_do(bench: Bench) -> None:
-    frames = bench.come(8)
+def test_late_frames_get_no_pose_and_the_newest_do(bench: Bench) -> None:
+    frames = bench.arrive(8)
     newest = frames[-1].t_ns
     late = [newest - frame.t_ns > LATE_NS for frame in frames]
     assert bench.handle(frames) == late and sum(late) == 5
@@ -81,27 +81,27 @@ def test_frames_that_wait_too_long_get_no_pose_and_the_newest_do(bench: Bench) -
     assert all(message.sample.status is PoseStatus.LIVE for message in bench.posed)
 
 
-def test_over_a_longer_wait_the_track_is_not_lost(bench: Bench) -> None:
-    # a second and a half: five times what may lie between two frames that are tracked
-    frames = bench.come(45)
+def test_tracking_survives_a_longer_delay(bench: Bench) -> None:
+    # 1.5 s: five times the longest gap between two tracked frames
+    frames = bench.arrive(45)
     assert sum(bench.handle(frames)) == 42
     assert [message.sample.status for message in bench.posed] == [PoseStatus.LIVE] * 3
     assert {message.sample.epoch for message in bench.posed} == {0}
 
 
-def test_a_slot_is_given_back_for_each(bench: Bench) -> None:
-    frames = bench.come(20)
+def test_every_slot_is_returned(bench: Bench) -> None:
+    frames = bench.arrive(20)
     assert [bench.work.handle(f).slot for f in frames] == [f.slot for f in frames]
 
 
-def test_without_a_wait_every_frame_has_its_pose(bench: Bench) -> None:
+def test_without_delay_every_frame_gets_a_pose(bench: Bench) -> None:
     for _ in range(20):
-        assert bench.handle(bench.come(1)) == [False]
+        assert bench.handle(bench.arrive(1)) == [False]
     assert len(bench.posed) == 20
 
 
-def test_keyframes_are_named_at_once(bench: Bench) -> None:
-    frames = bench.come(12)
+def test_keyframes_are_reported_at_once(bench: Bench) -> None:
+    frames = bench.arrive(12)
     named = [frame.t_ns for frame in frames if bench.work.handle(frame).is_keyframe]
     past = list(bench.work._tracker._past)[10:]
     assert named == [frame.t_ns for frame in past if frame.keyframe_id is not None]

@@ -1,8 +1,8 @@
-"""Hours of simulated time, many times as fast, with a small disk: does anything grow or vanish?
+"""Record hours of simulated time at high speed; measure memory growth and lost frames.
 
-`python -m tests.faults.endurance_child HOURS SPEED FOLDER` prints its figures as JSON. Pictures
-of 160x120 slide over a textured wall, forth and back; the disk is one of its own where one can be
-mounted, and then too small for the drive, so that old drives and its own oldest segments make room.
+`python -m tests.faults.endurance_child HOURS SPEED FOLDER` prints the results as JSON. Images of
+160x120 px slide over a textured wall, back and forth. The disk, if one can be mounted, is too small
+for the drive, so that old drives and its own oldest segments are removed.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ RATE_HZ, PX_A_FRAME, SPACING_M = 10, 1, 0.5
 TURN_FRAMES = 400
 START_NS = 10**9
 SAMPLE_S = 0.5
-# old drives that lie there from the start: the first is to go, the second is kept; so large that
-# two minutes need its room, whatever a busy machine leaves out of the recording
+# size of two older drives: the first has to be removed, the second is marked to keep; large enough
+# that two minutes of recording need its space, even if a busy computer drops frames
 OLD_BYTES = 12 << 20
 
 
 class FastClock(TimelineClock):
-    """A timeline that runs `speed` times as fast as the machine's clock."""
+    """A timeline that runs `speed` times as fast as the host's clock."""
 
     def __init__(self, epoch_ns: int, speed: float) -> None:
         self._speed = speed
@@ -55,7 +55,7 @@ class FastClock(TimelineClock):
 
 
 def offset_px(frame: int) -> int:
-    """Where the sliding picture is: forth and back."""
+    """Position of the sliding image: back and forth."""
     there = frame % (2 * TURN_FRAMES)
     return PX_A_FRAME * min(there, 2 * TURN_FRAMES - there)
 
@@ -75,14 +75,14 @@ def pictures() -> list[tuple[bytes, bytes]]:
 
 
 def frames_of(eye: Eye, n: int, made: list[tuple[bytes, bytes]]) -> Iterator[Frame]:
-    """`n` frames of an eye at RATE_HZ, made as they are asked for."""
+    """Generate `n` frames of an eye at RATE_HZ."""
     for k in range(n):
         t_ns = START_NS + k * 10**9 // RATE_HZ + int(eye) * 17_000_000
         yield Frame(eye, k, t_ns, made[offset_px(k)][eye])
 
 
 def truth(folder: Path, n: int) -> None:
-    """What the scripted backbone plays."""
+    """Write the ground truth that the scripted backbone plays."""
     folder.mkdir(parents=True)
     poses = np.tile(np.eye(4)[:3].ravel(), (n, 1))
     poses[:, 3] = [offset_px(k) * WALL_M / FOCAL_PX for k in range(n)]
@@ -96,7 +96,7 @@ def truth(folder: Path, n: int) -> None:
 
 
 def settings(folder: Path, speed: float, own_disk: bool) -> Config:
-    """The configuration; limits on the frames' clock are stretched as that is."""
+    """Configuration, with time limits scaled by the speed of the frames' clock."""
     recording = {"segment_s": 2.0, "keep_free_percent": 0.0, "keep_free_gib": 0.03}
     return merge(
         Config(),
@@ -113,7 +113,7 @@ def settings(folder: Path, speed: float, own_disk: bool) -> Config:
 
 
 class Sampler:
-    """Resident memory of the three processes, twice a second."""
+    """Samples the resident memory of the three processes twice a second."""
 
     def __init__(self) -> None:
         self.samples: dict[str, list[int]] = {"capture": [], "tracker": [], "estimator": []}
@@ -135,7 +135,7 @@ class Sampler:
                     self.samples[name].append(resident_bytes(pid))
 
     def growth_mib(self, name: str) -> float:
-        """From the second to the last quarter of the run, each by its median."""
+        """Growth from the median of the second quarter of the run to that of the last."""
         values = [v for v in self.samples[name] if v]
         quarter = max(1, len(values) // 4)
         first, last = values[quarter : 2 * quarter] or values, values[-quarter:]
@@ -143,7 +143,7 @@ class Sampler:
 
 
 def run(hours: float, speed: float, folder: Path) -> dict[str, object]:
-    """The figures."""
+    """Run the drive and return the results."""
     n = round(hours * 3600 * RATE_HZ)
     made = pictures()
     truth(folder / "truth", n)
@@ -166,7 +166,7 @@ def run(hours: float, speed: float, folder: Path) -> dict[str, object]:
             (drive / "0000.mcap").write_bytes(b"\0" * OLD_BYTES)
         set_kept(kept, True)
         out = new_drive(root)
-        result, said = record(
+        result, lines = record(
             folder / "truth",
             out,
             lockstep=False,
@@ -197,7 +197,7 @@ def run(hours: float, speed: float, folder: Path) -> dict[str, object]:
         "own_disk": disk is not None,
         "growth_mib": {name: sampler.growth_mib(name) for name in sampler.samples},
         "losses": result.losses(),
-        "said": said[-3:],
+        "lines": lines[-3:],
         **rest,
     }
 

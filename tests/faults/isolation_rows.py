@@ -1,4 +1,4 @@
-"""Capture is slowed by nothing behind it: disk, estimator, tracker, serial line."""
+"""Fault rows in which disk, estimator, tracker or serial line stop responding: capture goes on."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from tests.faults.slow_estimator import FIRST_S, LATER_S, slow_estimator
 from tests.replay.daemon_run import config_for, record
 
 
-class StandingDisk:
-    """Stands still while told to: whoever writes to it waits."""
+class BlockingDisk:
+    """A disk whose writes block between `block` and `go`."""
 
     def __init__(self) -> None:
         self._go = threading.Event()
         self._go.set()
-        self.stood_s = 0.0
+        self.blocked_s = 0.0
 
-    def stand(self, _: Hub) -> None:
+    def block(self, _: Hub) -> None:
         self._go.clear()
 
     def go(self, _: object = None) -> None:
@@ -38,28 +38,28 @@ class StandingDisk:
     def __call__(self, fd: int, data: bytes) -> int:
         started = time.monotonic()
         assert self._go.wait(120)
-        self.stood_s += time.monotonic() - started
+        self.blocked_s += time.monotonic() - started
         return os.write(fd, data)
 
 
-def standing_disk(drive: Path, n: int, folder: Path) -> Row:
-    """The disk stands for half of the drive, and the queue has room for it."""
-    disk = StandingDisk()
-    during = AfterFrames((n // 4, disk.stand), (3 * n // 4, disk.go))
+def blocking_disk(drive: Path, n: int, folder: Path) -> Row:
+    """The disk blocks for half of the drive, and the queue is large enough."""
+    disk = BlockingDisk()
+    during = AfterFrames((n // 4, disk.block), (3 * n // 4, disk.go))
     result, _ = record(drive, folder / "rec", lockstep=False, during=during, write=disk)
     kept = result.frames == [n, n] and result.unrecorded == 0 and all_frames(folder / "rec", n)
     return Row(
-        "disk stands still",
-        f"{disk.stood_s:.1f} s, {2 * n} of {sum(result.frames)} frames recorded, "
+        "disk blocks",
+        f"{disk.blocked_s:.1f} s, {2 * n} of {sum(result.frames)} frames recorded, "
         f"{loop_figures(folder / 'rec')}",
         "no frame lost",
-        kept and disk.stood_s > 0.2 * n / 10,
+        kept and disk.blocked_s > 0.2 * n / 10,
     )
 
 
-def endless_disk(drive: Path, n: int, folder: Path) -> Row:
-    """The disk stands until the end, and the queue is too small for it."""
-    disk = StandingDisk()
+def blocking_disk_full_queue(drive: Path, n: int, folder: Path) -> Row:
+    """The disk blocks until the end, and the queue is too small."""
+    disk = BlockingDisk()
     queue_bytes = 100_000
     hubs: list[Hub] = []
     fills: list[float] = []
@@ -68,7 +68,7 @@ def endless_disk(drive: Path, n: int, folder: Path) -> Row:
         hubs.append(hub)
         fills.append(hub.recording.health.queue_fill)
 
-    during = AfterFrames((n // 4, disk.stand), *((k, watch) for k in range(n // 4 + 1, n)))
+    during = AfterFrames((n // 4, disk.block), *((k, watch) for k in range(n // 4 + 1, n)))
     threading.Timer(n / 10 + 4, disk.go).start()
     result, _ = record(
         drive, folder / "rec", lockstep=False, during=during, write=disk, queue_bytes=queue_bytes
@@ -77,16 +77,16 @@ def endless_disk(drive: Path, n: int, folder: Path) -> Row:
     lost = 2 * n - sum(len(sequences(recording, eye)) for eye in Eye)
     counted = hubs[0].recording.health.dropped_images
     return Row(
-        "disk stands still, queue full",
+        "disk blocks, queue full",
         f"queue {max(fills):.0%} of its {queue_bytes // 1000} kB, {lost} images lost, "
         f"{counted} counted",
-        "bounded; all taken by capture; each loss counted",
+        "memory bounded; all frames captured; each loss counted",
         result.frames == [n, n] and 0 < lost == counted and max(fills) <= 1.0,
     )
 
 
-def standing_estimator(drive: Path, n: int, folder: Path) -> Row:
-    """The estimator stops over its first window and goes on after the last frame."""
+def suspended_estimator(drive: Path, n: int, folder: Path) -> Row:
+    """The estimator is suspended during its first window and resumed after the last frame."""
     waiting: list[int] = []
 
     def stop(hub: Hub) -> None:
@@ -100,7 +100,7 @@ def standing_estimator(drive: Path, n: int, folder: Path) -> Row:
     result, _ = record(drive, folder / "rec", lockstep=False, during=during)
     kept = result.frames == [n, n] and result.unrecorded == 0 and all_frames(folder / "rec", n)
     return Row(
-        "estimator stands still",
+        "estimator suspended",
         f"{waiting[0]} windows waited, {result.submaps} of {result.windows} solved in the end, "
         f"{loop_figures(folder / 'rec')}",
         f"no frame lost, at most {INBOX_WINDOWS + 1} windows wait",
@@ -109,7 +109,7 @@ def standing_estimator(drive: Path, n: int, folder: Path) -> Row:
 
 
 def slow_from_the_start(drive: Path, n: int, folder: Path) -> Row:
-    """The first sub-map comes too late to follow, and windows come faster than they are solved."""
+    """The first sub-map is too late for the tracker, and windows are slower than they arrive."""
     first: list[float] = []
 
     def watch(hub: Hub, _: str) -> None:
@@ -118,12 +118,12 @@ def slow_from_the_start(drive: Path, n: int, folder: Path) -> Row:
 
     with slow_estimator():
         result, _ = record(drive, folder / "rec", lockstep=False, during=watch)
-    # the window in hand when the first is through, and the way to now
+    # the window being solved when the first is done, and the one after it
     limit_s = FIRST_S + 2 * LATER_S + 2
     kept = result.frames == [n, n] and result.unrecorded == 0 and all_frames(folder / "rec", n)
     when = f"first pose after {first[0]:.1f} s" if first else "no pose"
     return Row(
-        f"estimator slow from the start: {FIRST_S:.0f} s, then {LATER_S:.0f} s a window",
+        f"estimator slow from the start: {FIRST_S:.0f} s, then {LATER_S:.0f} s per window",
         f"{when}, {result.poses} poses, {len(result.windows_left_to_map)} of {result.windows} "
         "windows left to map",
         f"no frame lost; a pose within {limit_s:.0f} s",
@@ -131,8 +131,8 @@ def slow_from_the_start(drive: Path, n: int, folder: Path) -> Row:
     )
 
 
-def standing_tracker(drive: Path, n: int, folder: Path) -> Row:
-    """The tracker stops for half of the drive: its ring fills, frames are recorded all the same."""
+def suspended_tracker(drive: Path, n: int, folder: Path) -> Row:
+    """The tracker is suspended for half of the drive: its ring fills, frames are still recorded."""
 
     def stop(hub: Hub) -> None:
         os.kill(hub.tracker.child.pid, signal.SIGSTOP)
@@ -144,21 +144,21 @@ def standing_tracker(drive: Path, n: int, folder: Path) -> Row:
     result, _ = record(drive, folder / "rec", lockstep=False, during=during)
     kept = result.frames == [n, n] and result.unrecorded == 0 and all_frames(folder / "rec", n)
     return Row(
-        "tracker stands still",
+        "tracker suspended",
         f"{result.untracked} frames recorded but not tracked, {loop_figures(folder / 'rec')}",
-        "no frame lost; what was not tracked is counted",
+        "no frame lost; untracked frames are counted",
         kept and 0 < result.untracked < 2 * n,
     )
 
 
 def stalled_serial(drive: Path, n: int, folder: Path) -> Row:
-    """Nobody reads at the far end of the line, and no buffer is left."""
+    """The far end of the serial line does not read, and all buffers are full."""
     far, near = os.openpty()
     config = config_for(drive)
     port = SerialPort(os.ttyname(near), 115_200)
     publisher = PosePublisher(port, PoseOutputConfig(port=port.path), spacing_known=True)
     line = SerialOutput(port, publisher, time.monotonic_ns)
-    # the kernel's own buffer would take some seconds of poses
+    # fill the kernel's buffer, which holds some seconds of poses
     for _ in range(400):
         port.write(b"x" * 250)
         time.sleep(0.0005)
@@ -178,9 +178,9 @@ def stalled_serial(drive: Path, n: int, folder: Path) -> Row:
     kept = result.frames == [n, n] and result.unrecorded == 0 and all_frames(folder / "rec", n)
     reported = health(folder / "rec")[-1]["drops"]["serial_messages"]
     return Row(
-        "serial reader stalled",
+        "serial receiver stalled",
         f"{dropped} messages dropped, {result.poses} poses recorded, "
         f"{loop_figures(folder / 'rec')}",
-        "no frame lost; what the line did not take is counted",
+        "no frame lost; messages not sent are counted",
         kept and 0 < reported <= dropped == result.output_losses["serial"] and result.poses > 0,
     )

@@ -1,4 +1,4 @@
-"""Outputs that fail and outputs that are slow, beside the recording."""
+"""Fault row with a failing and a slow output beside the recording."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.replay.daemon_run import record
 
 
 class Counting(Output):
-    """Counts what it is given, by kind."""
+    """Counts the messages it receives, by kind."""
 
     name, immediate = "counting", True
 
@@ -62,7 +62,7 @@ class Counting(Output):
 
 
 class Failing(Counting):
-    """Raises over everything."""
+    """Raises on every message."""
 
     name = "failing"
 
@@ -72,7 +72,7 @@ class Failing(Counting):
 
 
 class Slow(Counting):
-    """Takes a twentieth of a second over everything, with room for little more than a frame."""
+    """Takes 50 ms for every message, with a queue of little more than one frame."""
 
     name, immediate, queue_bytes = "slow", False, 20_000
 
@@ -82,7 +82,7 @@ class Slow(Counting):
 
 
 def bad_outputs(drive: Path, n: int, folder: Path, *, lockstep: bool = False) -> Row:
-    """An output that fails and one that is too slow, beside one that is neither."""
+    """Record with a failing, a slow and a working output."""
     failing, slow, counting = Failing(), Slow(), Counting()
     outputs = [failing, slow, counting]
     result, _ = record(drive, folder / "rec", lockstep=lockstep, outputs=outputs)

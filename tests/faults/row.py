@@ -1,4 +1,4 @@
-"""One row of the fault table, and what the rows ask of a recording."""
+"""A row of the fault table, and queries on recordings for the rows."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from device.frame import Eye
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """fault: what was done. figure: what came of it. promise: what was to come. kept: it did.
+    """Result of one fault. figure: what happened. promise: what must happen. kept: whether it did.
 
-    skipped: it could not be tried here; figure then says why, and kept says nothing.
+    skipped: the fault cannot be injected on this computer; `figure` then gives the reason, and
+    `kept` has no meaning.
     """
 
     fault: str
@@ -29,29 +30,29 @@ class Row:
 
 
 def sequences(recording: Recording, eye: Eye) -> list[int]:
-    """The sequence numbers of an eye's frames in the order written."""
+    """Sequence numbers of an eye's frames in the order written."""
     return [place.sequence for place in recording._locations(schema.IMAGE_TOPICS[eye])]
 
 
 def all_frames(folder: Path, n: int) -> bool:
-    """Both eyes have every frame from 0 to n - 1 once, in a recording that is whole."""
+    """Whether a valid recording holds each frame from 0 to n - 1 of both eyes once."""
     recording = Recording(folder)
     complete = all(sequences(recording, eye) == list(range(n)) for eye in Eye)
     return complete and validate(folder).outcome is not Outcome.FAILED
 
 
 def health(folder: Path) -> list[dict[str, Any]]:
-    """The messages on /health."""
+    """Messages on /health."""
     return list(Recording(folder).json_messages(schema.HEALTH))
 
 
 def loop_figures(folder: Path) -> str:
-    """The capture loop's worst latency; reported, not judged: other work may share the cores."""
+    """Largest latency of the capture loop, reported without a limit as the computer may be busy."""
     return f"worst tick {max(m['tick']['max_ms'] for m in health(folder)):.0f} ms late"
 
 
 def states(folder: Path) -> list[str]:
-    """The states met, in order, each change once."""
+    """The sequence of different states."""
     met: list[str] = []
     for message in health(folder):
         if not met or met[-1] != message["state"]:
@@ -60,7 +61,7 @@ def states(folder: Path) -> list[str]:
 
 
 def resident_bytes(pid: int | None = None) -> int:
-    """Resident memory of a process; 0 when it is gone."""
+    """Resident memory of a process in bytes; 0 if it has ended."""
     try:
         text = Path(f"/proc/{pid or 'self'}/statm").read_text(encoding="ascii")
     except OSError:
@@ -69,11 +70,11 @@ def resident_bytes(pid: int | None = None) -> int:
 
 
 class AfterFrames:
-    """Does each harm once, as soon as so many primary frames were recorded."""
+    """Call each fault once, as soon as the given number of primary frames has been recorded."""
 
-    def __init__(self, *harms: tuple[int, Any]) -> None:
-        self._harms = list(harms)
+    def __init__(self, *faults: tuple[int, Any]) -> None:
+        self._faults = list(faults)
 
     def __call__(self, hub: Hub, _: str) -> None:
-        while self._harms and hub.result.frames[0] >= self._harms[0][0]:
-            self._harms.pop(0)[1](hub)
+        while self._faults and hub.result.frames[0] >= self._faults[0][0]:
+            self._faults.pop(0)[1](hub)

@@ -1,4 +1,4 @@
-"""An estimator that was never fast enough."""
+"""An estimator that is too slow from the start."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from calm_edge.daemon.messages import Processed
 from calm_edge.frontend.remembered import REMEMBERED_NS
 from calm_edge.types import SubmapWindow
 
-# over the first window as long as the tracker remembers, then longer than a window takes to come
+# the first window takes as long as the tracker's memory, later ones longer than their period
 FIRST_S, LATER_S = REMEMBERED_NS / 1e9, 2.0
 
 
 @contextmanager
 def slow_estimator() -> Iterator[None]:
-    """Estimators begun inside are slow."""
+    """Context in which started estimators are slow."""
     with patch.object(estimator_link, "run_estimator", run_slowly):
         yield
 
 
 def run_slowly(connection: Connection, config: Config, lockstep: bool) -> None:
-    """The process's main function."""
+    """Main function of the slow process."""
     pauses = itertools.chain([FIRST_S], itertools.repeat(LATER_S))
     solve = EstimatorWork._process
 

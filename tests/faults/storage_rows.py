@@ -1,4 +1,4 @@
-"""The disk fills, fails or turns read-only while the daemon records."""
+"""Fault rows in which the disk fills up, fails or turns read-only during recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.replay.daemon_run import config_for, record
 
 @contextmanager
 def small_disk(folder: Path, size: str) -> Iterator[Path | None]:
-    """A disk of its own, None where none can be mounted."""
+    """Context with a small mounted file system; None if none can be mounted."""
     folder.mkdir(parents=True)
     mount = shutil.which("mount")
     command = [mount or "mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)]
@@ -35,7 +35,7 @@ def small_disk(folder: Path, size: str) -> Iterator[Path | None]:
 
 @contextmanager
 def quick_retry() -> Iterator[None]:
-    """The writer tries a failed disk again ten times a second."""
+    """Context in which the writer retries a failed disk ten times a second."""
     before, writer.RETRY_S = writer.RETRY_S, 0.1
     try:
         yield
@@ -44,7 +44,7 @@ def quick_retry() -> Iterator[None]:
 
 
 class Poses:
-    """How many poses came while the disk was away."""
+    """Counts the poses between two marks."""
 
     def __init__(self) -> None:
         self._at: list[int] = []
@@ -58,8 +58,8 @@ class Poses:
 
 
 def full_disk(drive: Path, n: int, folder: Path) -> Row:
-    """A real, small disk: something else takes its room and gives it back."""
-    fault, promise = "disk full", "recording stops and comes back, poses go on, no frame lost"
+    """Fill a small file system during recording, then free it."""
+    fault, promise = "disk full", "recording stops and resumes, poses continue, no frame lost"
     with small_disk(folder / "disk", "64m") as disk, quick_retry():
         if disk is None:
             return Row(fault, "no tmpfs can be mounted here", promise, False, skipped=True)
@@ -98,7 +98,7 @@ def full_disk(drive: Path, n: int, folder: Path) -> Row:
 
 
 class FailingDisk:
-    """Refuses every write while told to."""
+    """A disk whose writes fail between `fail` and `repair`."""
 
     def __init__(self, code: int) -> None:
         self._code, self._fails = code, False
@@ -106,7 +106,7 @@ class FailingDisk:
     def fail(self, _: Hub) -> None:
         self._fails = True
 
-    def mend(self, _: Hub) -> None:
+    def repair(self, _: Hub) -> None:
         self._fails = False
 
     def __call__(self, fd: int, data: bytes) -> int:
@@ -116,16 +116,16 @@ class FailingDisk:
 
 
 def failing_disk(drive: Path, n: int, folder: Path, code: int = errno.EIO) -> Row:
-    """Every write fails for half of the drive."""
+    """Let every write fail for half of the drive."""
     disk, poses = FailingDisk(code), Poses()
     wrong: list[str] = []
 
-    def mend(hub: Hub) -> None:
+    def repair(hub: Hub) -> None:
         wrong.append(hub.recording.health.error)
         poses.mark(hub)
-        disk.mend(hub)
+        disk.repair(hub)
 
-    during = AfterFrames((n // 4, disk.fail), (n // 4 + 1, poses.mark), (3 * n // 4, mend))
+    during = AfterFrames((n // 4, disk.fail), (n // 4 + 1, poses.mark), (3 * n // 4, repair))
     config = merge(config_for(drive), {"recording": {"flush_s": 0.2}})
     with quick_retry():
         result, _ = record(
@@ -136,7 +136,7 @@ def failing_disk(drive: Path, n: int, folder: Path, code: int = errno.EIO) -> Ro
         f"write error ({os.strerror(code)})",
         f"{poses.meanwhile} poses meanwhile, {2 * n} of {sum(result.frames)} frames in "
         f"{segments} segments; {' '.join(states(folder / 'rec'))}",
-        "recording comes back in a new segment, poses go on, no frame lost",
+        "recording resumes in a new segment, poses continue, no frame lost",
         os.strerror(code) in wrong[0]
         and all_frames(folder / "rec", n)
         and result.unrecorded == 0
@@ -145,5 +145,5 @@ def failing_disk(drive: Path, n: int, folder: Path, code: int = errno.EIO) -> Ro
 
 
 def read_only_disk(drive: Path, n: int, folder: Path) -> Row:
-    """The file system turns read-only, as ext4 does after an error."""
+    """Let the file system turn read-only, as ext4 does after an error."""
     return failing_disk(drive, n, folder, errno.EROFS)

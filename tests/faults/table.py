@@ -1,8 +1,8 @@
-"""The fault table of this machine: `python -m tests.faults.table [WORD ...]`, or `make faults`.
+"""Print the fault table: `python -m tests.faults.table [WORD ...]`, or `make faults`.
 
-Each row does one thing to the daemon and prints what came of it beside what was promised; words
-choose the rows whose names hold one of them. Exit code 1 when a promise is broken. The rows of
-the emulated machine (power cut, dm-flakey, unplugged cameras) are in `make vm-test`.
+Each row injects one fault into the daemon and compares the result with what must happen. WORD
+selects the rows whose names contain it. Exit code 1 if a row fails. Power cuts, failing block
+devices (dm-flakey) and unplugged cameras are tested by `make vm-test`.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ Fault = Callable[[Path, int, Path], Row]
 
 
 def table(short: Path, long: Path) -> dict[str, Callable[[Path], Row]]:
-    """Name -> the row, done in a folder of its own. short, long: drives of so many frames."""
+    """Return name -> function that runs the row in a folder. short, long: drives to record."""
 
     def on_short(fault: Fault) -> Callable[[Path], Row]:
         return lambda folder: fault(short, SHORT, folder)
 
-    def lying(kind: str) -> Callable[[Path], Row]:
-        return lambda folder: time_rows.lying_stamps(short, SHORT, folder, kind)
+    def stamps(kind: str) -> Callable[[Path], Row]:
+        return lambda folder: time_rows.wrong_stamps(short, SHORT, folder, kind)
 
     def damaged(kind: str) -> Callable[[Path], Row]:
         return lambda _: malformed(kind, MALFORMED)
@@ -48,16 +48,16 @@ def table(short: Path, long: Path) -> dict[str, Callable[[Path], Row]]:
         "disk-full": on_short(storage_rows.full_disk),
         "disk-error": on_short(storage_rows.failing_disk),
         "disk-read-only": on_short(storage_rows.read_only_disk),
-        "disk-stands": on_short(isolation_rows.standing_disk),
-        "disk-stands-for-ever": on_short(isolation_rows.endless_disk),
-        "estimator-stands": on_short(isolation_rows.standing_estimator),
+        "disk-blocks": on_short(isolation_rows.blocking_disk),
+        "disk-blocks-for-ever": on_short(isolation_rows.blocking_disk_full_queue),
+        "estimator-suspended": on_short(isolation_rows.suspended_estimator),
         "estimator-slow": lambda folder: isolation_rows.slow_from_the_start(long, LONG, folder),
-        "tracker-stands": on_short(isolation_rows.standing_tracker),
+        "tracker-suspended": on_short(isolation_rows.suspended_tracker),
         "serial-stalled": on_short(isolation_rows.stalled_serial),
         "outputs-fail": on_short(output_rows.bad_outputs),
-        "stamps-future": lying("from the future"),
-        "stamps-backwards": lying("backwards"),
-        "stamps-none": lying("without a clock"),
+        "stamps-future": stamps("from the future"),
+        "stamps-backwards": stamps("backwards"),
+        "stamps-none": stamps("without a clock"),
         "wall-clock": on_short(time_rows.wall_clock),
         "throttling": lambda folder: time_rows.throttling(long, LONG, folder),
         **{f"malformed-{kind}": damaged(kind) for kind in ("recordings", "configs", "models")},
@@ -67,14 +67,14 @@ def table(short: Path, long: Path) -> dict[str, Callable[[Path], Row]]:
 
 
 def text_of(row: Row) -> str:
-    """A row of the table."""
+    """Format a row of the table."""
     verdict = "skipped" if row.skipped else "kept" if row.kept else "BROKEN"
     return f"| {row.fault} | {row.figure} | {row.promise} | {verdict} |"
 
 
 def main(words: list[str]) -> int:
-    """Prints the table as it comes."""
-    # what is said in a fault is part of the fault; the table says what came of it
+    """Run the selected rows and print each as it ends; return 1 if one fails."""
+    # log messages are expected during faults
     logging.disable(logging.CRITICAL)
     build_rust(PROJECT / "build" / "interop")
     broken = 0
@@ -82,7 +82,7 @@ def main(words: list[str]) -> int:
         place = Path(work)
         short = write_drive(place / "short", SHORT)
         long = write_drive(place / "long", LONG)
-        print("| fault | what came of it | promised | |\n|---|---|---|---|", flush=True)
+        print("| fault | result | required | |\n|---|---|---|---|", flush=True)
         for name, fault in table(short, long).items():
             if words and not any(word in name for word in words):
                 continue
@@ -92,9 +92,9 @@ def main(words: list[str]) -> int:
             try:
                 row = fault(folder)
             except Exception as error:
-                # one row that cannot be done must not hide the others
+                # a row that raises must not prevent the others
                 traceback.print_exc()
-                row = Row(name, f"{type(error).__name__}: {error}", "the row can be done", False)
+                row = Row(name, f"{type(error).__name__}: {error}", "the row runs", False)
             broken += not (row.kept or row.skipped)
             print(text_of(row), flush=True)
             print(f"{name}: {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)

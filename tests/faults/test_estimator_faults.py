@@ -1,4 +1,4 @@
-"""The estimator is killed: recording goes on, it comes back, what was lost is said and mended."""
+"""The estimator is killed: recording goes on, it is restarted, and map computes what was lost."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ class Killer:
             self.killed = hub.estimator.child.pid
             adjusted = Path(f"/proc/{self.killed}/oom_score_adj")
             self.first_to_go = int(adjusted.read_text(encoding="ascii"))
-            # as if it died over a window that it had in hand
+            # as if it died while solving a window
             os.kill(self.killed, signal.SIGKILL)
 
 
-def test_a_killed_estimator_costs_no_frame_and_map_makes_it_good(tmp_path: Path) -> None:
+def test_a_killed_estimator_loses_no_frame_and_map_computes_the_rest(tmp_path: Path) -> None:
     drive = write_drive(tmp_path / "drive", N)
     killer = Killer(after=1)
     out = tmp_path / "rec"
-    result, said = record(drive, out, lockstep=False, during=killer)
+    result, lines = record(drive, out, lockstep=False, during=killer)
     assert killer.killed and result.estimator_restarts == 1
     own = int(Path("/proc/self/oom_score_adj").read_text(encoding="ascii"))
     assert killer.first_to_go == 500 > own
-    assert any("estimator died" in line and "recording continues" in line for line in said)
+    assert any("estimator died" in line and "recording continues" in line for line in lines)
     assert result.frames == [N, N] and result.unrecorded == 0
     assert any("map computes it all" in line for line in result.losses())
     recording = Recording(out)
@@ -53,7 +53,9 @@ def test_a_killed_estimator_costs_no_frame_and_map_makes_it_good(tmp_path: Path)
     assert len(rows) == result.keyframes
 
 
-def test_an_estimator_that_always_dies_is_given_up_and_recording_goes_on(tmp_path: Path) -> None:
+def test_an_estimator_that_always_dies_is_not_restarted_and_recording_goes_on(
+    tmp_path: Path,
+) -> None:
     drive = write_drive(tmp_path / "drive", N)
 
     def kill_each(hub: Hub, _: str) -> None:
@@ -61,9 +63,9 @@ def test_an_estimator_that_always_dies_is_given_up_and_recording_goes_on(tmp_pat
             os.kill(hub.estimator.child.pid, signal.SIGKILL)
 
     out = tmp_path / "rec"
-    result, said = record(drive, out, lockstep=False, during=kill_each)
+    result, lines = record(drive, out, lockstep=False, during=kill_each)
     assert result.frames == [N, N] and result.submaps == 0
-    assert any("not restarted" in line for line in said)
+    assert any("not restarted" in line for line in lines)
     assert result.losses()
     recording = Recording(out)
     assert recording.count("/primary/image") == N and not recording.losses

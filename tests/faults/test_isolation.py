@@ -1,4 +1,4 @@
-"""Each thing behind capture stands still in turn."""
+"""Capture goes on while disk, estimator, tracker, serial line or an output fails."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "fault",
     [
-        rows.endless_disk,
-        rows.standing_estimator,
-        rows.standing_tracker,
+        rows.blocking_disk_full_queue,
+        rows.suspended_estimator,
+        rows.suspended_tracker,
         rows.stalled_serial,
         bad_outputs,
     ],
@@ -37,7 +37,7 @@ def test_capture_goes_on(
     fault: Callable[[Path, int, Path], Row],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # so short a drive would fit into the ring that waits for a tracker
+    # the ring of frames for the tracker would hold so short a drive
     monkeypatch.setattr(tracker_link, "RING_SLOTS", 12)
     row = fault(drive, N, tmp_path)
     assert row.kept, row

@@ -38,5 +38,5 @@ def test_the_fault_row_passes(
 
 
 def test_stamps_that_go_backwards(drive: Path, tmp_path: Path) -> None:
-    row = time_rows.lying_stamps(drive, N, tmp_path, "backwards")
+    row = time_rows.wrong_stamps(drive, N, tmp_path, "backwards")
     assert row.kept, row

@@ -1,4 +1,4 @@
-"""Unattended starts, floors and flags, from the command line."""
+"""Command line: recording under a root, free space, marks to keep, recovery."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def start(drive: Path, *more: str) -> int:
     return main([*arguments, "--set", "frontend.n_overlap=2", *more])
 
 
-def test_starts_under_a_root_never_collide_and_a_drive_can_be_kept(
+def test_drives_under_a_root_get_new_names_and_can_be_kept(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root = tmp_path / "calm-edge"
@@ -46,7 +46,7 @@ def test_starts_under_a_root_never_collide_and_a_drive_can_be_kept(
     assert "holds no recording" in capsys.readouterr().err
 
 
-def test_a_start_under_the_floor_is_refused_and_leaves_nothing(
+def test_too_little_disk_space_is_an_error_and_leaves_nothing(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for target in (["--root", str(tmp_path / "root")], ["--out", str(tmp_path / "rec")]):
@@ -56,7 +56,7 @@ def test_a_start_under_the_floor_is_refused_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_recover_has_a_target_of_its_own(
+def test_recover_writes_to_a_default_target(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert start(drive, "--out", str(tmp_path / "rec")) == 0
@@ -71,13 +71,13 @@ def test_recover_has_a_target_of_its_own(
     assert "exists already" in capsys.readouterr().err
 
 
-def test_a_camera_that_does_not_open_leaves_no_empty_drive(drive: Path, tmp_path: Path) -> None:
+def test_a_camera_that_does_not_open_leaves_no_drive(drive: Path, tmp_path: Path) -> None:
     config = config_for(drive)
     source = of_sequence(drive, True)
 
     class Absent(ReplayCamera):
         def start(self) -> None:
-            raise CameraError("primary camera: not there")
+            raise CameraError("primary camera: not found")
 
     def cameras() -> tuple[Camera, Camera]:
         clock = source.clock
@@ -85,7 +85,7 @@ def test_a_camera_that_does_not_open_leaves_no_empty_drive(drive: Path, tmp_path
         return Absent(spec, clock, frames=()), source.open()[1]
 
     absent = Source(cameras, source.clock, False, "absent")
-    with pytest.raises(CameraError, match="not there"):
+    with pytest.raises(CameraError, match="not found"):
         record(drive, tmp_path / "rec", lockstep=False, config=config, source=absent)
     assert not (tmp_path / "rec").exists()
 
@@ -103,7 +103,7 @@ def test_a_camera_that_does_not_open_leaves_no_empty_drive(drive: Path, tmp_path
         ("degrade.step_s=0", "degrade.step_s"),
     ],
 )
-def test_a_setting_that_cannot_work_is_one_line_and_leaves_nothing(
+def test_an_invalid_setting_gives_one_line_and_leaves_nothing(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], setting: str, key: str
 ) -> None:
     assert start(drive, "--root", str(tmp_path / "root"), "--set", setting) == 1

@@ -17,7 +17,7 @@ from tests.replay.small_drive import write_drive
 N = 70
 
 
-def test_a_killed_tracker_is_started_again_and_costs_no_frame(tmp_path: Path) -> None:
+def test_a_killed_tracker_is_restarted_and_no_frame_is_lost(tmp_path: Path) -> None:
     drive = write_drive(tmp_path / "drive", N)
     killed: list[int] = []
 
@@ -27,9 +27,9 @@ def test_a_killed_tracker_is_started_again_and_costs_no_frame(tmp_path: Path) ->
             os.kill(killed[0], signal.SIGKILL)
 
     out = tmp_path / "rec"
-    result, said = record(drive, out, lockstep=False, during=kill_once)
+    result, lines = record(drive, out, lockstep=False, during=kill_once)
     assert killed and result.tracker_restarts == 1
-    assert any("tracker died" in line and "restarted" in line for line in said)
+    assert any("tracker died" in line and "restarted" in line for line in lines)
     assert any("tracker was restarted" in line for line in result.losses())
     assert result.frames == [N, N] and result.unrecorded == 0
     recording = Recording(out)
@@ -37,7 +37,7 @@ def test_a_killed_tracker_is_started_again_and_costs_no_frame(tmp_path: Path) ->
 
     windows = list(recording.windows())
     assert [w.submap_id for w in windows] == list(range(len(windows))) and len(windows) > 2
-    # what came before has other ids: only the first window of each tracker has no overlap
+    # ids start anew: only the first window of each tracker has no overlap
     assert [w.n_overlap == 0 for w in windows].count(True) == 2
     epochs = [s.epoch for s in recording.poses() if s.status is not PoseStatus.LOST]
     assert epochs == sorted(epochs) and set(epochs) == {0, 1}
@@ -47,7 +47,7 @@ def test_a_killed_tracker_is_started_again_and_costs_no_frame(tmp_path: Path) ->
     assert len(rows) == result.keyframes
 
 
-def test_a_tracker_that_always_dies_is_given_up_and_recording_goes_on(tmp_path: Path) -> None:
+def test_a_tracker_that_always_dies_is_not_restarted_and_recording_goes_on(tmp_path: Path) -> None:
     drive = write_drive(tmp_path / "drive", 30)
 
     def kill_each(hub: Hub, _: str) -> None:
@@ -55,8 +55,8 @@ def test_a_tracker_that_always_dies_is_given_up_and_recording_goes_on(tmp_path: 
             os.kill(hub.tracker.child.pid, signal.SIGKILL)
 
     out = tmp_path / "rec"
-    result, said = record(drive, out, lockstep=False, during=kill_each)
-    assert any("tracker died" in line and "not restarted" in line for line in said)
+    result, lines = record(drive, out, lockstep=False, during=kill_each)
+    assert any("tracker died" in line and "not restarted" in line for line in lines)
     assert result.frames == [30, 30] and result.unrecorded == 0 and result.untracked > 0
     assert result.losses()
     assert Recording(out).count("/primary/image") == 30

@@ -1,4 +1,4 @@
-"""Clocks and stamps that lie, and a machine that gets hot."""
+"""Fault rows with wrong clocks and stamps, and with an overheated computer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ HOUR_NS = 3600 * 10**9
 
 
 def wall_clock(drive: Path, n: int, folder: Path) -> Row:
-    """The wall clock is set back two hours in the middle of the drive."""
+    """Set the wall clock back by two hours in the middle of the drive."""
     real, offset_ns = time.time_ns, [0]
 
     def set_back(_: Hub) -> None:
@@ -45,17 +45,17 @@ def wall_clock(drive: Path, n: int, folder: Path) -> Row:
     gaps_ms = np.concatenate([np.diff(t) for t in stamps]) / 1e6
     return Row(
         "wall clock -2 h",
-        f"{len(pairs)} clock pairs show {steps_h.min():+.2f} h; frames "
+        f"{len(pairs)} clock readings show {steps_h.min():+.2f} h; frames "
         f"{gaps_ms.min():.1f} to {gaps_ms.max():.1f} ms apart",
-        "no stamp moves; the step is in the clock pairs",
+        "no stamp changes; the step is in the clock readings",
         all_frames(folder / "rec", n)
         and abs(steps_h.min() + 2) < 0.01
         and bool(np.allclose(gaps_ms, 100.0, atol=0.01)),
     )
 
 
-class LyingCamera:
-    """A camera whose driver stamps by `lie(index, t_ns, now_ns)`, or gives no stamp: None."""
+class WrongStamps:
+    """A camera whose driver gives wrong stamps, or none; kind: as in `wrong_stamps`."""
 
     def __init__(self, inner: Camera, clock: Clock, kind: str) -> None:
         self.spec, self._inner, self._clock, self._kind = inner.spec, inner, clock, kind
@@ -104,38 +104,38 @@ class LyingCamera:
         return self._inner.exhausted
 
 
-def lying_stamps(drive: Path, n: int, folder: Path, kind: str) -> Row:
-    """kind: `from the future`, `backwards` or `without a clock`."""
+def wrong_stamps(drive: Path, n: int, folder: Path, kind: str) -> Row:
+    """Record with wrong stamps. kind: `from the future`, `backwards` or `without a clock`."""
     config = config_for(drive)
     source = of_sequence(drive, True)
 
     def cameras() -> tuple[Camera, Camera]:
         primary, assistant = source.open()
         clock = source.clock
-        return LyingCamera(primary, clock, kind), LyingCamera(assistant, clock, kind)
+        return WrongStamps(primary, clock, kind), WrongStamps(assistant, clock, kind)
 
-    lying = Source(cameras, source.clock, True, source.description)
-    result, _ = record(drive, folder / "rec", lockstep=False, config=config, source=lying)
+    wrongly_stamped = Source(cameras, source.clock, True, source.description)
+    result, _ = record(drive, folder / "rec", lockstep=False, config=config, source=wrongly_stamped)
     recording = Recording(folder / "rec")
     stamps = [recording.frame_times(eye) for eye in Eye]
-    rising = all(bool((np.diff(t) > 0).all()) for t in stamps)
-    lied = 0 if kind == "without a clock" else 2 * len(range(3, n, 7))
+    increasing = all(bool((np.diff(t) > 0).all()) for t in stamps)
+    wrong = 0 if kind == "without a clock" else 2 * len(range(3, n, 7))
     last = max(int(t[-1]) for t in stamps)
     drive_end_ns = 10**9 + (n - 1) * 10**8 + 17 * 10**6
     return Row(
         f"stamps {kind}",
-        f"{result.clamped_stamps} of {lied} lies moved, {sum(result.frames)} of {2 * n} frames "
-        "recorded, stamps rising",
-        "every frame recorded, stamps rise, never in the future, lies counted",
+        f"{result.clamped_stamps} of {wrong} wrong stamps clamped, {sum(result.frames)} of "
+        f"{2 * n} frames recorded, stamps increasing",
+        "every frame recorded, stamps increase, never in the future, wrong ones counted",
         all_frames(folder / "rec", n)
-        and rising
-        and (result.clamped_stamps >= lied if lied else result.clamped_stamps == 0)
+        and increasing
+        and (result.clamped_stamps >= wrong if wrong else result.clamped_stamps == 0)
         and last < drive_end_ns + 10**9,
     )
 
 
 def heat(root: Path, celsius: float, throttled: bool) -> None:
-    """A thermal tree as the kernel shows it."""
+    """Write a thermal tree as in the kernel's sysfs."""
     for name, files in {
         "thermal_zone0": {"type": "cpu-thermal", "temp": f"{celsius * 1000:.0f}"},
         "cooling_device0": {"type": "Processor", "cur_state": str(int(throttled))},
@@ -146,7 +146,7 @@ def heat(root: Path, celsius: float, throttled: bool) -> None:
 
 
 def throttling(drive: Path, n: int, folder: Path) -> Row:
-    """The machine is hot for the first half of the drive, then cool."""
+    """Run hot for the first half of the drive, then cool."""
     tree = folder / "thermal"
     heat(tree, 92.0, True)
     step_s = n / 160
@@ -154,9 +154,9 @@ def throttling(drive: Path, n: int, folder: Path) -> Row:
     changes = {"degrade": degrade, "recording": {"log_depth": True}}
     config = merge(config_for(drive), changes)
     during = AfterFrames((n // 2, lambda _: heat(tree, 50.0, False)))
-    # a look is then a second apart on a drive of half a minute, closer on a shorter one
+    # updates are a second apart on a drive of half a minute, and closer on a shorter one
     with mock.patch("calm_edge.daemon.monitor.PERIOD_S", min(1.0, step_s / 2)):
-        result, said = record(drive, folder / "rec", lockstep=False, config=config, during=during)
+        result, lines = record(drive, folder / "rec", lockstep=False, config=config, during=during)
     met = [m["shed"] for m in health(folder / "rec")]
     steps = [text for text, _ in itertools.groupby(met)]
     order = [shed.words for shed in Shed]
@@ -166,12 +166,12 @@ def throttling(drive: Path, n: int, folder: Path) -> Row:
         "throttling, 92 °C",
         f"{' > '.join(steps)}; {2 * n} of {sum(result.frames)} frames; "
         f"{' '.join(states(folder / 'rec'))}",
-        "depth, then keyframes, then windows; back when cool; no frame lost",
+        "depth, then keyframes, then windows left out; resumed when cool; no frame lost",
         all_frames(folder / "rec", n)
         and down == sorted(down)
         and len(down) >= 3
         and up == sorted(up, reverse=True)
         and len(up) >= 1
-        and any("92 °C, processor throttled" in line for line in said)
+        and any("92 °C, processor throttled" in line for line in lines)
         and "DEGRADED" in " ".join(str(m) for m in health(folder / "rec")),
     )

@@ -1,4 +1,4 @@
-"""The small drive, rendered once."""
+"""Fixture: the small drive, rendered once per session."""
 
 from __future__ import annotations
 

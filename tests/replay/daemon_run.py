@@ -1,4 +1,4 @@
-"""Runs the real daemon on a folder, as the command line does."""
+"""Run the real daemon on a sequence folder, as the command line does."""
 
 from __future__ import annotations
 
@@ -42,8 +42,10 @@ def record(
     queue_bytes: int = 128 << 20,
     write: Write = os.write,
 ) -> tuple[RecordResult, list[str]]:
-    """The result and the lines for the user. `during` is called with every status, and with
-    "watchdog" at every tick that had a frame or a pose, and may do harm.
+    """Record a folder; return the result and the lines for the user.
+
+    during: called with every status text, and with "watchdog" at every tick that had a frame or a
+    pose; it may inject faults.
     """
     config = config or config_for(folder)
     source = source or of_sequence(folder, not lockstep)
@@ -61,12 +63,12 @@ def record(
         )
     )
     hub = Hub(config, source, recording, outputs, lockstep=lockstep, say=lines.append)
-    notifier = HarmfulNotifier(hub, during) if during else NullNotifier()
+    notifier = CallbackNotifier(hub, during) if during else NullNotifier()
     return Capture(hub, notifier).run(), lines
 
 
-class HarmfulNotifier(NullNotifier):
-    """Calls `during` with each message to the service manager."""
+class CallbackNotifier(NullNotifier):
+    """Call `during` with each message to the service manager."""
 
     def __init__(self, hub: Hub, during: Callable[[Hub, str], None]) -> None:
         self._hub, self._during = hub, during

@@ -1,4 +1,4 @@
-"""A small sequence folder with truth beside it, for the scripted backbone: cheap and exact."""
+"""A small rendered sequence folder with ground truth, for the scripted backbone."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ ASSISTANT_DELAY_S = 0.017
 
 
 def poses(n: int) -> Float:
-    """(n, 4, 4) of the primary, starting at the origin."""
+    """Poses T_w_p (n, 4, 4) of the primary, starting at the origin."""
     T = drive(n, 0.12)
     return np.asarray(se3.inverse(T[0]) @ T)
 
 
 def write_drive(folder: Path, n: int = 40) -> Path:
-    """`n` frames an eye at 10 Hz, the assistant 17 ms late, in the layout of a sequence folder."""
+    """Write `n` frames per eye at 10 Hz, the assistant 17 ms later, as a sequence folder."""
     world = PlaneWorld()
     T_w_p, T_p_a = poses(n), se3.exp(np.array([SPACING_M, 0, 0, 0, 0.02, 0]))
     at = np.arange(n, dtype=np.float64)

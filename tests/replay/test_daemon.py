@@ -33,7 +33,7 @@ def text_of(result: RecordResult) -> str:
     return tum_text(result.trajectory.t_ns, result.trajectory.T_w_c)
 
 
-def test_lockstep_places_every_keyframe_with_its_own_stamp(
+def test_lockstep_places_every_keyframe_at_its_stamp(
     lockstep: tuple[Path, RecordResult],
 ) -> None:
     _, result = lockstep
@@ -44,7 +44,7 @@ def test_lockstep_places_every_keyframe_with_its_own_stamp(
     np.testing.assert_allclose(result.trajectory.T_w_c, poses(N)[frame], atol=1e-3)
 
 
-def test_lockstep_twice_is_the_same_trajectory_to_the_byte(
+def test_lockstep_is_reproducible_to_the_byte(
     lockstep: tuple[Path, RecordResult], small_drive: Path, tmp_path: Path
 ) -> None:
     _, first = lockstep
@@ -52,7 +52,7 @@ def test_lockstep_twice_is_the_same_trajectory_to_the_byte(
     assert text_of(first) == text_of(second)
 
 
-def test_the_recording_holds_every_frame_untouched_and_the_final_trajectory(
+def test_the_recording_holds_every_frame_unchanged_and_the_final_trajectory(
     lockstep: tuple[Path, RecordResult], small_drive: Path
 ) -> None:
     out, result = lockstep
@@ -79,7 +79,7 @@ def test_live_poses_follow_the_drive(lockstep: tuple[Path, RecordResult]) -> Non
     assert np.isfinite(np.stack([s.T_w_c for s in live])).all() and len(truth) == len(live)
 
 
-def test_a_recording_replays_to_the_same_windows(
+def test_replaying_a_recording_gives_the_same_trajectory(
     lockstep: tuple[Path, RecordResult], small_drive: Path, tmp_path: Path
 ) -> None:
     from calm_edge.cli import main
@@ -92,12 +92,12 @@ def test_a_recording_replays_to_the_same_windows(
     assert (tmp_path / "again" / "record_trajectory.tum").read_text() == text_of(result)
 
 
-def test_real_time_records_all_and_says_how_it_goes_every_second(
+def test_real_time_records_every_frame_and_reports_every_second(
     small_drive: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "rec"
-    said: list[str] = []
-    result, _ = record(small_drive, out, lockstep=False, during=lambda _, text: said.append(text))
+    texts: list[str] = []
+    result, _ = record(small_drive, out, lockstep=False, during=lambda _, text: texts.append(text))
     assert result.frames == [N, N] and result.unrecorded == 0
     assert result.trajectory is not None
     recording = Recording(out)
@@ -112,12 +112,12 @@ def test_real_time_records_all_and_says_how_it_goes_every_second(
     assert {"images_not_recorded", "not_tracked", "windows_left_to_map"} <= set(seconds[0]["drops"])
     assert {"estimator_windows", "recording_fill"} <= set(seconds[0]["queues"])
     assert "loop_frames" in seconds[0]["stage_ms"] and seconds[-1]["disk"]["free_bytes"] > 0
-    lines = [text for text in said if text != "watchdog"]
+    lines = [text for text in texts if text != "watchdog"]
     assert lines[0] == "STARTING" and lines[-1] == "STOPPING"
     assert any("frames, none lost" in line for line in lines[1:-1])
 
 
-def test_capture_never_loads_a_solver() -> None:
+def test_capture_imports_no_solver() -> None:
     code = (
         "import sys, calm_edge.daemon.capture, calm_edge.daemon.hub, "
         "calm_edge.daemon.run\n"
@@ -129,7 +129,7 @@ def test_capture_never_loads_a_solver() -> None:
     assert run.stdout.strip() == "[]"
 
 
-def test_a_refused_configuration_leaves_no_recording(small_drive: Path, tmp_path: Path) -> None:
+def test_an_invalid_configuration_leaves_no_recording(small_drive: Path, tmp_path: Path) -> None:
     from calm_edge.types import CalmEdgeError
 
     config = config_for(small_drive, n_overlap=9)

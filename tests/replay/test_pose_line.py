@@ -1,4 +1,4 @@
-"""The poses of a run as the other end of the serial line hears them."""
+"""Poses of a run as received at the other end of the serial line."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from tests.replay.daemon_run import config_for, record
 from tests.replay.small_drive import write_drive
 
 N = 70
-# long enough that the track is given up, and a new one begins with the next sub-map
+# long enough that tracking is lost, and restarts with the next sub-map
 DARK = range(28, 34)
 
 
 class Listener:
-    """The far end of a pty: every message that came whole."""
+    """The far end of a pseudo-terminal, which collects all valid messages."""
 
     def __init__(self) -> None:
         self.master, self._slave = os.openpty()
@@ -62,14 +62,15 @@ def odometry_of(messages: list[Any]) -> list[Any]:
 
 
 class FrameClock(ManualClock):
-    """Shows the moment a frame was taken, and a little more, while the daemon looks at it: the line
-    then hears what it would of a machine that is never late, however late this one is.
+    """A clock that follows the frames' stamps with a constant delay.
+
+    The messages are then those of a computer that is always fast enough, whatever the load.
     """
 
     LATE_NS = 40_000_000
 
     def timing(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """The frames; the next one is asked for before the one before it is handled."""
+        """Yield the frames and set the clock; each is requested before its predecessor is used."""
         before: Frame | None = None
         for frame in frames:
             if before is not None:
@@ -81,7 +82,7 @@ class FrameClock(ManualClock):
 
 
 def darkened(folder: Path) -> Path:
-    """A drive that is black for a while."""
+    """A drive with black primary images for a while."""
     drive = write_drive(folder, N)
     images = sorted((drive / "cam0").iterdir())
     dark = np.zeros_like(cv2.imread(str(images[0])))
@@ -91,7 +92,7 @@ def darkened(folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def heard(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recording]:
+def received(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recording]:
     folder = tmp_path_factory.mktemp("line")
     drive = darkened(folder / "drive")
     listener = Listener()
@@ -119,35 +120,35 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recordin
     return listener.messages, Recording(out)
 
 
-def test_every_pose_of_the_recording_leaves_once_and_in_order(
-    heard: tuple[list[Any], Recording],
+def test_every_recorded_pose_is_sent_once_in_order(
+    received: tuple[list[Any], Recording],
 ) -> None:
-    messages, recording = heard
+    messages, recording = received
     odometry = odometry_of(messages)
     stamps = np.array([m.time_usec for m in odometry])
     assert (np.diff(stamps) > 0).all()
     live = [s.t_ns // 1000 for s in recording.poses() if s.status is not PoseStatus.LOST]
     assert stamps.tolist() == live
-    # but for the start and the dark, one a frame
+    # one pose per frame, except at the start and in the dark
     assert N > len(live) > N - len(DARK) - 25
 
 
-def test_a_pose_on_the_line_is_the_recorded_one_at_its_exposure(
-    heard: tuple[list[Any], Recording],
+def test_sent_poses_equal_the_recorded_ones(
+    received: tuple[list[Any], Recording],
 ) -> None:
-    odometry, recording = odometry_of(heard[0]), heard[1]
+    odometry, recording = odometry_of(received[0]), received[1]
     recorded = {s.t_ns // 1000: s for s in recording.poses() if s.status is not PoseStatus.LOST}
     assert odometry and all(m.quality > 0 for m in odometry)
     for message in odometry:
         x, y, z = recorded[message.time_usec].T_w_c[:3, 3]
-        # camera x right, y down, z forward; the line speaks forward, right, down
+        # camera axes are right, down, forward; MAVLink's are forward, right, down
         np.testing.assert_allclose([message.x, message.y, message.z], [z, x, y], atol=1e-4)
 
 
-def test_the_reset_counter_changes_with_the_epoch_and_only_then(
-    heard: tuple[list[Any], Recording],
+def test_the_reset_counter_changes_exactly_with_the_epoch(
+    received: tuple[list[Any], Recording],
 ) -> None:
-    odometry, recording = odometry_of(heard[0]), heard[1]
+    odometry, recording = odometry_of(received[0]), received[1]
     epochs = {s.t_ns // 1000: s.epoch for s in recording.poses()}
     seen = [(m.reset_counter, epochs[m.time_usec]) for m in odometry]
     assert {epoch for _, epoch in seen} == {0, 1}
@@ -155,8 +156,8 @@ def test_the_reset_counter_changes_with_the_epoch_and_only_then(
         assert next_count - count == next_epoch - epoch
 
 
-def test_a_run_in_real_time_tells_recorded_poses_and_the_end(tmp_path: Path) -> None:
-    """How many poses there are in time depends on the machine; what they say does not."""
+def test_a_real_time_run_sends_recorded_poses_and_the_final_state(tmp_path: Path) -> None:
+    """The number of poses in time depends on the computer, their content does not."""
     drive = write_drive(tmp_path / "drive", 30)
     listener = Listener()
     settings = {
@@ -168,7 +169,7 @@ def test_a_run_in_real_time_tells_recorded_poses_and_the_end(tmp_path: Path) -> 
     arguments = ["record", "--sequence", str(drive), "--out", str(tmp_path / "rec")]
     for name, value in settings.items():
         arguments += ["--set", f"{name}={value}"]
-    # 3: completed with loss, which a busy machine may
+    # 3: completed with loss, possible on a busy computer
     assert main([*arguments, "--pace", "realtime", "--spacing-m", "0.5"]) in (0, 3)
     listener.close()
     odometry = odometry_of(listener.messages)

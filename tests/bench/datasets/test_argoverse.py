@@ -81,7 +81,7 @@ def test_a_log_that_two_names_begin_with_is_refused(root: Path) -> None:
         ("vehicle_calibration_info.json", r"no LOG/vehicle_calibration_info\.json"),
     ],
 )
-def test_what_is_missing_is_named(root: Path, path: str, names: str) -> None:
+def test_faults_are_named_as_reasons(root: Path, path: str, names: str) -> None:
     (root / "train1" / LOG / path).rename(root / "elsewhere")
     with pytest.raises(DatasetError, match=names):
         load(root, LOG)
