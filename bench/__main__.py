@@ -30,7 +30,7 @@ COMMANDS = {
     "cost.pipes": ("bench.cost.pipes", "bytes between the processes of `record`"),
     "cost.mapping": ("bench.cost.mapping", "processor time of anchors and mapping by stage"),
     "cost.search": ("bench.cost.focal_search", "focal errors of the intrinsic search over sigma"),
-    "honesty": ("bench.honesty", "pose errors of the joint graph over their covariances"),
+    "consistency": ("bench.consistency", "pose errors of the joint graph over their covariances"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }

@@ -25,7 +25,7 @@ class TableError(CalmEdgeError):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One promise: the quantity, its target, the measured value, and whether that meets it."""
+    """One requirement: the quantity, its target, the measured value, and whether that meets it."""
 
     what: str
     asked: str
@@ -37,7 +37,7 @@ class Check:
 class Table:
     """A measured table. name: of its file, and sort key on the page. command: to make it again.
 
-    rows: values in column order, None where there is none. checks: promises on these values.
+    rows: values in column order, None where there is none. checks: requirements on these values.
     notes: conditions of the measurement.
     """
 
@@ -51,11 +51,11 @@ class Table:
 
 
 def publish(table: Table, out: Path = OUT) -> int:
-    """Print a table and keep it as `out`/tables/NAME.json; 1 when a promise is broken, else 0."""
+    """Print a table and keep it as `out`/tables/NAME.json; 1 for a missed requirement, else 0."""
     print_rows(table.columns, table.rows, table.title)
     if table.checks:
         rows = [(c.what, c.asked, c.measured, c.passed) for c in table.checks]
-        print_rows(("what", "target", "measured", "kept"), rows)
+        print_rows(("what", "target", "measured", "met"), rows)
     for note in table.notes:
         print(f"  {note}")
     folder = out / FOLDER
@@ -66,7 +66,7 @@ def publish(table: Table, out: Path = OUT) -> int:
 
 
 def exit_code(tables: Iterable[Table]) -> int:
-    """1 when a promise of any table is broken, else 0."""
+    """1 when a requirement of any table is not met, else 0."""
     return int(not all(check.passed for table in tables for check in table.checks))
 
 
@@ -86,16 +86,18 @@ def kept(out: Path = OUT) -> list[Table]:
 
 
 def render(tables: Iterable[Table]) -> str:
-    """HTML page of all tables, promises first."""
+    """HTML page of all tables, requirements first."""
     tables = list(tables)
     checks = [(table, check) for table in tables for check in table.checks]
     broken = sum(not check.passed for _, check in checks)
-    lead = f"{len(checks)} promises, {len(checks) - broken} kept" if checks else "no promises"
+    lead = (
+        f"{len(checks)} requirements, {len(checks) - broken} met" if checks else "no requirements"
+    )
     parts = [f'<h1>calm-edge, measured</h1><p class="lead">{lead}</p>']
     if checks:
         rows = [(t.title, c.what, c.asked, c.measured, c.passed) for t, c in checks]
-        body = _html_table(("table", "what", "target", "measured", "kept"), rows)
-        parts.append(page.section("Promises", "", body))
+        body = _html_table(("table", "what", "target", "measured", "met"), rows)
+        parts.append(page.section("Requirements", "", body))
     for table in tables:
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in table.notes)
         body = _html_table(table.columns, table.rows) + (f"<ul>{notes}</ul>" if notes else "")
@@ -132,7 +134,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write report.html and report.json of every kept table; 1 when a promise is broken."""
+    """Write report.html and report.json of every kept table; 1 when a requirement is not met."""
     out = options.out
     tables = kept(out)
     out.mkdir(parents=True, exist_ok=True)

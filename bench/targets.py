@@ -27,12 +27,12 @@ RESULTS = "targets.json"
 
 
 class TargetError(CalmEdgeError):
-    """A promise cannot be evaluated."""
+    """A requirement cannot be evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One promise. key: of `eval --json`; of a list, the entry largest in magnitude counts.
+    """One requirement. key: of `eval --json`; of a list, the entry largest in magnitude counts.
 
     most: largest value that passes. least: value that all entries must exceed, null being
     infinite (a sigma). may_be_null: null entries pass, since nothing was claimed.
@@ -200,7 +200,7 @@ FIGURES = (
 
 
 def table(results: Mapping[str, Measured]) -> Table:
-    """All rows measured so far, in the order of ROWS, with their promises."""
+    """All rows measured so far, in the order of ROWS, with their requirements."""
     known = [(row.name, results[row.name]) for row in ROWS if row.name in results]
     return Table(
         "10_targets",
@@ -228,7 +228,7 @@ def table(results: Mapping[str, Measured]) -> Table:
 
 
 def run_all(rows: Iterable[Row], out: Path) -> dict[str, Measured]:
-    """Run rows and keep each result at once; a failed row is a broken promise."""
+    """Run rows and keep each result at once; a failed row is a missed requirement."""
     done: dict[str, Measured] = {}
     for row in rows:
         print(f"{row.name} ...", file=sys.stderr, flush=True)
@@ -250,7 +250,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the rows, print and keep the table; 1 when one of them breaks a promise."""
+    """Run the rows, print and keep the table; 1 when one of them misses a requirement."""
     done = run_all((row for row in ROWS if row.name in (options.only or [row.name])), options.out)
     publish(table(read_results(options.out / RESULTS)), options.out)
     return 0 if all(check.passed for m in done.values() for check in m.checks) else 1

@@ -1,6 +1,6 @@
-"""Time and memory of calm-edge on this machine, beside the paper's figures and the promised ones.
+"""Time and memory of calm-edge on this machine, beside the paper's figures and the required ones.
 
-A promise that is not kept is marked in its table; the exit code is 1 only where nothing could be
+A requirement that is not met is marked in its table; the exit code is 1 only where nothing could be
 measured.
 """
 

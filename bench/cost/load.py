@@ -174,7 +174,7 @@ def replay(
 
 
 def table(runs: list[Run], command: str) -> Table:
-    """One row for each replay, with its promises."""
+    """One row for each replay, with its requirements."""
     rows, checks = [], []
     for each in runs:
         tick, result = each.result.tick, each.result

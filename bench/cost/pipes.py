@@ -1,7 +1,7 @@
 """Bytes between the processes of `record`, and their processor time.
 
-One lockstep run of a sequence folder through the real command, every pipe of the capture process
-counted by border and kind of message.
+One lockstep run of a sequence folder by the real command, with the traffic of all pipes of the
+capture process by direction and type of message.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from calm_edge.daemon.messages import FrameIn
 from calm_edge.recording.reader import Recording
 from device.frame import Eye
 
-# those that carry pictures
+# messages that contain pictures
 PICTURES = ("Process", "Expect")
 MB = 1e6
 
 
 @dataclass(slots=True)
 class Tally:
-    """messages, sent: by (from, to, kind), their number and bytes; cpu_s: by process."""
+    """Traffic and time. messages, sent: number and bytes by (from, to, kind). cpu_s: by process."""
 
     messages: defaultdict[tuple[str, str, str], int] = field(
         default_factory=lambda: defaultdict(int)
@@ -51,7 +51,7 @@ class Tally:
 
 
 class CountedPipe:
-    """A Connection that counts; sends and receives what it would without."""
+    """Connection that counts what it sends and receives."""
 
     def __init__(self, pipe: Connection, child: str, tally: Tally) -> None:
         self._pipe, self._child, self._tally = pipe, child, tally
@@ -74,7 +74,7 @@ class CountedPipe:
 
 @contextmanager
 def counted() -> Iterator[Tally]:
-    """Children begun inside are counted."""
+    """Count the traffic of child processes started in this context."""
     tally = Tally()
 
     class CountedChild(Child):
@@ -100,14 +100,14 @@ def counted() -> Iterator[Tally]:
 
 
 def picture_bytes(recording: Recording) -> int:
-    """Of the distinct frames that some window holds."""
+    """Total size of the distinct pictures in windows."""
     held = {key for record in recording.windows() for key in record.frame_keys}
     frames = (recording.frame(Eye(eye), sequence, t_ns) for eye, sequence, t_ns in held)
     return sum(len(f.image) for f in frames if isinstance(f.image, bytes))
 
 
 def table(tally: Tally, pictures: int, command: str) -> Table:
-    """A row a border and kind of message, largest first, and one of the sums."""
+    """One row per direction and type of message, largest first, then totals."""
     kinds = sorted(tally.sent, key=lambda key: (key[:2], -tally.sent[key]))
     rows: list[tuple[Any, ...]] = [
         (*key, tally.messages[key], round(tally.sent[key] / MB, 3), None)
@@ -121,7 +121,7 @@ def table(tally: Tally, pictures: int, command: str) -> Table:
     notes = (
         f"{pictures / MB:.3f} MB of distinct pictures in windows; "
         f"{to_estimator / pictures:.2f} times that from capture to the estimator",
-        "processor time of whole processes, start included; capture's holds reading and recording",
+        "processor time of whole processes with start-up; capture includes reading and recording",
     )
     columns = ("from", "to", "message", "count", "MB", "CPU s")
     return Table("bench_pipes", "Bytes between processes", command, columns, tuple(rows), (), notes)

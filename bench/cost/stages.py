@@ -238,7 +238,7 @@ def table(measured: Sequence[Measured], command: str) -> Table:
         if m.target_s is not None and m.n
     ]
     notes = (
-        "a sub-map of 15 + 15 keyframes; the paper's has 15, on a workstation; promises are on "
+        "a sub-map of 15 + 15 keyframes; the paper's has 15, on a workstation; requirements are on "
         "processor time of one thread, since wall time includes other load",
         f"the core: {', '.join(f'{m.share:g} x {m.name.strip()}' for m in measured if m.share)}",
         "with `correction.refine` a guess is stored without scoring",

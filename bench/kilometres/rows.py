@@ -93,7 +93,7 @@ def shown(ratio: PairedRatio | None) -> str:
 
 
 def within(what: str, ratio: PairedRatio | None, target: float) -> Check:
-    """Promise on a ratio; not kept with fewer than MIN_PAIRS."""
+    """Requirement on a ratio; not met with fewer than MIN_PAIRS."""
     kept = ratio is not None and ratio.pairs >= MIN_PAIRS and ratio.within(target)
     return Check(what, f"<= {target:g}", shown(ratio), kept)
 

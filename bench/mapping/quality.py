@@ -82,7 +82,7 @@ def measure(
 
 
 def against(rows: Sequence[Quality]) -> tuple[Check, ...]:
-    """Promise: all three errors of our map are smaller than those of each baseline."""
+    """Requirement: all three errors of our map are smaller than those of each baseline."""
     found = {row.name: row for row in rows}
     checks = []
     for alignment in (ALIGNMENTS[kind] for kind in BASELINES):

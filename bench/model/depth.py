@@ -154,7 +154,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table; 1 when a promise is broken."""
+    """Measure, print and keep the table; 1 when a requirement is not met."""
     scored: list[Scored] = []
     notes: list[str] = []
     makers: dict[str, DepthMaker] = {name: make() for name, make in MAKERS.items()}

@@ -1,4 +1,4 @@
-"""Correspondences of the learned matcher and of classical ones, and the promises on them.
+"""Correspondences of the learned matcher and of classical ones, and the requirements on them.
 
 Rendered drives give exact truth: of all query points visible in the other picture, the shares
 found within one and three pixels. The shipped model takes part where it is installed; another one
@@ -55,7 +55,7 @@ def table(
     if not scores:
         raise EvaluationError("; ".join(skipped) or "no pair had enough query points")
     others = [name for name in matchers if name != OURS]
-    checks = promises(scores, others) if OURS in matchers else ()
+    checks = requirements(scores, others) if OURS in matchers else ()
     notes = (
         "over query points visible in the other picture; half are SIFT keypoints, half Shi-Tomasi "
         "corners, detected on the clean picture",
@@ -75,7 +75,7 @@ def table(
     )
 
 
-def promises(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check, ...]:
+def requirements(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check, ...]:
     """Ours against each other matcher: more found in all cases, more kept on degraded pictures."""
     checks = []
     for case in dict.fromkeys(score.case for score in scores):
@@ -93,7 +93,7 @@ def promises(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check, ...
 
 
 def ratio_check(what: str, ratio: PairedRatio | None, most: float) -> list[Check]:
-    """Promise that the interval ends below 1 and the ratio is at most `most`."""
+    """Requirement that the interval ends below 1 and the ratio is at most `most`."""
     if ratio is None or ratio.ratio is None or ratio.low is None or ratio.high is None:
         return []
     measured = f"{ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f}), {ratio.pairs} pairs"
@@ -108,7 +108,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table; 1 when a promise is broken."""
+    """Measure, print and keep the table; 1 when a requirement is not met."""
     matchers = {name: BASELINES[name]() for name in options.matcher or BASELINES}
     ours, missing = contestant(options.ours, "match")
     if ours is not None:

@@ -57,7 +57,7 @@ def worst_drive(errors: Errors, reference: Errors) -> tuple[str, float] | None:
 
 
 def ate_table(results: Mapping[str, Any]) -> Table:
-    """Paired errors and the promises on them."""
+    """Paired errors and the requirements on them."""
     plain, network, int8 = (runs.errors(results, v) for v in (runs.PLAIN, runs.NETWORK, runs.INT8))
     rows: list[tuple[Any, ...]] = []
     checks: list[Check] = []
@@ -113,7 +113,7 @@ def _shown(ratio: PairedRatio) -> str:
 
 
 def time_table(results: Mapping[str, Any]) -> Table:
-    """Seconds of a full window by stage, in real time, and the promises on them."""
+    """Seconds of a full window by stage, in real time, and the requirements on them."""
     rows: list[tuple[Any, ...]] = []
     checks: list[Check] = []
     for variant in runs.TIMED:
@@ -181,7 +181,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the tables; 1 when a promise is broken, 0 without the network."""
+    """Measure, print and keep the tables; 1 for a missed requirement, 0 without the network."""
     try:
         if options.show:
             results = runs.read_results(options.out / runs.RESULTS)

@@ -62,7 +62,7 @@ def measured(folder: Path, descriptors: dict[str, PlaceDescriptor]) -> dict[str,
     return found
 
 
-def promises(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[Check, ...]:
+def requirements(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[Check, ...]:
     """Ours finds more returns than RIVAL, paired over stretches; found: by drive and name.
 
     Empty without ours.
@@ -85,7 +85,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table; 1 when a promise is broken."""
+    """Measure, print and keep the table; 1 when a requirement is not met."""
     rows: list[tuple[Any, ...]] = []
     found: dict[str, dict[str, NDArray[np.bool_]]] = {}
     notes = [f"the best candidate, accepted where {100 * PRECISION:g} % of all accepted are right"]
@@ -112,7 +112,7 @@ def run(options: argparse.Namespace) -> int:
         f"python -m bench model.places{' --held-out' * options.held_out}",
         ("drive", "returns", *(f"{label} recall %" for label in makers)),
         tuple(rows),
-        promises(found),
+        requirements(found),
         tuple(notes),
     )
     return publish(made, options.out)

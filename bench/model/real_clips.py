@@ -156,7 +156,7 @@ def rows(scores: Sequence[LineScore]) -> list[tuple[Any, ...]]:
     return sorted(out, key=lambda row: (row[0], row[1]))
 
 
-def promises(scores: Sequence[LineScore], others: Sequence[str]) -> tuple[Check, ...]:
+def requirements(scores: Sequence[LineScore], others: Sequence[str]) -> tuple[Check, ...]:
     """Ours finds more than each other matcher, in all cases and within both thresholds."""
     checks = []
     for case in dict.fromkeys(score.case for score in scores):
@@ -177,7 +177,7 @@ def promises(scores: Sequence[LineScore], others: Sequence[str]) -> tuple[Check,
 
 
 def table(scores: Sequence[LineScore], notes: Sequence[str]) -> Table:
-    """Shares by clip and case, and the promises where ours is measured."""
+    """Shares by clip and case, and the requirements where ours is measured."""
     names = list(dict.fromkeys(score.matcher for score in scores))
     return Table(
         "53_model_real_clips",
@@ -185,7 +185,7 @@ def table(scores: Sequence[LineScore], notes: Sequence[str]) -> Table:
         "python -m bench model.clips",
         COLUMNS,
         tuple(rows(scores)),
-        promises(scores, [n for n in names if n != OURS]) if OURS in names else (),
+        requirements(scores, [n for n in names if n != OURS]) if OURS in names else (),
         (
             "shares of all query points, visible in the other picture or not; distance: the larger "
             "of both pictures; error px: median of those within 3 px",
@@ -206,7 +206,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table; 1 when a promise is broken."""
+    """Measure, print and keep the table; 1 when a requirement is not met."""
     scores: list[LineScore] = []
     matchers: dict[str, Matcher] = {name: make() for name, make in BASELINES.items()}
     ours, missing = contestant(options.ours, "match")

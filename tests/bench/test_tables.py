@@ -25,14 +25,14 @@ def test_a_table_comes_back_as_it_was_kept(tmp_path):
     assert back.checks == ATE.checks and back.notes == ATE.notes and back.columns == ATE.columns
 
 
-def test_the_page_shows_every_promise_and_escapes(tmp_path):
+def test_the_page_shows_every_requirement_and_escapes(tmp_path):
     text = tables.render([ATE])
-    assert "1 promises, 0 kept" in text
+    assert "1 requirements, 0 met" in text
     assert "ATE &lt;km&gt;" in text and "<km>" not in text
     assert "python -m something" in text and "five seeds" in text
 
 
-def test_a_broken_promise_is_the_exit_code(tmp_path, capsys):
+def test_a_broken_requirement_is_the_exit_code(tmp_path, capsys):
     tables.publish(ATE, tmp_path)
     assert main(["tables", "--out", str(tmp_path)]) == 1
     assert json.loads((tmp_path / "report.json").read_text())[0]["name"] == "10_ate"

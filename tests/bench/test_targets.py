@@ -1,4 +1,4 @@
-"""The runner must call a broken promise broken."""
+"""The runner must call a missed requirement broken."""
 
 import json
 from dataclasses import replace
@@ -51,12 +51,12 @@ def test_honesty_is_the_error_in_its_own_sigmas() -> None:
     assert targets.with_honesty(result)["focal_error_in_sigma"] == [4.0, None]
 
 
-def test_every_promise_is_a_key_that_eval_prints(tmp_path: Path) -> None:
+def test_every_requirement_is_a_key_that_eval_prints(tmp_path: Path) -> None:
     write_kitti(tmp_path / "poses0.txt", curve(20))
     estimate = from_updates("r", [update(curve(20), stamps(20))])
     result = targets.with_honesty(compare(estimate, read_truth(tmp_path)))
-    promised = {metric.key for row in targets.ROWS for metric in row.metrics}
-    assert promised <= set(result)
+    required = {metric.key for row in targets.ROWS for metric in row.metrics}
+    assert required <= set(result)
     assert len({row.name for row in targets.ROWS}) == len(targets.ROWS)
 
 

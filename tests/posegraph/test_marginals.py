@@ -1,6 +1,6 @@
 import numpy as np
 
-from bench.honesty import consistent_band, pose_nees
+from bench.consistency import consistent_band, pose_nees
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
 from calm_edge.posegraph.marginals import Marginals

@@ -64,7 +64,7 @@ def test_the_graph_is_the_whole_drive_with_its_loops() -> None:
         (0, 4.0, None, 0.2, [True, True, False, True]),
     ],
 )
-def test_each_promise_is_judged(
+def test_each_requirement_is_judged(
     lost: int, late_ms: float, age_ms: float | None, share: float, kept: list[bool]
 ) -> None:
     result = RecordResult(frames=[30, 30], tick=TickLatency(100, 0.1, late_ms, 9.0))

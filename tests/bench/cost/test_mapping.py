@@ -41,7 +41,7 @@ def test_an_inner_stage_is_not_counted_twice(monkeypatch):
 
 
 @pytest.mark.parametrize(("seconds", "kept"), [(0.5, True), (0.7, False)])
-def test_the_promise_is_a_submap_s_share(seconds, kept):
+def test_the_requirement_is_a_submap_s_share(seconds, kept):
     cost = Cost(2, {"extract": 0.1, "fit": seconds - 0.1}, 500_000, 300)
     made = table(cost, "command")
     assert made.rows[-1] == ("all", pytest.approx(500 * seconds))

@@ -108,7 +108,7 @@ def test_growth_is_over_the_whole_drive_and_ignores_its_start():
     assert growth(values, 20) == pytest.approx(50.0)
 
 
-def test_cost_that_grows_breaks_its_promise(course):
+def test_cost_that_grows_misses_its_requirement(course):
     def verdict(stage):
         checks = length.table(replace(course, stage_ms={"search": stage}), "").checks
         return checks[0].passed
@@ -192,7 +192,7 @@ def test_rectification_and_placement(pieces):
     assert pgo.n == circuit.n_keyframes(7, config.frontend)
 
 
-def test_the_core_is_held_to_its_promise():
+def test_the_core_is_held_to_its_requirement():
     fast = Measured("core", 1.12, 0.35, 0.2, 1.0, 1, 0.0)
     none = Measured("never ran", None, 0.1, 0.0, 0.0, 0, 0.0)
     checks = stages.table([fast, replace(fast, cpu_s=0.4), none], "").checks

@@ -20,7 +20,7 @@ def _results(*variants, setting="open", names=NAMES, **changes):
 
 @pytest.mark.parametrize(("ours", "kept"), [(4.0, [True, True]), (6.0, [False, True]),
                                             (7.0, [False, False])])  # fmt: skip
-def test_promises_of_the_open_drives(ours, kept):
+def test_requirements_of_the_open_drives(ours, kept):
     table = rows.open_drives(_results(("ours", ours), ("sim3", 20.0), ("sl4", 90.0)), "x")
     assert [check.passed for check in table.checks] == kept
     assert len(table.rows) == len(NAMES) + 1
@@ -52,7 +52,7 @@ def test_unlike_numbers_of_seeds_are_said():
     assert rows.open_drives(Results(made, ["04"]), "x").rows[0][2] == "2 / 1 / 1"
 
 
-def test_a_few_runs_keep_no_promise():
+def test_a_few_runs_meet_no_requirement():
     few = _results(("ours", 1.0), ("sim3", 20.0), ("sl4", 90.0), names=NAMES[:2])
     assert not rows.open_drives(few, "x").checks[0].passed
 

@@ -68,9 +68,9 @@ def test_the_better_matcher_wins_and_the_sturdier_one_keeps_more():
     kept = retained_against(scores, "ours", "other", "night")
     assert kept is not None and kept.ratio == pytest.approx(0.5, abs=0.03)
     assert against(scores, "ours", "other", "eyes", 0) is None
-    checks = match_table.promises(scores, ["other"])
+    checks = match_table.requirements(scores, ["other"])
     assert checks and all(check.passed for check in checks)
-    assert not any(check.passed for check in match_table.promises(_swapped(scores), ["other"]))
+    assert not any(check.passed for check in match_table.requirements(_swapped(scores), ["other"]))
 
 
 def _swapped(scores):

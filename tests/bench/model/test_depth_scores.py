@@ -39,7 +39,7 @@ def scored(ours_error):
     return out
 
 
-def test_half_the_error_keeps_the_promise_and_the_same_error_does_not():
+def test_half_the_error_meets_the_requirement_and_the_same_error_does_not():
     kept = {c.what: c.passed for c in depth.table(scored(0.05), (), False).checks}
     assert all(kept.values()) and len(kept) == 3
     same = {c.what: c.passed for c in depth.table(scored(0.1), (), False).checks}

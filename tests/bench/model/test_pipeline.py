@@ -38,7 +38,7 @@ def kept(found):
     return {check.what: check.passed for check in ate_table(found).checks}
 
 
-def test_a_network_that_halves_the_error_keeps_every_promise():
+def test_a_network_that_halves_the_error_meets_every_requirement():
     passed = kept(results((0.5, 0.6, 0.5)))
     assert len(passed) == 3 and all(passed.values())
 
@@ -49,12 +49,12 @@ def test_one_drive_that_is_worse_is_named():
     assert not check.passed and check.measured.startswith("b: ")
 
 
-def test_int8_that_costs_a_fifth_breaks_its_promise_alone():
+def test_int8_that_costs_a_fifth_misses_its_requirement_alone():
     passed = kept(results((0.5, 0.5, 0.5), 1.2))
     assert not passed.pop("int8 over fp32") and all(passed.values())
 
 
-def test_a_drive_that_only_the_network_loses_breaks_the_promise():
+def test_a_drive_that_only_the_network_loses_misses_the_requirement():
     found = results((0.5, 0.5, 0.5))
     found["c"][NETWORK.name]["1"] = {"error_m": None}
     passed = kept(found)

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.model.place_table import promises
+from bench.model.place_table import requirements
 from bench.model.places import (
     SiftVlad,
     earlier,
@@ -47,14 +47,14 @@ def test_what_was_found_again_is_told_by_picture():
     assert np.flatnonzero(found_again(likeness, same, allowed, 0.6)).tolist() == [2, 4]
 
 
-def test_the_promise_is_judged_over_stretches_of_both_drives():
+def test_the_requirement_is_judged_over_stretches_of_both_drives():
     many, few = np.arange(60) % 10 < 9, np.arange(60) % 10 < 5
     drives = {name: {"ours": many, "SIFT-VLAD": few} for name in ("a", "b")}
-    (check,) = promises(drives)
+    (check,) = requirements(drives)
     assert check.passed and "2 drives" in check.what and "12 pairs" in check.measured
     swapped = {name: {"ours": few, "SIFT-VLAD": many} for name in drives}
-    assert not promises(swapped)[0].passed
-    assert promises({"a": {"SIFT-VLAD": few}}) == ()
+    assert not requirements(swapped)[0].passed
+    assert requirements({"a": {"SIFT-VLAD": few}}) == ()
 
 
 def test_ties_are_accepted_together():

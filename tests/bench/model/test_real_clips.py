@@ -14,7 +14,7 @@ from bench.model.real_clips import (
     line_distances,
     measure_pair,
     pairs,
-    promises,
+    requirements,
     rows,
     table,
 )
@@ -92,9 +92,9 @@ def scored(ours, other):
     ]
 
 
-def test_promises_go_to_who_finds_more():
-    assert all(check.passed for check in promises(scored(90, 60), ["KLT"]))
-    assert not any(check.passed for check in promises(scored(60, 90), ["KLT"]))
+def test_requirements_go_to_who_finds_more():
+    assert all(check.passed for check in requirements(scored(90, 60), ["KLT"]))
+    assert not any(check.passed for check in requirements(scored(60, 90), ["KLT"]))
     assert not table([s for s in scored(90, 60) if s.matcher == "KLT"], ()).checks
 
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from bench.__main__ import main
-from bench.honesty import consistent_band, pose_nees, rows
+from bench.consistency import consistent_band, pose_nees, rows
 from bench.tables import kept
 from calm_edge.geometry import se3
 from calm_edge.posegraph.marginals import Marginals
@@ -57,6 +57,6 @@ def test_claims_of_a_scripted_drive_are_as_large_as_its_errors():
 
 
 def test_the_command_keeps_its_table(tmp_path):
-    assert main(["honesty", "--seeds", "1", "--submaps", "4", "--out", str(tmp_path)]) == 0
+    assert main(["consistency", "--seeds", "1", "--submaps", "4", "--out", str(tmp_path)]) == 0
     (table,) = kept(tmp_path)
-    assert table.name == "honesty" and [row[0] for row in table.rows] == [10]
+    assert table.name == "consistency" and [row[0] for row in table.rows] == [10]

@@ -33,14 +33,14 @@ COLUMNS = (
     "keyframes apart",
     "pairs",
     "position error rms, m",
-    "claimed sigma, m",
+    "sigma, m",
     "error / sigma rms",
     "consistent",
 )
 
 
 class _Kept(Immediate):
-    """Keeps the snapshot that it solved."""
+    """Optimiser that keeps the snapshot it solved."""
 
     snapshot: Snapshot
 
@@ -97,12 +97,12 @@ def solved(seed: int, n_submaps: int) -> tuple[Float, Float, Marginals]:
 
 
 def rows(seeds: int, n_submaps: int) -> tuple[tuple[float | str, ...], ...]:
-    """Of `seeds` drives: errors and claims of poses against one some keyframes earlier."""
+    """Errors and covariances of poses relative to earlier keyframes, over `seeds` drives."""
     found: dict[int, list[tuple[float, float, float]]] = {lag: [] for lag in LAGS}
     for seed in range(seeds):
         T, truth, marginals = solved(seed, n_submaps)
         for lag in LAGS:
-            # pairs that share no keyframe, but for their ends
+            # consecutive pairs, which share only their end keyframes
             for origin in range(0, len(T) - lag, lag):
                 of_pair = [se3.inverse(X[origin]) @ X[origin + lag] for X in (T, truth)]
                 covariance = marginals.covariances(np.array([origin + lag]), origin)
@@ -130,5 +130,5 @@ def run(options: argparse.Namespace) -> int:
     title = "Relative poses of the joint graph against their covariances"
     notes = (f"{options.seeds} drives of {options.submaps} sub-maps",)
     measured = rows(options.seeds, options.submaps)
-    table = Table("honesty", title, options.command, COLUMNS, measured, (), notes)
+    table = Table("consistency", title, options.command, COLUMNS, measured, (), notes)
     return publish(table, options.out)
