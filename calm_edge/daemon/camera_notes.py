@@ -24,7 +24,7 @@ class CameraNotes:
         self._settings: dict[str, str] = {}
         self._remarks: set[str] = set()
 
-    def look(self, now_ns: int) -> None:
+    def update(self, now_ns: int) -> None:
         """Pass on what is new since the last call."""
         settings = {
             camera.spec.eye.name.lower(): json.dumps(dict(camera.settings), sort_keys=True)

@@ -100,7 +100,7 @@ class Capture:
             lambda settings: hub.outputs.give(lambda output: output.cameras(settings)),
             hub.say,
         )
-        notes.look(self._source.clock.now_ns())
+        notes.update(self._source.clock.now_ns())
         # starts the watchdog: opening a camera may take longer than its interval
         self._notifier.ready()
         refused = realtime.request(priority)
@@ -125,8 +125,8 @@ class Capture:
                     else:
                         hub.say(thread.error)
             if monitor.due():
-                notes.look(self._source.clock.now_ns())
-                shed = monitor.look(hub.take_status(), keeper.lagging, keeper.skipped)
+                notes.update(self._source.clock.now_ns())
+                shed = monitor.update(hub.take_status(), keeper.lagging, keeper.skipped)
                 hub.leave_out(*shed)
             if not any(running) or hub.result.error:
                 break

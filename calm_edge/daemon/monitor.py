@@ -73,7 +73,7 @@ class Monitor:
         self._looked_s = now_s
         return True
 
-    def look(self, status: HubStatus, ticks_late: bool, skipped: int) -> tuple[Shed, str]:
+    def update(self, status: HubStatus, ticks_late: bool, skipped: int) -> tuple[Shed, str]:
         """Determine and report the state; what to leave out from now on, and why.
 
         ticks_late: ticks take longer than their period. skipped: deadlines passed so far.

@@ -121,7 +121,7 @@ class SerialOutput(Output):
 
     def close(self, result: RecordResult) -> None:
         reasons = (result.error,) if result.error else ()
-        self._publisher.last_words(reasons, self._now_ns())
+        self._publisher.send_stopping(reasons, self._now_ns())
         self._port.stop()
 
 

@@ -1,1 +1,1 @@
-"""What `map` does before the Mapper: every window's sub-map, and its depth."""
+"""Computations of `map`: the sub-maps of a recording, their depth, and the output files."""

@@ -1,4 +1,4 @@
-"""Depth for every window, by worker processes, in order."""
+"""Compute the depth of all windows in worker processes."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from calm_edge.recording.window_record import WindowRecord, window_hints
 from calm_edge.types import CalmEdgeError, Float32, LocalizerUpdate
 
 WORKERS = 2
-# windows given out ahead of the one that is taken: bounds what waits in memory
+# windows submitted ahead, which bounds the depth maps held in memory
 AHEAD = 2 * WORKERS
 
 _worker: dict[str, Any] = {}
 
 
 class DensifyError(CalmEdgeError):
-    """A worker was killed."""
+    """A worker process was killed."""
 
 
 def densified(
@@ -40,10 +40,10 @@ def densified(
     updates: Sequence[LocalizerUpdate],
     workers: int = WORKERS,
 ) -> Iterator[tuple[Float32, Float32] | str]:
-    """Depth (N, h, w) raw unit and confidence (N, h, w) of each window, in order.
+    """Yield depth (N, h, w) in raw units and confidence (N, h, w) of each window, in order.
 
-    A window that has none and cannot be given any yields one line saying why.
-    Raises DensifyError when a worker dies.
+    For a window without depth, yield one line with the reason. Raises DensifyError if a worker
+    dies.
     """
     jobs = iter(zip(windows, updates, strict=True))
     waiting: deque[Future[tuple[Float32, Float32] | str]] = deque()
@@ -69,7 +69,7 @@ def densified(
 
 
 def _nothing(update: LocalizerUpdate) -> Any:
-    """The trajectory grows with the drive and no worker reads it: an empty one is sent."""
+    """An empty trajectory to send to workers: they do not read it, and it grows with the drive."""
     t = update.trajectory
     return replace(t, keyframe_ids=t.keyframe_ids[:0], t_ns=t.t_ns[:0], T_w_c=t.T_w_c[:0])
 

@@ -1,4 +1,4 @@
-"""What `map` writes of a drive: the cloud, the trajectory and a summary."""
+"""Write the outputs of `map`: point cloud, trajectory and summary."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def make_cloud(
     out: Path,
     say: Callable[[str], None],
 ) -> tuple[int, SeamSummary | None]:
-    """Depth, anchors, tiles, the PLY; how many points it has, and how well sub-maps meet."""
+    """Compute depth, anchors and tiles and write map.ply; return the point count and seams."""
     spacing = config.scale.spacing
     n = len(drive.updates)
     with tempfile.TemporaryDirectory(prefix="spool-", dir=out) as spool:
@@ -62,8 +62,7 @@ def make_cloud(
 def write_trajectory(
     path: Path, config: Config, drive: Drive, out: Path, seams: SeamSummary | None
 ) -> Estimate:
-    """trajectory.tum, trajectory.kitti and summary.json."""
-
+    """Write trajectory.tum, trajectory.kitti and summary.json."""
     logged = from_recording(path)
     estimate = from_updates(
         str(out),
@@ -75,13 +74,13 @@ def write_trajectory(
     )
     write_tum(out / TUM, estimate.t_ns, estimate.T_w_c)
     write_kitti(out / KITTI, estimate.T_w_c)
-    told = summary(estimate) | {"seams": asdict(seams) if seams is not None else None}
-    (out / SUMMARY).write_text(json.dumps(told, indent=2) + "\n")
+    content = summary(estimate) | {"seams": asdict(seams) if seams is not None else None}
+    (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n")
     return estimate
 
 
 def summary(estimate: Estimate) -> dict[str, Any]:
-    """What `eval` needs to know of a map beside its trajectory and cloud."""
+    """Values that `eval` needs of a map besides its trajectory and cloud."""
     return {
         "frames": estimate.frames,
         "keyframes": estimate.keyframes,

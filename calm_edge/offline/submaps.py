@@ -1,8 +1,7 @@
-"""The sub-maps of a recording where they finally are: as logged, or computed again.
+"""Sub-maps of a recording in their final placement, as recorded or computed again.
 
-Rule: what `record` logged is used when the run was finished and every window it solved has its
-sub-map; otherwise all windows are computed again in order, for the Localizer is a deterministic
-function of them.
+Recorded results are used if `record` finished and each solved window has its sub-map. Otherwise all
+windows are computed again in order; the Localizer is a deterministic function of them.
 """
 
 from __future__ import annotations
@@ -36,7 +35,10 @@ from device.frame import Eye, UnreadableImage
 
 @dataclass(slots=True)
 class Drive:
-    """windows and updates go together, in order of time. losses: one line for each thing gone."""
+    """Windows and their updates, equally long and in order of time.
+
+    unsolved: ids of windows that could not be solved. losses: one line for each missing part.
+    """
 
     windows: list[WindowRecord] = field(default_factory=list)
     updates: list[LocalizerUpdate] = field(default_factory=list)
@@ -46,20 +48,20 @@ class Drive:
 
 
 def gather(recording: Recording, config: Config, say: Callable[[str], None]) -> Drive:
-    """Every placed window of a recording; computes where `record` did not."""
+    """Return the placed windows of a recording, computed again where `record` did not finish."""
     records = {record.submap_id: record for record in recording.windows()}
     drive = _logged(recording, records)
     if drive is None:
         if not records and not len(recording.frame_times(Eye.PRIMARY)):
             return Drive()
         if not records:
-            say("the recording holds no windows: choosing keyframes again")
+            say("the recording holds no windows: selecting keyframes again")
         drive = _recompute(recording, records, config, say)
     return drive
 
 
 def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | None:
-    """What `record` left, None when it does not cover every window."""
+    """Return the results recorded by `record`; None if they do not cover every window."""
     status: dict[str, object] = {}
     for message in recording.json_messages(STATUS):
         status = message if "finished" in message else status
@@ -70,28 +72,28 @@ def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | N
         first.setdefault(update.submap.id, update)
         last[update.submap.id] = update
         pieces.append(update.trajectory)
-    told = status.get("unsolved_windows")
-    unsolved = [int(i) for i in told] if isinstance(told, list) else []
-    # a restarted estimator began a new world: its poses do not go with the earlier ones
+    ids = status.get("unsolved_windows")
+    unsolved = [int(i) for i in ids] if isinstance(ids, list) else []
+    # a restarted estimator has a new world frame, unrelated to the earlier one
     if status.get("estimator_restarts") or not (status.get("finished") and records):
         return None
     if set(records) - set(last) - set(unsolved):
         return None
-    ids = sorted(set(records) & set(last))
-    updates = [_final(first[i], last[i]) for i in ids]
-    return Drive([records[i] for i in ids], updates, folded(pieces), unsolved=unsolved)
+    solved = sorted(set(records) & set(last))
+    updates = [_final(first[i], last[i]) for i in solved]
+    return Drive([records[i] for i in solved], updates, folded(pieces), unsolved=unsolved)
 
 
 def _final(first: LocalizerUpdate, last: LocalizerUpdate) -> LocalizerUpdate:
-    """The last placement, with the first prediction moved to its poses and cameras."""
+    """Return the last placement, with the first prediction moved to its poses and cameras."""
     prediction = with_poses(first.prediction, last.submap.cameras_raw, last.submap.T_s_c_raw)
     return replace(last, prediction=prediction, stage_ms=first.stage_ms)
 
 
 def with_poses(prediction: Prediction, cameras: tuple[Camera, ...], T_s_c: Float) -> Prediction:
-    """A prediction moved to other cameras and poses (N, 4, 4) of its own views.
+    """Move a prediction to other cameras and poses T_s_c (N, 4, 4) of its views.
 
-    Landmarks are triangulated again; depth, which belonged to the old poses, is dropped.
+    Landmarks are triangulated again; depth is dropped, since it belongs to the old poses.
     """
     if prediction.cameras == cameras and np.array_equal(prediction.T_s_c, T_s_c):
         return prediction
@@ -129,7 +131,7 @@ def _recompute(
     config: Config,
     say: Callable[[str], None],
 ) -> Drive:
-    # the kit file may by now hold what this very drive taught
+    # the kit file may already contain the evidence of this drive
     config = merge(config, {"backbone": {"kit_file": ""}})
     localizer = Localizer(config, open_backbone(config))
     drive = Drive()
@@ -140,7 +142,7 @@ def _recompute(
             drive.unsolved.append(window.submap_id)
             continue
         light = replace(update.prediction, depth=None, confidence=None)
-        # the loop keyframe is the one the prediction holds, not the one that was recorded
+        # the loop keyframe is that of the prediction, which may differ from the recorded one
         solved = replace(window, loop_keyframe=update.loop_keyframe)
         found[window.submap_id] = of_window(solved), replace(update, prediction=light)
         say(f"window {window.submap_id} computed again")
@@ -158,7 +160,7 @@ def _recompute(
 def _windows(
     recording: Recording, records: dict[int, WindowRecord], config: Config, drive: Drive
 ) -> Iterator[SubmapWindow]:
-    """The logged windows with their pixels; without any, those the frontend now chooses."""
+    """Yield the recorded windows with their images; if there are none, select them again."""
     if not records:
         yield from _chosen_again(recording, config, drive)
         return

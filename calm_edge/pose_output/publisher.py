@@ -112,7 +112,7 @@ class PosePublisher:
         """Set the daemon's state and its reasons; before the first call the pose's is sent."""
         self._reported = state, reasons
 
-    def last_words(self, reasons: tuple[str, ...], now_ns: int) -> None:
+    def send_stopping(self, reasons: tuple[str, ...], now_ns: int) -> None:
         """Send the state STOPPING with a heartbeat and its reasons; call it last."""
         self.report("STOPPING", reasons)
         self._next_heartbeat_ns = now_ns

@@ -27,19 +27,19 @@ class Scene:
 
 def test_settings_are_passed_on_at_start_and_on_change() -> None:
     scene = Scene()
-    scene.notes.look(5)
-    scene.notes.look(6)
+    scene.notes.update(5)
+    scene.notes.update(6)
     assert scene.described == [{"primary": AUTO, "assistant": AUTO, "since_ns": "5"}]
     scene.cameras[0].settings = {"gain": 7}
     # a disconnected camera has no settings
     scene.cameras[1].settings = {}
-    scene.notes.look(7)
+    scene.notes.update(7)
     assert scene.described[1:] == [{"primary": '{"gain": 7}', "assistant": AUTO, "since_ns": "7"}]
 
 
 def test_a_remark_is_passed_on_once() -> None:
     scene = Scene()
     scene.cameras[1].remarks = ("assistant camera y: has no gain control; not set",)
-    scene.notes.look(5)
-    scene.notes.look(6)
+    scene.notes.update(5)
+    scene.notes.update(6)
     assert scene.remarks == ["assistant camera y: has no gain control; not set"]

@@ -99,10 +99,10 @@ class Scene:
         ]
         self.monitor.watch(self.cameras)  # type: ignore[arg-type]
 
-    def look(self, status: HubStatus, ticks_late: bool = False) -> str:
+    def update(self, status: HubStatus, ticks_late: bool = False) -> str:
         """Run one update and return the state with its first reason."""
         assert self.monitor.due()
-        assert self.monitor.look(status, ticks_late, 0) == (Shed.NOTHING, "cool and caught up")
+        assert self.monitor.update(status, ticks_late, 0) == (Shed.NOTHING, "cool and caught up")
         return self.journal.lines[-1].partition(": ")[0]
 
 
@@ -114,15 +114,15 @@ def scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
 def test_the_states_of_a_drive(scene: Scene) -> None:
     assert scene.journal.lines == ["STARTING"]
     nothing = RecordResult(frames=[10, 10])
-    assert scene.look(replace(WELL, counts=nothing.counts())) == "STARTING (no sub-map yet"
+    assert scene.update(replace(WELL, counts=nothing.counts())) == "STARTING (no sub-map yet"
     nothing.submaps = 1
     unposed = replace(WELL, counts=nothing.counts())
-    assert scene.look(unposed) == "STARTING (waiting for the first pose)"
-    assert scene.look(WELL) == "RUNNING"
-    assert scene.look(replace(WELL, pose_ns=98 * S)) == "LOST (no pose for 2 s)"
-    assert scene.look(replace(WELL, pose_lost=True)) == "LOST (no pose for 0 s)"
-    assert scene.look(replace(WELL, windows_waiting=3)) == "LAGGING (3 windows wait)"
-    assert scene.look(WELL, ticks_late=True) == "LAGGING (capture loop is late)"
+    assert scene.update(unposed) == "STARTING (waiting for the first pose)"
+    assert scene.update(WELL) == "RUNNING"
+    assert scene.update(replace(WELL, pose_ns=98 * S)) == "LOST (no pose for 2 s)"
+    assert scene.update(replace(WELL, pose_lost=True)) == "LOST (no pose for 0 s)"
+    assert scene.update(replace(WELL, windows_waiting=3)) == "LAGGING (3 windows wait)"
+    assert scene.update(WELL, ticks_late=True) == "LAGGING (capture loop is late)"
     scene.monitor.stop(100 * S)
     assert scene.journal.lines[-2:] == ["stopping", "STOPPING"]
     # a tick follows, so that outputs act on the end at once and not only after the last window
@@ -135,14 +135,14 @@ def test_the_states_of_a_drive(scene: Scene) -> None:
 
 
 def test_faults_are_named_as_reasons(scene: Scene) -> None:
-    assert scene.look(replace(WELL, frame_ns=(100 * S, 99 * S))) == "DEGRADED (assistant camera y"
+    assert scene.update(replace(WELL, frame_ns=(100 * S, 99 * S))) == "DEGRADED (assistant camera y"
     assert "assistant camera y: no frame for 1.0 s" in scene.journal.lines[-1]
     scene.cameras[1].camera.connected = False
-    scene.look(WELL)
+    scene.update(WELL)
     assert "assistant camera y: disconnected, waiting for it" in scene.journal.lines[-1]
     scene.cameras[1].state = CameraState.FAILED
     scene.cameras[1].error = "assistant camera y: burnt"
-    scene.look(replace(WELL, faults=("rec: disk full", "estimator failed")))
+    scene.update(replace(WELL, faults=("rec: disk full", "estimator failed")))
     second = scene.kept.messages[-1]
     assert second["reasons"] == [
         "assistant camera y: burnt", "rec: disk full", "estimator failed"
@@ -150,7 +150,7 @@ def test_faults_are_named_as_reasons(scene: Scene) -> None:
 
 
 def test_counts_of_cameras_and_hub_are_combined(scene: Scene) -> None:
-    scene.look(WELL)
+    scene.update(WELL)
     second = scene.kept.messages[-1]
     assert second["drops"] == {
         "missed_by_the_cameras": 4,
@@ -166,7 +166,7 @@ def test_counts_of_cameras_and_hub_are_combined(scene: Scene) -> None:
 
 def test_a_finished_replay_is_not_a_fault(scene: Scene) -> None:
     scene.cameras[1].state = CameraState.FINISHED
-    assert scene.look(replace(WELL, frame_ns=(100 * S, 50 * S))) == "RUNNING"
+    assert scene.update(replace(WELL, frame_ns=(100 * S, 50 * S))) == "RUNNING"
 
 
 def test_a_backlog_reduces_work_and_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,7 +177,7 @@ def test_a_backlog_reduces_work_and_is_a_reason(monkeypatch: pytest.MonkeyPatch)
     for _ in range(3):
         clock.advance(30 * S)
         assert scene.monitor.due()
-        decisions.append(scene.monitor.look(replace(WELL, windows_waiting=9), False, 0))
+        decisions.append(scene.monitor.update(replace(WELL, windows_waiting=9), False, 0))
     half = (Shed.HALF_THE_WINDOWS, "9 windows wait")
     assert decisions == [(Shed.NOTHING, "9 windows wait"), half, half]
     last = scene.kept.messages[-1]

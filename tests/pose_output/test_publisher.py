@@ -290,7 +290,7 @@ def test_the_stopping_state_is_sent_with_its_reasons() -> None:
     bench = Bench()
     bench.publisher.report("RUNNING")
     bench.at(0, None)
-    bench.publisher.last_words(("camera x: no such camera",), START + 10 * MS)
+    bench.publisher.send_stopping(("camera x: no such camera",), START + 10 * MS)
     states = [m.system_status for m in bench.port.take("HEARTBEAT")]
     assert states == [peer.MAV_STATE_ACTIVE, peer.MAV_STATE_POWEROFF]
     text = bench.port.take("STATUSTEXT")[-1].text
