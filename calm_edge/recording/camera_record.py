@@ -1,4 +1,4 @@
-"""Cameras as JSON in the header of a record, and those of records that held matrices instead."""
+"""Encode cameras as JSON in the header of a record; convert the matrices of earlier recordings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calm_edge.recording.errors import RecordingError
 from device.frame import Eye
 
 MODELS: dict[str, type[Camera]] = {"perspective": Perspective, "fisheye": Fisheye}
-# arrays (N, 3, 3) px in the updates of version 0.1.0, and the fields that took their place
+# arrays (N, 3, 3) px in the updates of version 0.1.0, and the fields that replace them
 _MATRICES = {
     "prediction.K": "prediction.cameras",
     "submap.K_raw": "submap.cameras_raw",
@@ -21,27 +21,27 @@ _MATRICES = {
 
 
 def encode(camera: Camera) -> dict[str, Any]:
-    """The model's name and every field; floats survive JSON exactly."""
+    """Encode a camera by the name of its model and all fields; floats are stored exactly."""
     model = next(name for name, kind in MODELS.items() if isinstance(camera, kind))
     return {"model": model, **asdict(camera)}
 
 
 def decode(value: Any) -> Camera:
-    """The inverse of `encode`; raises RecordingError."""
+    """Decode a camera of `encode`; raises RecordingError."""
     try:
         fields = dict(value)
         kind = MODELS[fields.pop("model")]
         return kind(**{**fields, "distortion": tuple(fields["distortion"])})
     except (KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"camera {value!r}: not understood ({error})") from None
+        raise RecordingError(f"camera {value!r}: not a valid camera record ({error})") from None
 
 
 def replace_matrices(
     header: dict[str, Any], arrays: dict[str, Any], size_of: Callable[[Eye], tuple[int, int]]
 ) -> None:
-    """Turns the matrices of an update of version 0.1.0 into encoded pinhole cameras, in place.
+    """Convert the matrices in an update of version 0.1.0 to encoded pinhole cameras, in place.
 
-    size_of: width, height [px] of an eye's pictures, asked only where there are matrices.
+    size_of: returns width, height [px] of an eye's images; called only if there are matrices.
     """
     n, m = (len(header.get(f"submap.{eye}_ids", ())) for eye in ("primary", "assistant"))
     for name, field in _MATRICES.items():

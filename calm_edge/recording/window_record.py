@@ -59,7 +59,7 @@ def of_window(window: SubmapWindow) -> WindowRecord:
 
 
 def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> SubmapWindow:
-    """Rebuild a window; `frame(eye, sequence, t_ns)` reads its images, and its errors pass."""
+    """Rebuild a window; `frame(eye, sequence, t_ns)` reads its images; its exceptions propagate."""
     keyframes = [
         Keyframe(i, frame(Eye(eye), sequence, t_ns))
         for i, (eye, sequence, t_ns) in zip(record.ids.tolist(), record.frame_keys, strict=True)

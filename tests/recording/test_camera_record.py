@@ -34,9 +34,9 @@ def test_json_and_back_is_the_same_camera(camera):
     "change", [{"model": "pinhole"}, {"model": None}, {"fov": 3.0}, {"distortion": None}]
 )
 def test_what_is_no_camera_is_refused(change):
-    with pytest.raises(RecordingError, match="not understood"):
+    with pytest.raises(RecordingError, match="not a valid camera record"):
         camera_record.decode(camera_record.encode(PLAIN) | change)
-    with pytest.raises(RecordingError, match="not understood"):
+    with pytest.raises(RecordingError, match="not a valid camera record"):
         camera_record.decode(3)
 
 
