@@ -6,12 +6,12 @@ import argparse
 import html
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from calm_edge.evaluation.table import pretty, print_rows
+from calm_edge.evaluation.table import pretty
 from calm_edge.report import page
 from calm_edge.types import CalmEdgeError
 
@@ -48,6 +48,17 @@ class Table:
     rows: tuple[tuple[Any, ...], ...]
     checks: tuple[Check, ...] = ()
     notes: tuple[str, ...] = ()
+
+
+def print_rows(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> None:
+    """Print a table with a header on stdout. rows: values in the order of columns."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*columns, title=title or None)
+    for row in rows:
+        table.add_row(*(pretty(value) for value in row))
+    Console().print(table)
 
 
 def publish(table: Table, out: Path = OUT) -> int:

@@ -42,8 +42,6 @@ class TeachingBackbone:
     The number of landmarks matters: it determines the time of the search.
     """
 
-    name = "scripted"
-
     def __init__(self, backbone: ScriptedBackbone) -> None:
         self._backbone = backbone
 

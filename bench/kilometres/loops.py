@@ -20,7 +20,6 @@ SAME_WAY_RAD = np.radians(45.0)
 # Minimum distance of a false candidate.
 FALSE_M = 40.0
 # Number of matches that a candidate reports.
-SCORE = 100
 
 
 def true_loops(T_w_p: Float, min_gap: int, near_m: float = NEAR_M) -> Int:
@@ -107,4 +106,4 @@ class ScriptedLoops:
         T = np.array(T_query_match)
         T[:3, 3] /= self._spacing
         keyframe = self._drive.keyframes[match]
-        return LoopCandidate(window.primary[view].id, view, keyframe, T, SCORE)
+        return LoopCandidate(view, keyframe, T)

@@ -28,8 +28,6 @@ _CODE = digest(("bench.scripted",))
 class CachedBackbone:
     """Scripted backbone that caches the prediction of each window on disk."""
 
-    name = "scripted"
-
     def __init__(self, backbone: ScriptedBackbone, folder: Path) -> None:
         self._backbone, self._folder = backbone, folder
         folder.mkdir(parents=True, exist_ok=True)

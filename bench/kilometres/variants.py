@@ -16,8 +16,8 @@ from bench.kilometres.predictions import cached
 from bench.kilometres.rivals import HeldViews, rival
 from bench.kilometres.runs import Outcome, Variant
 from bench.kilometres.streams import Streams
+from bench.tables import print_rows
 from calm_edge.config import Config, load
-from calm_edge.evaluation.table import print_rows
 from calm_edge.types import CalmEdgeError
 
 _HELD = HeldViews()

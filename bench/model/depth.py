@@ -23,6 +23,7 @@ from bench.model.protocols import DepthMaker
 from bench.paired import compare
 from bench.tables import Check, Table, publish
 from calm_edge.types import Float
+from device.frame import Eye
 
 RIVAL, SWEEP = "SGBM", "plane sweep"
 PLACES, KEYFRAMES = 3, 5
@@ -170,6 +171,6 @@ def run(options: argparse.Namespace) -> int:
     drives = {scene.name: scene.prepare for scene in chosen}
     for name, folder in scenes.prepared(drives, options.only, options.out, notes):
         drive = scenes.Pictures(folder)
-        for place, frame in enumerate(scenes.places(drive.sequence.n_frames, PLACES)):
+        for place, frame in enumerate(scenes.places(drive.sequence.count(Eye.PRIMARY), PLACES)):
             scored += measure_place(drive, name, place, frame, makers)
     return publish(table(scored, notes, options.held_out), options.out)

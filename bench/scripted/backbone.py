@@ -20,8 +20,6 @@ from calm_edge.types import Float32, Hints, Int, Prediction
 class ScriptedBackbone:
     """Predictions of a scene under errors. Ignores images; all draws are seeded by the stamps."""
 
-    name = "scripted"
-
     def __init__(self, scene: ScriptedScene, errors: ScriptedErrors | None = None) -> None:
         self._scene = scene
         self._errors = Errors(errors or ScriptedErrors(), scene.t_ns, scene.T_w_p)

@@ -18,8 +18,6 @@ class BackboneError(CalmEdgeError):
 class Backbone(Protocol):
     """Maps N images to intrinsics, poses, depth and confidence. Stateless and deterministic."""
 
-    name: str
-
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Reconstruct a batch. images: (H, W, 3) uint8 BGR in batch order; hints: known facts.
 

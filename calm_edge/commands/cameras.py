@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import ERROR, OK
+from calm_edge.commands.console import ERROR, OK, say
 
 if TYPE_CHECKING:
     from device.camera import FoundCamera
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     found, errors = discover(details=not arguments.identify)
     for line in errors:
-        print(f"calm-edge: {line}", file=sys.stderr)
+        say(line)
     pair = _identified() if arguments.identify else None
     if arguments.write is not None:
         pair = pair or _first_two(found)
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
             print("\n".join(_lines(camera)))
     if not found:
         if not arguments.json and not errors:
-            print("calm-edge: no camera found; plug one in, see: ls /dev/video*", file=sys.stderr)
+            say("no camera found; plug one in, see: ls /dev/video*")
         return ERROR
     return OK
 
@@ -89,10 +89,7 @@ def _first_two(found: list[FoundCamera]) -> tuple[str, str]:
             f"{len(found)} camera(s) found, --write needs two; add --identify to choose"
         )
     first, second = sorted(camera.address for camera in found)
-    print(
-        "calm-edge: the primary is assumed to be the first by port; --identify makes sure",
-        file=sys.stderr,
-    )
+    say("the primary is assumed to be the first by port; --identify makes sure")
     return first, second
 
 
@@ -100,4 +97,4 @@ def _write(path: Path, pair: tuple[str, str]) -> None:
     from calm_edge.commands.config_file import write_keys
 
     write_keys(path, "capture", {"primary": pair[0], "assistant": pair[1]})
-    print(f"calm-edge: {path}: wrote primary and assistant to [capture]", file=sys.stderr)
+    say(f"{path}: wrote primary and assistant to [capture]")

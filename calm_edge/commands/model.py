@@ -6,10 +6,9 @@ import argparse
 import json
 import math
 import re
-import sys
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import ERROR, OK
+from calm_edge.commands.console import ERROR, OK, say
 
 if TYPE_CHECKING:
     from calm_edge.backbones.model_check.check import Report
@@ -79,20 +78,13 @@ def _check(arguments: argparse.Namespace) -> int:
     if memory_mb is None:
         memory_mb = MEMORY_SHARE * free_memory_mb()
     limits = Limits(arguments.limit_s, memory_mb, arguments.size)
-    say = _silent if arguments.json else _say
-    report = check(manifest, limits, say)
+    # nothing but the object for --json
+    tell = (lambda _: None) if arguments.json else say
+    report = check(manifest, limits, tell)
     path = verdict.save(manifest, report.verdict())
     print(json.dumps(_plain(report), indent=1) if arguments.json else _text(report))
-    say(f"result saved in {path}")
+    tell(f"result saved in {path}")
     return ERROR if report.refusal else OK
-
-
-def _say(text: str) -> None:
-    print(f"calm-edge: {text}", file=sys.stderr, flush=True)
-
-
-def _silent(text: str) -> None:
-    """Print nothing, for output as JSON."""
 
 
 def _plain(report: Report) -> dict[str, object]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from calm_edge.commands.console import say
 
 if TYPE_CHECKING:
     from calm_edge.recording.recovery import RecordingReport
@@ -30,5 +31,5 @@ def print_report(report: RecordingReport) -> int:
     for topic, count in sorted(report.messages.items()):
         print(f"{topic:20} {count}")
     for line in report.losses:
-        print(f"calm-edge: {line}", file=sys.stderr)
+        say(line)
     return int(report.outcome)

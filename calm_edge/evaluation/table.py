@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 
@@ -37,15 +37,4 @@ def print_result(result: Mapping[str, Any], title: str = "") -> None:
     table.add_column(justify="left")
     for name, value in result.items():
         table.add_row(name, pretty(value))
-    Console().print(table)
-
-
-def print_rows(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> None:
-    """Print a table with a header on stdout. rows: values in the order of columns."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(*columns, title=title or None)
-    for row in rows:
-        table.add_row(*(pretty(value) for value in row))
     Console().print(table)

@@ -36,17 +36,15 @@ AGREE_DISTANCE_SHARE, AGREE_DISTANCE, AGREE_RAD = 0.5, 3.0, np.radians(8.0)
 
 @dataclass(frozen=True, slots=True)
 class LoopCandidate:
-    """`query_id` of the window shows the place of `keyframe`, a primary one of the past.
+    """A view of the window shows the place of `keyframe`, an earlier primary one.
 
-    query_view: its batch index. T_query_match: (4, 4) match->query in spacings, rough. score: how
-    many matches one geometry explains.
+    query_view: batch index of the view. T_query_match: (4, 4) match->query, approximate,
+    camera spacings.
     """
 
-    query_id: int
     query_view: int
     keyframe: Keyframe
     T_query_match: Float
-    score: int
 
     def agrees(self, T_query_match: Float, spacing: float) -> bool:
         """Whether another measurement (4, 4), `spacing` of its units a spacing, says the same."""
@@ -153,9 +151,7 @@ class PlaceLoops:
             found = look.same_place(view, place)
             if found is not None and found.is_same and self._confirmed(look, view, place):
                 self._last_found = window.primary[view].id
-                return LoopCandidate(
-                    self._last_found, view, place, found.T_query_match, found.n_matches
-                )
+                return LoopCandidate(view, place, found.T_query_match)
         return None
 
     def remember(self, window: SubmapWindow) -> None:

@@ -50,12 +50,11 @@ class KnownKit:
 class SamePlace:
     """One pose explains what both pictures show of it.
 
-    T_query_match: (4, 4) match->query, in spacings, rough. n_matches: on one geometry.
-    seen_again: share of what the eyes see now that the past picture has too.
+    T_query_match: (4, 4) match->query, in spacings, rough. seen_again: share of what the eyes see
+    now that the past picture has too.
     """
 
     T_query_match: Float
-    n_matches: int
     seen_again: float
 
     @property
@@ -104,7 +103,7 @@ def same_place(
     if np.mean(miss < POSE_PX * stretch) < MIN_AGREEING:
         return None
     again = seen_again(all_points, query.vector[across[:, 0]], past, kit.cameras[0], T, size)
-    return SamePlace(T, len(pairs), again)
+    return SamePlace(T, again)
 
 
 def seen_again(

@@ -96,11 +96,6 @@ class SequenceFolder:
         self._size = (self._one_size(Eye.PRIMARY), self._one_size(Eye.ASSISTANT))
         self._t_ns = self._stamps()
 
-    @property
-    def n_frames(self) -> int:
-        """Number of primary frames."""
-        return self.count(Eye.PRIMARY)
-
     def count(self, eye: Eye) -> int:
         """Number of frames of an eye."""
         return len(self._files[eye])

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from calm_edge.evaluation.table import json_text, pretty, print_result, print_rows
+from calm_edge.evaluation.table import json_text, pretty, print_result
 
 
 @pytest.mark.parametrize(
@@ -31,9 +31,8 @@ def test_json_is_one_valid_line() -> None:
         json_text({"a": float("nan")})
 
 
-def test_tables_go_to_stdout(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_goes_to_stdout(capsys: pytest.CaptureFixture[str]) -> None:
     print_result({"ate_se3_m": 0.51234}, "drive")
-    print_rows(("on", "pass"), [["karlsruhe", True], ["kitti06", False]])
     out = capsys.readouterr().out
-    for word in ("ate_se3_m", "0.5123", "karlsruhe", "yes", "no"):
+    for word in ("ate_se3_m", "0.5123"):
         assert word in out

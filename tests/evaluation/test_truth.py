@@ -72,5 +72,5 @@ def test_a_folder_without_truth_is_an_error(tmp_path: Path) -> None:
         read_truth(tmp_path / "nowhere")
     (tmp_path / "times0.txt").write_text("0.1\n0.0\n")
     write_kitti(tmp_path / "poses0.txt", curve(2))
-    with pytest.raises(SequenceError, match="backwards"):
+    with pytest.raises(SequenceError, match="not after the line before"):
         read_truth(tmp_path)

@@ -40,10 +40,10 @@ def pictures(points, T_past=T_Q_PAST, noise_px=0.3, seed=1, T_a=T_P_A @ T_LATE):
 
 
 def test_a_return_is_confirmed_with_its_pose():
-    found = same_place(*pictures(scene()), KIT, SIZE, 30)
+    found = same_place(*pictures(scene()), KIT, SIZE, 121)
     off = se3.log(se3.inverse(T_Q_PAST) @ found.T_query_match)
     assert np.linalg.norm(off[:3]) < 0.15 and np.linalg.norm(off[3:]) < 0.01
-    assert found.n_matches > 120 and found.is_same
+    assert found.is_same
 
 
 def test_too_few_matches_confirm_nothing():
@@ -81,8 +81,8 @@ def test_a_look_alike_confirms_nothing():
     stranger = np.abs(np.random.default_rng(7).standard_normal((len(points), 128)))
     stranger /= np.linalg.norm(stranger, axis=1, keepdims=True)
     vector = np.where(same[:, None], past.vector, stranger).astype(np.float32)
-    found = same_place(query, assistant, Features(past.uv, vector), KIT, SIZE, 30)
-    assert found.n_matches >= 60 and not found.is_same
+    found = same_place(query, assistant, Features(past.uv, vector), KIT, SIZE, 60)
+    assert not found.is_same
     # it is the share that decides: without what is missing it would pass
     seen = (Features(f.uv[same], f.vector[same]) for f in (query, assistant, past))
     assert same_place(*seen, KIT, SIZE, 30).is_same

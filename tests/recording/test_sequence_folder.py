@@ -41,7 +41,7 @@ def test_jpeg_bytes_are_unchanged_and_stamps_shifted(tmp_path: Path) -> None:
     assert all(f.eye is Eye.ASSISTANT for f in frames)
     for i, frame in enumerate(frames):
         assert frame.image == (tmp_path / "d" / "cam1" / f"{i:06d}.jpg").read_bytes()
-    assert (folder.n_frames, folder.size(Eye.PRIMARY)) == (3, (40, 24))
+    assert (folder.count(Eye.PRIMARY), folder.size(Eye.PRIMARY)) == (3, (40, 24))
 
 
 def test_png_is_decoded_to_the_same_pixels(tmp_path: Path) -> None:

@@ -55,8 +55,6 @@ MAX_EVIDENCE_PX = 0.8
 class BundleBackbone:
     """Stateless: what is learned of the kit travels in `Hints.kit` and `Prediction.kit`."""
 
-    name = "bundle"
-
     def __init__(
         self,
         config: BackboneConfig,

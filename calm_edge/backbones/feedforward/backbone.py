@@ -27,8 +27,6 @@ class FeedforwardBackbone:
     Windows with more than `max_views` views are split with overlap and stitched.
     """
 
-    name = "feedforward"
-
     def __init__(
         self,
         manifest: Manifest,
