@@ -29,7 +29,7 @@ def _evaluated(folder: Path, missed: str, recorded: tuple[str, ...]) -> tuple[in
 
 
 @pytest.mark.parametrize("missed", ["", "targets", "mapping", "tables"])
-def test_a_missed_target_stops_nothing_and_is_told_at_the_end(tmp_path: Path, missed: str) -> None:
+def test_a_missed_target_stops_nothing_and_fails_at_the_end(tmp_path: Path, missed: str) -> None:
     code, given = _evaluated(tmp_path, missed, ("demo", "aalborg"))
     commands = [line.split() for line in given if line.startswith("-m ")]
     assert [c[1:3] for c in commands] == [["bench", name] for name in COMMANDS]

@@ -1,4 +1,4 @@
-"""Chaining must place the recording's own sub-maps by the matches logged with them."""
+"""Chaining places the recording's sub-maps by the matches logged with them."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -50,7 +50,7 @@ UPDATES = [update(k) for k in range(len(DRIVE.submaps))]
 
 
 class Recording:
-    """What is read of one."""
+    """The attributes of a recording that are read."""
 
     kept: list[LocalizerUpdate] = UPDATES
 

@@ -43,7 +43,7 @@ def test_a_drives_covariances_are_honest_over_twenty_draws(T, noise, turn):
         marginals = Marginals(problem, graph.state(), measured_noise(problem))
         values.append(pose_nees(X, truth, marginals.covariances(rows)) / 6)
     low, high = consistent_band(20)
-    # the noise itself is measured, on a few dozen pairs: half as wide a band again
+    # the noise is itself estimated from a few dozen pairs: widen the band by half
     assert (np.mean(values, 0) > low / 1.5).all()
     assert (np.mean(values, 0) < high * 1.5).all()
 

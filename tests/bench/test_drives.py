@@ -1,4 +1,4 @@
-"""Drives are rendered whole or not at all, and a kilometre comes with its twin in step."""
+"""Drives are rendered completely or not at all, with a synchronised variant."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A ratio that was put there must be found, with an interval that means what it says."""
+"""Known ratios are found, with intervals of the right coverage."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A worse kit must be worse in exactly what was asked, and its truth must stay true."""
+"""Only the given faults are added, and the ground truth stays true."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ SHADE = np.arange(N) * 5
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Every picture is one shade that tells which it is."""
+    """Sequence folder in which the brightness of a picture encodes its index."""
     folder = tmp_path_factory.mktemp("perturb") / "drive"
     for eye in range(2):
         (folder / f"cam{eye}").mkdir(parents=True)

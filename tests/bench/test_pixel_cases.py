@@ -1,4 +1,4 @@
-"""The table's drives: none twice, and a worse kit's are worse than the drive they came from."""
+"""Drives of the table: unique names, and faults that differ from the source drive."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A verdict must follow the figures: medians, lost drives and unobserved focals included."""
+"""Verdicts from the figures, with medians, lost drives and unobserved focals."""
 
 import math
 from typing import Any

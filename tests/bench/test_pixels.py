@@ -1,4 +1,4 @@
-"""Who is given what, and what is kept of it."""
+"""Inputs of each method and the results kept."""
 
 import json
 from dataclasses import replace
@@ -24,7 +24,7 @@ def case(tmp_path: Path) -> pixels.Case:
     return pixels.Case("k", drives.there(loose), drives.there(in_step), 0.6)
 
 
-def test_ours_is_told_the_spacing_and_nothing_else(
+def test_ours_gets_the_spacing_and_nothing_else(
     case: pixels.Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said: list[Any] = []
@@ -51,16 +51,16 @@ TOLD = {
 
 
 @pytest.mark.parametrize("method", TOLD)
-def test_orbslam3_is_told_the_truth_but_for_one_thing(
+def test_orbslam3_gets_the_truth_but_for_one_parameter(
     method: str, case: pixels.Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drive, focal, yaw, shift = TOLD[method]
     T = curve(N)
 
-    def run(folder: Path, told: Any, _work: Path, by: int) -> RivalRun:
+    def run(folder: Path, given: Any, _work: Path, by: int) -> RivalRun:
         assert folder.name == drive and by == shift
-        np.testing.assert_allclose(told.cameras[0].fx, 50 * focal)
-        cosine = (np.trace(RIG[:3, :3].T @ told.T_p_a[:3, :3]) - 1) / 2
+        np.testing.assert_allclose(given.cameras[0].fx, 50 * focal)
+        cosine = (np.trace(RIG[:3, :3].T @ given.T_p_a[:3, :3]) - 1) / 2
         assert np.degrees(np.arccos(np.clip(cosine, -1, 1))) == pytest.approx(yaw, abs=1e-3)
         t_ns = np.arange(N, dtype=np.int64)[:30] * 10**8 + 10**9
         return RivalRun(t_ns, T[:30], N, 4.0, 5.0)

@@ -1,4 +1,4 @@
-"""Each step is the command a user would type, and its failure is the command's own line."""
+"""Each step is a command as a user would type it; its failure is the last line it prints."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The runner must call a missed requirement broken."""
+"""Rows are run, evaluated, kept, and reported as met or missed."""
 
 import json
 from dataclasses import replace

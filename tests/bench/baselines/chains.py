@@ -1,4 +1,4 @@
-"""Sub-maps of one known drive, each in a frame, unit and projective bend of its own."""
+"""Sub-maps of one known drive, each with its own frame, unit and projective distortion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Drive:
         return se3.transform(self.T_w_p[first], points(n, seed=k))
 
     def matches(self, previous: int, new: int, p_w: np.ndarray) -> Correspondences:
-        """What two sub-maps make of world points (n, 3)."""
+        """Correspondences of world points (n, 3) in two sub-maps."""
         return Correspondences(
             moved(self.T_s_w[previous], p_w), moved(self.T_s_w[new], p_w), np.ones(len(p_w))
         )
@@ -49,7 +49,7 @@ def moved(T: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def drive(T_w_p: np.ndarray, scale_log_sigma: float = 0.3, bend: float = 0.0) -> Drive:
-    """Cuts T_w_p into sub-maps; bend: of the last row of a homography, per world unit."""
+    """Split T_w_p into sub-maps. bend: last row of a homography, per world unit."""
     rng = np.random.default_rng(11)
     submaps, T_s_w = [], []
     for k, start in enumerate(range(0, len(T_w_p) - N_OVERLAP, N_MAX - N_OVERLAP)):

@@ -1,4 +1,4 @@
-"""Whole chains: exact ones come out exact, broken ones as a row that says why."""
+"""Chains of sub-maps: exact input gives exact poses, broken input a row with the reason."""
 
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The same pixel must give the same world point from both sub-maps, and nothing else may."""
+"""Correspondences of an overlap: equal pixels give equal world points."""
 
 from dataclasses import replace
 

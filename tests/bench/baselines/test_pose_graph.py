@@ -1,4 +1,4 @@
-"""Loops on Sim(3) and SL(4): the unit does not matter, and what cannot be solved is a reason."""
+"""Loops on Sim(3) and SL(4): independent of the unit; failures have a reason."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The similarity of an overlap, exact and among outliers."""
+"""Similarity of an overlap, exact and with outliers."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The homography of an overlap, exact and among outliers, and the cameras it leaves."""
+"""Homography of an overlap, exact and with outliers, and the cameras decomposed from it."""
 
 import numpy as np
 import pytest
@@ -112,10 +112,10 @@ def test_cameras_project_the_moved_points_where_they_saw_them(seed: int) -> None
     R = T_w_c[:, :3, :3]
     assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3), atol=1e-9)
     assert np.linalg.det(R) == pytest.approx(np.ones(len(R)))
-    # a centre is moved as any point is
+    # the centre moves like any point
     centres = submap.T_s_c_raw[:, :3, 3]
     assert np.allclose(T_w_c[:, :3, 3], moved(H, centres), atol=1e-7)
-    # and some calibration sees the same pixels from there
+    # and some calibration projects to the same pixels
     p_s = se3.transform(submap.T_s_c_raw[3], points(50))
     uv = submap.cameras_raw[3].project(points(50))
     p_c = se3.transform(se3.inverse(T_w_c[3]), moved(H, p_s))

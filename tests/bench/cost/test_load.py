@@ -1,4 +1,4 @@
-"""The load bench: its pictures, its graph, and what it makes of a run."""
+"""Load measurement: pictures, background graph and table."""
 
 from __future__ import annotations
 
@@ -83,5 +83,5 @@ def test_the_priority_is_the_packages_and_asked_for_by_a_thread_that_is_gone() -
 
 
 def test_the_processor_time_of_a_process_is_its_own() -> None:
-    told, own = cpu_seconds(os.getpid()), sum(os.times()[:2])
-    assert own - 0.1 < told <= own + 0.1
+    measured, own = cpu_seconds(os.getpid()), sum(os.times()[:2])
+    assert own - 0.1 < measured <= own + 0.1

@@ -47,7 +47,7 @@ def test_the_circuit_is_closed_level_on_average_and_a_metre_a_step():
     steps = se3.inverse(T) @ np.roll(T, -1, 0)
     far = np.linalg.norm(steps[:, :3, 3], axis=1)
     assert far.min() > 0.9 and far.max() < 1.1
-    # it drives where it looks
+    # it moves along its optical axis
     assert (steps[:, 2, 3] / far > 0.999).all()
     assert np.linalg.norm(se3.so3_log(steps[:, :3, :3]), axis=1).max() < 0.1
     np.testing.assert_allclose(np.linalg.det(T[:, :3, :3]), 1.0, atol=1e-12)
@@ -180,7 +180,7 @@ def test_what_returns_without_depth_is_looked_up_and_not_verified(pieces):
 
 def test_a_bank_by_sift_describes_the_pictures(pieces):
     rows, groups = stages.banks(pieces[:1], Config().correction, by_sift=True)
-    # noise shows no place twice
+    # pictures of noise have no matches
     assert rows[0].n == 2 and not any(groups.values())
 
 

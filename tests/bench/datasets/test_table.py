@@ -20,7 +20,7 @@ from tests.bench.datasets import trees
 
 
 class Steps:
-    """Stands in for the processes; remembers what each was asked."""
+    """Stand-in for the processes that records their arguments."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.recorded: list[tuple[Path, tuple[str, ...]]] = []
@@ -136,7 +136,7 @@ def test_one_frame_is_no_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_a_real_recording_of_a_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The written folder goes through the real `record` and `eval`, whatever they make of it."""
+    """The written folder passes through the real `record` and `eval`."""
     root = trees.kitti_odometry(tmp_path / "d")
     command = ["datasets", "kitti-odom", str(root), "--out", str(tmp_path / "out"), "--json"]
     assert main(command) == 0

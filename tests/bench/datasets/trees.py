@@ -1,4 +1,4 @@
-"""Tiny datasets in their published layouts, whose truth is a known winding drive."""
+"""Tiny datasets in their published layouts, with a known winding drive as ground truth."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ N = 12
 SIZE = (62, 18)
 FOCAL, CENTRE = 40.0, (31.0, 9.0)
 SPACING_M = 0.54
-# Where the datasets' worlds lie: far from zero and turned.
+# Origin of the datasets' worlds: far from zero and rotated.
 T_WORLD = se3.exp(np.array([1200.0, -3400.0, 110.0, 0.4, -1.1, 0.3]))
 
 
@@ -24,7 +24,7 @@ def picture(path: Path, shade: int) -> None:
 
 
 def shade(eye: int, frame: int) -> int:
-    """Which picture this is, told by its brightness."""
+    """Index of a picture, encoded in its brightness."""
     return 20 * frame % 240 + eye * 5
 
 

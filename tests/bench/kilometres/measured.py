@@ -1,4 +1,4 @@
-"""Hand-made outcomes of runs that were never made."""
+"""Hand-made outcomes of runs."""
 
 import dataclasses
 
@@ -28,7 +28,7 @@ def measured(drive="04", seed=1, setting="open", variant="ours", error=1.0, **ch
 
 
 def focals(off_px, sigma=0.01):
-    """The primary's held focal so far off; raw 30 px off, their mean 20 px."""
+    """Focals with an error of the primary's estimate; raw error 30 px, of the mean 20 px."""
     return Focals(
         true=(700.0, 500.0),
         raw=(30.0, 20.0),

@@ -54,7 +54,7 @@ def test_pictures_have_the_cameras_sizes(drive):
     assert drive.windows[0].assistant[0].frame.bgr().shape == (240, 640, 3)
 
 
-def test_a_rig_is_as_long_as_it_is_told_and_another_for_another_seed():
+def test_a_rig_has_the_given_length_and_differs_by_seed():
     T = [drives.rig(np.random.default_rng(seed), 0.54) for seed in (0, 1)]
     for T_p_a in T:
         assert np.linalg.norm(T_p_a[:3, 3]) == pytest.approx(0.54)

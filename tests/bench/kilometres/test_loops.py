@@ -40,7 +40,7 @@ def test_a_place_passed_the_other_way_is_no_loop(drive):
 
 
 def remembering(drive, **dials):
-    """A finder that has been told of every window, as at the end of the drive."""
+    """A finder that remembers all windows, as at the end of the drive."""
     finder = ScriptedLoops(drive, **dials)
     for window in drive.windows:
         finder.remember(window)

@@ -80,6 +80,6 @@ def test_true_stamps_are_not_needed_for_true_poses(tmp_path):
     streams = Streams(late_s=(0.03, 0.03), jitter_s=0.004)
     drive = drives.cut("late", scene, Config(), streams, 0)
     backbone = predictions.cached(drive, ScriptedErrors(coupled=True), tmp_path)
-    # the pictures are those of the exposures: only what is reckoned from stamps is a little off
+    # pictures show the true exposures; only values computed from stamps have a small error
     outcome = runs.run(drive, backbone, runs.Variant("ours"))
     assert 1e-6 < outcome.ate_sim3_m < 0.1

@@ -22,7 +22,7 @@ def test_halved_streams_are_alternate_ones_in_step():
         assert np.array_equal(eye.t_ns, alternate.t_ns)
 
 
-def test_stamps_lie_by_what_they_are_told():
+def test_stamps_have_the_given_errors():
     streams = Streams(late_s=(0.02, 0.05), jitter_s=0.005, drift_ppm=50)
     primary, assistant = streams.exposures(T_NS, 0)
     late = (primary.stamp_ns - primary.t_ns) * 1e-9

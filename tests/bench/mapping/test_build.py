@@ -55,7 +55,7 @@ def test_raw_points_are_the_mapped_ones_in_the_raw_unit(tmp_path):
     assert len(raw) == pytest.approx(len(points), rel=0.02)
     p_w = se3.transform(piece.submap.T_w_s, 2.5 * raw.astype(float))
     assert scene.distance_to_scene(STREET, p_w).max() < 1e-2
-    # what a rectification did to the sub-map is not in the raw points
+    # raw points do not depend on the rectification
     cameras = tuple(camera.with_focal(1.1 * camera.fx) for camera in piece.submap.cameras)
     bent = dataclasses.replace(piece.submap, cameras=cameras)
     np.testing.assert_array_equal(

@@ -1,4 +1,4 @@
-"""Pictures whose every point is known in another one: a textured plane seen by two cameras."""
+"""Pictures of a textured plane by two cameras, with exact correspondences."""
 
 from __future__ import annotations
 

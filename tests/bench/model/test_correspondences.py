@@ -24,8 +24,8 @@ def pair(place, case="3 on", scene="plane"):
     return Pair(case, scene, place, *sides)
 
 
-class Told:
-    """Knows the truth of a pair, and is right on a given share of clear pictures."""
+class Exact:
+    """Matcher with the truth of a pair, correct for a given share of clear pictures."""
 
     def __init__(self, pair, share, worse_share):
         self.pair, self.share, self.worse = pair, share, worse_share
@@ -60,8 +60,8 @@ def test_the_better_matcher_wins_and_the_sturdier_one_keeps_more():
     for scene in ("a", "b", "c"):
         for place in range(2):
             made = pair(place, scene=scene)
-            told = {"ours": Told(made, 1.0, 0.8), "other": Told(made, 0.5, 0.2)}
-            scores += measure_pair(made, told)
+            matchers = {"ours": Exact(made, 1.0, 0.8), "other": Exact(made, 0.5, 0.2)}
+            scores += measure_pair(made, matchers)
     better = against(scores, "ours", "other", "3 on", 0)
     assert better is not None and better.verdict == "better"
     assert better.ratio == pytest.approx(0.5, abs=0.03)

@@ -10,7 +10,7 @@ from calm_edge.evaluation.errors import EvaluationError
 
 
 class Shifts:
-    """A model whose every match is a pixel to the right, the first one not sure."""
+    """Model whose matches are one pixel to the right, the first one uncertain."""
 
     def match(self, a, b, uv):
         assert a.ndim == b.ndim == 2 and uv.dtype == np.float32

@@ -19,7 +19,7 @@ SCATTER = (0.98, 1.0, 1.02)
 
 
 def results(share, of_int8=1.0):
-    """Three drives and seeds; the network's error is a share of the other's, a drive."""
+    """Three drives and seeds; the network's errors relative to the others, one share a drive."""
     out = {}
     for number, name in enumerate(("a", "b", "c")):
         plain = {str(s): {"error_m": 1.0 + number} for s in range(3)}

@@ -37,13 +37,13 @@ def test_recall_counts_only_what_a_precise_threshold_accepts():
     assert not found_again(likeness, same, allowed, 0.99).any()
 
 
-def test_what_was_found_again_is_told_by_picture():
+def test_found_again_is_a_mask_over_pictures():
     allowed, same = earlier(5, 1), np.zeros((5, 5), bool)
     same[2, 0] = same[3, 1] = same[4, 0] = True
     likeness = np.zeros((5, 5))
     likeness[2, 0], likeness[3, 0], likeness[4, 0] = 0.9, 0.8, 0.7
     assert np.flatnonzero(found_again(likeness, same, allowed, 0.99)).tolist() == [2]
-    # a threshold so low that the wrong one comes along
+    # a threshold low enough to accept the wrong one
     assert np.flatnonzero(found_again(likeness, same, allowed, 0.6)).tolist() == [2, 4]
 
 

@@ -1,4 +1,4 @@
-"""What a rival is told must be the truth, and wrong by exactly what was dialled."""
+"""Calibration given to a rival: the true one, or wrong by exactly the given amount."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""COLMAP must be asked to match along time and across the eyes, and nothing twice."""
+"""Pairs for COLMAP: along time and between the eyes, each once."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""A rival that cannot be had is skipped with a reason; one that dies is an error with its log."""
+"""A rival that cannot be installed is skipped with a reason; a crash is an error with its log."""
 
 import subprocess
 import sys

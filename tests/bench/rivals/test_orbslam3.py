@@ -1,4 +1,4 @@
-"""ORB-SLAM3 must be told what was meant, frame by frame; it need not be installed for that."""
+"""Input of ORB-SLAM3, frame by frame; needs no installation of it."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The tree must be one that DBoW2's reader takes, and must tell places apart."""
+"""The tree is valid for DBoW2's reader and distinguishes places."""
 
 from pathlib import Path
 

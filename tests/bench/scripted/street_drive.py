@@ -1,4 +1,4 @@
-"""A short drive along a street, and the batches a front end would make of it."""
+"""A short drive along a street, and batches as a front end forms them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ T_P_A = se3.exp(np.array([0.54, 0.02, 0.03, 0.01, 0.02, -0.01]))
 
 
 def street(n: int = 60, turn: float = 0.0) -> ScriptedScene:
-    """n poses about 1 m apart, straight unless told; two cameras of 640 px."""
+    """n poses about 1 m apart, straight by default; two cameras of 640 px."""
     T = curved(n, turn=turn)
     return ScriptedScene(
         t_ns=START_NS + PERIOD_NS * np.arange(n),
