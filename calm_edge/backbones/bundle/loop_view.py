@@ -158,7 +158,8 @@ def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopP
     if n_points < MIN_INLIERS:
         return None
     camera = cameras[0]
-    stretch = camera.width / REFERENCE_WIDTH_PX
+    size = 2 * np.array([camera.cx, camera.cy]) + 1
+    stretch = float(size[0]) / REFERENCE_WIDTH_PX
     points, kept = _points(cameras, T_s_c, tracks, POINT_PX * stretch)
     (known,) = np.nonzero(np.isfinite(points[:, 0]))
     rays = camera.normalized(tracks.loop_uv)
@@ -172,7 +173,6 @@ def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopP
     fit = pnp.refine(camera, points[known], seen, se3.inverse(guess), POSE_PX * stretch)
     if fit is None or fit.n_inliers < max(MIN_INLIERS, MIN_INLIER_SHARE * len(known)):
         return None
-    size = np.array([camera.width, camera.height])
     sigma = float(np.sqrt(np.linalg.eigvalsh(fit.covariance[:3, :3])[-1]))
     if sigma > MAX_SIGMA or not sift.well_spread(seen[fit.inlier], size):
         return None
