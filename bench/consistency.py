@@ -126,7 +126,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table."""
+    """Measure, print and save the table."""
     title = "Relative poses of the joint graph against their covariances"
     notes = (f"{options.seeds} drives of {options.submaps} sub-maps",)
     measured = rows(options.seeds, options.submaps)

@@ -1,4 +1,4 @@
-"""Drives of the picture comparison: real, rendered, held out, and with recording faults."""
+"""Drives of the comparison `bench pixels`: real, rendered, held out, with recording faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Targets of the picture comparison and their verdicts."""
+"""Targets of the comparison `bench pixels`, and whether the results meet them."""
 
 from __future__ import annotations
 

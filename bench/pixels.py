@@ -181,7 +181,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print the table and the verdicts, keep pixels.json; 1 when a target is missed."""
+    """Measure, print table and verdicts, save pixels.json; return 1 if a target is missed."""
     cases = UNSEEN if options.held_out else WORSE if options.worse else CASES
     names = options.only or [case.name for case in cases]
     methods = options.method or [m for m in METHODS if m not in EXPENSIVE]

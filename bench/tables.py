@@ -145,7 +145,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write report.html and report.json of every kept table; 1 when a requirement is not met."""
+    """Write report.html and report.json of saved tables; return 1 if a requirement is not met."""
     out = options.out
     tables = kept(out)
     out.mkdir(parents=True, exist_ok=True)

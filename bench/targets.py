@@ -250,7 +250,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the rows, print and keep the table; 1 when one of them misses a requirement."""
+    """Run the rows, print and save the table; return 1 if one of them misses a requirement."""
     done = run_all((row for row in ROWS if row.name in (options.only or [row.name])), options.out)
     publish(table(read_results(options.out / RESULTS)), options.out)
     return 0 if all(check.passed for m in done.values() for check in m.checks) else 1

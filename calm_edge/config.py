@@ -136,7 +136,7 @@ class ScaleConfig:
 
     @property
     def spacing(self) -> float:
-        """World units a map unit: spacing_m, or 1 where the world is in spacings."""
+        """World units per map unit: spacing_m, or 1 if the world unit is the spacing."""
         return self.spacing_m or 1.0
 
 

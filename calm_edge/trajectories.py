@@ -95,7 +95,7 @@ def _numbers(path: Path, number: int, words: list[str]) -> Float:
     except ValueError:
         raise TrajectoryError(f"{path}:{number}: not a row of numbers") from None
     if not np.isfinite(values).all():
-        raise TrajectoryError(f"{path}:{number}: not finite")
+        raise TrajectoryError(f"{path}:{number}: contains inf or nan")
     return values
 
 

@@ -83,7 +83,7 @@ def special(H: Float) -> Float:
 
 
 def homogeneous(p: Float) -> Float:
-    """(N, 3) -> (N, 4)."""
+    """Append 1 to points (N, 3): (N, 4)."""
     return np.column_stack([p, np.ones(len(p))])
 
 

@@ -26,7 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the tables and the plot."""
+    """Measure, print and save the tables and the plot."""
     cv2.setNumThreads(1)
     # first: the memory of a process that has done little else
     if options.submaps:

@@ -72,7 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table."""
+    """Measure, print and save the table."""
     title = "Focal lengths of the intrinsic search"
     rows = tuple(row(kinds, options.seeds) for kinds in BANKS)
     notes = ("error / sigma is 1 where the claimed sigma is right",)

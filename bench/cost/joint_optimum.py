@@ -70,7 +70,7 @@ def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) ->
     Uses the sub-maps before correction, since this uncoupled model has no errors to correct.
     """
     scaled = _uncorrected(course)
-    _optimise(course.config, scaled[:2], with_loops=False)  # first call: loads GTSAM
+    _optimise(course.config, scaled[:2], with_loops=False)  # warm-up, which loads GTSAM
     runs = []
     for with_loops in (False, True):
         for share in shares:
@@ -151,7 +151,11 @@ def _optimise(config: Config, submaps: Sequence[Submap], with_loops: bool) -> Op
 def table(
     runs: Sequence[Optimisation], command: str, estimator_bytes: float, optimiser_bytes: float
 ) -> Table:
-    """One row for each length, without and with loops; bytes: of both processes at the longest."""
+    """Table of the runs, a row each.
+
+    estimator_bytes: memory of this process after the drive. optimiser_bytes: peak memory of the
+    optimiser's process.
+    """
     rows = [
         (
             run.keyframes,

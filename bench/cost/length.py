@@ -64,7 +64,7 @@ class TeachingBackbone:
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
-        """As the scripted backbone."""
+        """Add the scripted depth."""
         return self._backbone.densify(images, hints, prediction)
 
 

@@ -257,7 +257,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run all three replays, print and keep the table; a missed target is no error."""
+    """Run all three replays, print and save the table; a missed target is no error."""
     cv2.setNumThreads(1)
     seconds = 60 * options.minutes
     pictures = tuple(enlarged(options.drive, eye, options.pictures) for eye in Eye)

@@ -136,7 +136,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure a recording, print and keep the table; 1 when it takes longer than required."""
+    """Measure a recording, print and save the table; return 1 if it takes longer than required."""
     cv2.setNumThreads(1)
     recorded = read(options.recording, options.set)
     pieces: list[Dense] = []

@@ -136,7 +136,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Record once, print and keep the table."""
+    """Record once, print and save the table."""
     with tempfile.TemporaryDirectory(prefix="calm-edge-pipes-") as place:
         folder = Path(place) / "recording"
         arguments = ["record", "--sequence", str(options.sequence), "--pace", "lockstep"]

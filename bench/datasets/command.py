@@ -45,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print one row for each sequence, then the average; 1 when a sequence failed."""
+    """Print one row for each sequence, then the average; return 1 if a sequence failed."""
     from bench.datasets import table
     from bench.datasets.drive import DatasetError
     from calm_edge.evaluation.table import json_text

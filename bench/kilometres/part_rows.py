@@ -39,7 +39,7 @@ SCALE_ERROR, SCALE_STD = 0.15, 0.03
 
 
 def synchronisation(results: Results, command: str) -> Table:
-    """As table 3: asynchronous against synchronous cameras."""
+    """Asynchronous against synchronous cameras, as in table 3 of the paper."""
     rows = []
     for name in results.names:
         runs = [results.runs(s, OURS, name) for s in (ASYNC, HALVED, OPEN)]
@@ -67,7 +67,7 @@ def synchronisation(results: Results, command: str) -> Table:
 
 
 def scales(results: Results, command: str) -> Table:
-    """As table 7: scale over windows of 100 frames."""
+    """Scale over windows of 100 frames, as in table 7 of the paper."""
     rows: list[tuple[Any, ...]] = []
     for name in results.names:
         ours, theirs = results.runs(OPEN, OURS, name), results.runs(OPEN, SIM3, name)
@@ -111,7 +111,7 @@ def observed(focals: Focals) -> bool:
 
 
 def focal_table(results: Results, command: str) -> Table:
-    """As table 6: errors of the primary in px, of the assistant in percent."""
+    """Focal errors of the primary in px, of the assistant in percent, as in table 6."""
     rows: list[tuple[Any, ...]] = []
     found: list[tuple[Measured, Focals]] = []
     for run in results.runs(OPEN, OURS):
@@ -195,7 +195,7 @@ def _mean_of_drives(seen: Sequence[tuple[Measured, Focals]]) -> list[float | Non
 
 
 def ablation(results: Results, command: str) -> Table:
-    """As table 9: each variant over the full model."""
+    """Error of each variant over that of the full model, as in table 9 of the paper."""
     rows: list[tuple[Any, ...]] = []
     remarks = []
     for part in ABLATIONS:

@@ -33,7 +33,7 @@ class CachedBackbone:
         folder.mkdir(parents=True, exist_ok=True)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """As the scripted backbone; cached."""
+        """The scripted prediction, read from the cache if it is there."""
         file = self._folder / f"{_key(hints)}.npz"
         if file.is_file():
             return _read(file)
@@ -44,7 +44,7 @@ class CachedBackbone:
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
-        """As the scripted backbone; depth is not cached."""
+        """Add the scripted depth, which is not cached."""
         return self._backbone.densify(images, hints, prediction)
 
     def depth(self, hints: Hints, views: Int) -> tuple[Float32, Float32]:

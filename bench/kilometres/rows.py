@@ -104,7 +104,7 @@ def notes(*texts: str) -> tuple[str, ...]:
 
 
 def open_drives(results: Results, command: str) -> Table:
-    """As tables 1 and 2: loops off."""
+    """Errors without loop closure, as in tables 1 and 2 of the paper."""
     average = over_drives(results, lambda n: mean(m.percent for m in results.runs(OPEN, OURS, n)))
     checks = (
         within("ours over Sim(3)", results.against((OPEN, OURS), (OPEN, SIM3)), OPEN_RATIO),

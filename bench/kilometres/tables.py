@@ -52,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Make the missing runs, print and keep the tables."""
+    """Make the missing runs, print and save the tables."""
     store = Store(asked.outcomes, asked.stale)
     only = asked.only.split(",") if asked.only else list(TABLES)
     names = asked.sequences.split(",")

@@ -1,4 +1,4 @@
-"""Sub-maps of a recording with depth and anchors, computed once for all rows."""
+"""Sub-maps of a recording with depth and anchors, input of all rows of the mapping tables."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Built:
 
 
 def build(recorded: Recorded, folder: Path, warp: float) -> Built:
-    """Compute depth, anchors and overlaps of all windows, once for all rows.
+    """Compute depth, anchors and overlaps of all windows.
 
     folder: scratch. warp: amplitude of a distortion added to the depth, see `warped`.
     """

@@ -145,7 +145,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure a recording against its sequence folder, print and keep the table."""
+    """Measure a recording against its sequence folder, print and save the table."""
     truth = read_truth(options.truth)
     rows = measure(options.recording, truth, options.set, options.align, options.warp)
     name = options.truth.resolve().name + (f"_warp{options.warp:g}" if options.warp else "")

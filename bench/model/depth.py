@@ -155,7 +155,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table; 1 when a requirement is not met."""
+    """Measure, print and save the table; return 1 if a requirement is not met."""
     scored: list[Scored] = []
     notes: list[str] = []
     makers: dict[str, DepthMaker] = {name: make() for name, make in MAKERS.items()}
@@ -165,7 +165,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         makers = {OURS: ours, **makers}
     if options.ours is None:
-        # the shipped depth is the sweep itself
+        # the shipped model's depth is this plane sweep: do not list it twice
         del makers[SWEEP]
     chosen = scenes.UNSEEN if options.held_out else scenes.DEVELOPMENT
     drives = {scene.name: scene.prepare for scene in chosen}

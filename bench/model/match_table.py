@@ -108,7 +108,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table; 1 when a requirement is not met."""
+    """Measure, print and save the table; return 1 if a requirement is not met."""
     matchers = {name: BASELINES[name]() for name in options.matcher or BASELINES}
     ours, missing = contestant(options.ours, "match")
     if ours is not None:

@@ -181,7 +181,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the tables; 1 for a missed requirement, 0 without the network."""
+    """Measure, print and save the tables; return 1 if a requirement is not met.
+
+    Without the network, print the reason and return 0.
+    """
     try:
         if options.show:
             results = runs.read_results(options.out / runs.RESULTS)

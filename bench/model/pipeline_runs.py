@@ -20,9 +20,9 @@ from calm_edge.recording.reader import Recording
 from calm_edge.types import CalmEdgeError, LocalizerUpdate
 
 RESULTS = "model_pipeline.json"
-# Depth is a stage of its own, run when there is time.
+# Name of the stage that computes depth; it is left out when there is no time for it.
 DEPTH_STAGE = "densify"
-# Share of frames dropped by a seed: the solver's own seed does not change the result.
+# Share of frames dropped in runs other than seed 0; the solver's seed alone changes no result.
 LOST = 0.05
 
 
@@ -89,9 +89,10 @@ Results = dict[str, dict[str, dict[str, dict[str, Any]]]]
 
 
 def full_windows_s(updates: Iterable[LocalizerUpdate], most: int) -> list[dict[str, float]]:
-    """Seconds by stage of each window of `most` + `most` keyframes, in its first solution.
+    """Seconds by stage of each full window, in its first solution.
 
-    Without the first window, which has no overlap.
+    most: number of primary, and of assistant, keyframes of a full window. The first one, which
+    overlaps with none, is left out.
     """
     found: dict[int, dict[str, float]] = {}
     for update in updates:

@@ -47,7 +47,10 @@ TRAINING = simulated("aalborg", "--track", "aalborg", "--frames", "600")
 
 
 def measured(folder: Path, descriptors: dict[str, PlaceDescriptor]) -> dict[str, NDArray[np.bool_]]:
-    """Whether each descriptor finds the returns, (R,) in order; raises EvaluationError."""
+    """Whether each descriptor finds each of the R returns to a place, (R,) by name.
+
+    Raises EvaluationError.
+    """
     T_w_c = read_kitti(folder / "poses0.txt")
     images = [read_picture(file) for file in pictures(folder, 0)]
     same, allowed = same_place(T_w_c, MIN_GAP), earlier(len(T_w_c), MIN_GAP)
@@ -63,15 +66,15 @@ def measured(folder: Path, descriptors: dict[str, PlaceDescriptor]) -> dict[str,
 
 
 def requirements(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[Check, ...]:
-    """Ours finds more returns than RIVAL, paired over stretches; found: by drive and name.
+    """Check that ours finds more returns than RIVAL, paired over stretches; empty without ours.
 
-    Empty without ours.
+    found: results of `measured` by drive.
     """
     recall: dict[str, dict[tuple[str, int], float | None]] = {OURS: {}, RIVAL: {}}
     for drive, by_name in found.items():
         for name in recall.keys() & by_name.keys():
             for k, stretch in enumerate(np.array_split(by_name[name], STRETCHES)):
-                # kept half a return away from 0 and 1 so that ratios exist
+                # half a return counted as found and half as missed: no recall is 0, so ratios exist
                 recall[name][drive, k] = float((stretch.sum() + 0.5) / (len(stretch) + 1))
     if not recall[OURS]:
         return ()
@@ -85,7 +88,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table; 1 when a requirement is not met."""
+    """Measure, print and save the table; return 1 if a requirement is not met."""
     rows: list[tuple[Any, ...]] = []
     found: dict[str, dict[str, NDArray[np.bool_]]] = {}
     notes = [f"the best candidate, accepted where {100 * PRECISION:g} % of all accepted are right"]

@@ -72,7 +72,7 @@ class SiftVlad:
         self.words = np.asarray(centres, np.float32)
 
     def describe(self, image: Bytes) -> Float32:
-        """(H, W, 3) BGR -> (words * 128,), unit length, normalised by word before."""
+        """Vector (words * 128,) of a picture (H, W, 3) BGR: normalised by word, then as a whole."""
         vector = _vectors(image)
         total: NDArray[np.float32] = np.zeros_like(self.words)
         if len(vector):
@@ -84,7 +84,7 @@ class SiftVlad:
         return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-9), np.float32)
 
     def similarity(self, queries: Float32, places: Float32) -> Float32:
-        """(Q, D) and (P, D) -> (Q, P): the cosine."""
+        """Cosine similarity (Q, P) of queries (Q, D) and places (P, D)."""
         return np.asarray(queries @ places.T, np.float32)
 
 

@@ -206,7 +206,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the table; 1 when a requirement is not met."""
+    """Measure, print and save the table; return 1 if a requirement is not met."""
     scores: list[LineScore] = []
     matchers: dict[str, Matcher] = {name: make() for name, make in BASELINES.items()}
     ours, missing = contestant(options.ours, "match")

@@ -28,7 +28,7 @@ _MIN_STEP = 0.02
 
 
 class _Pairs(NamedTuple):
-    """Views a and b of each pair, and the pair that its length is measured relative to."""
+    """Views a and b of each pair, and the parent: the pair that its baseline is relative to."""
 
     a: Int
     b: Int
@@ -128,21 +128,25 @@ def _some(mask: Bool, most: int = MATCHES) -> tuple[Int, Float]:
 
 
 def _ratios(solved: Float, pairs: _Pairs, rays: Float, sightings: Sightings) -> Float:
-    """Length ratios (P,) of pairs to their parents, from depths in the view they share."""
+    """Ratios (P,) of the baseline of each pair to its parent's, 1 for the first pair.
+
+    Estimated from depths in the view that both share.
+    """
     child = np.arange(1, len(pairs.a))
-    mother = pairs.parent[child]
+    parent = pairs.parent[child]
     shared = pairs.a[child]
-    # the shared view is the parent's b or, at the ends of the path, its a
-    as_b = pairs.b[mother] == shared
-    other = np.where(as_b, pairs.a[mother], pairs.b[mother])
+    # a step along the path shares its parent's b; the parent of an assistant or loop view is the
+    # step that starts at its view a, or else the last step
+    as_b = pairs.b[parent] == shared
+    other = np.where(as_b, pairs.a[parent], pairs.b[parent])
     seen = sightings.seen
     index, weight = _some(seen[shared] & seen[other] & seen[pairs.b[child]])
     x = rays[shared[:, None], index]
-    T_mother = np.where(as_b[:, None, None], se3.inverse(solved[mother]), solved[mother])
+    T_parent = np.where(as_b[:, None, None], se3.inverse(solved[parent]), solved[parent])
     near, parallax = epipolar.inverse_depth(solved[child], x, rays[pairs.b[child][:, None], index])
-    far, parallax_m = epipolar.inverse_depth(T_mother, x, rays[other[:, None], index])
+    far, parallax_parent = epipolar.inverse_depth(T_parent, x, rays[other[:, None], index])
     good = (near > 0) & (far > 0)
-    weight *= np.where(good, np.minimum(parallax * near**2, parallax_m * far**2), 0.0)
+    weight *= np.where(good, np.minimum(parallax * near**2, parallax_parent * far**2), 0.0)
     if weight.sum(1).min() <= 0:
         raise BackboneError("scripted: under this K no point lies in front of its views")
     log_ratio = np.log(np.where(good, near / np.where(good, far, 1.0), 1.0))

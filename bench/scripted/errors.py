@@ -1,4 +1,4 @@
-"""Configured errors of scripted predictions, and their draw for one batch."""
+"""Configured errors of scripted predictions, and the random values of one batch."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class ScriptedErrors:
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """The errors of one batch of N views.
+    """Values drawn for one batch of N views.
 
     scale: raw units per world unit. focal: (N,) log errors. twists: (N, 6) of the poses, world
     units. bend: (N,) rad about the first view's y. phases: (N, 3) of the depth warp. depth: (N,)
@@ -70,7 +70,7 @@ class Draw:
 
 
 class Errors:
-    """Errors of one drive: those drawn once, and the draw of each batch."""
+    """Random errors of one drive: constant ones drawn once, the others drawn for each batch."""
 
     def __init__(self, dials: ScriptedErrors, t_ns: Int, T_w_p: Float) -> None:
         self.dials = dials

@@ -59,10 +59,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def effective_config(arguments: argparse.Namespace) -> Config:
-    """Defaults, file, --set, --spacing-m and --hfov-deg, in this order, and how the model runs on
-    this computer.
+    """Merge defaults, file, --set, --spacing-m and --hfov-deg; each overrides those before it.
 
-    Raises ConfigError, BackboneError.
+    A model's precision and views per run, if `auto`, are chosen for this computer. Raises
+    ConfigError, BackboneError.
     """
     from calm_edge.backbones.onnx.precision import pinned
     from calm_edge.config import ConfigError, load, merge
@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def report(folder: Path, result: RecordResult) -> int:
-    """Print what was recorded and what was lost; the exit code."""
+    """Print what was recorded and what was lost; return the exit code."""
     poses = 0 if result.trajectory is None else len(result.trajectory.t_ns)
     age = result.pose_age_ms()
     aged = f", age p50 {age['p50']:.0f} ms p99 {age['p99']:.0f} ms" if age else ""

@@ -18,8 +18,9 @@ from calm_edge.types import Float
 
 # Sigma of the bias in log focal: published models have an error of 3 to 6 % in the mean of a drive.
 BIAS_LOG_SIGMA = 0.06
-# The sample correlation is shrunk to half at this number of guesses, and bounded.
+# Shrinkage of the sample correlation: it is halved at this number of sub-maps, less with more.
 _SHRINKAGE_COUNT = 5
+# Upper bound of the sample correlation.
 _MAX_CORRELATION = 0.95
 _MAD_TO_SIGMA = 1.4826
 _MIN_SIGMA = 1e-4

@@ -43,7 +43,10 @@ class Capture:
         self._monitor = Monitor(hub.config, notifier, hub.outputs)
 
     def request_stop(self) -> None:
-        """From a signal handler: stop capturing and finish; the second time, do not finish."""
+        """Stop capturing and finish the run; at the second call, end without finishing.
+
+        Called from a signal handler.
+        """
         self._stop_requests += 1
         self._hub.impatient = self._stop_requests > 1
 
@@ -92,7 +95,7 @@ class Capture:
         threads = [CameraThread(camera, realtime_priority=priority) for camera in self._cameras]
         for thread in threads:
             thread.start()
-        # the first frames wait in the threads
+        # the threads queue the frames that arrive meanwhile
         hub.recording.open()
         monitor.watch(threads)
         notes = CameraNotes(
@@ -139,7 +142,7 @@ class Capture:
         hub.result.tick = monitor.latency.overall()
 
     def _drain(self, threads: list[CameraThread]) -> int:
-        """Pass on every frame that has come since the last call, in order; their number."""
+        """Pass the frames since the last call on, by stamp; return their number."""
         frames = sorted((f for t in threads for f in t.drain()), key=lambda f: (f.t_ns, f.eye))
         for frame in frames:
             self._hub.frame(frame)
@@ -155,7 +158,7 @@ class Capture:
             limit_s = finish.REPLAY_LIMIT_S
         else:
             limit_s = finish.LIVE_LIMIT_S
-        # one limit for all of it: a service manager kills what takes longer
+        # one limit for all waits below: a service manager kills a process that stops too slowly
         end_s = time.monotonic() + limit_s
         tracker, estimator = hub.tracker, hub.estimator
         hub.until(lambda: not tracker.in_flight, end_s)

@@ -113,7 +113,7 @@ class Hub:
             self.result.untracked += 1
 
     def leave_out(self, shed: Shed, why: str) -> None:
-        """Do no more work than this step of the ladder allows; frames are always recorded."""
+        """Leave out the work that this step of the ladder sheds; why: the reason, for the user."""
         if shed is self._shed:
             return
         self._shed = shed
@@ -122,7 +122,10 @@ class Hub:
         self.say(f"{shed.words}: {why}; every frame is recorded")
 
     def pump(self, wait_s: float = 0.0) -> int:
-        """Handle the messages of the children; the number of poses among them."""
+        """Handle the pending messages of both children; return the number of poses among them.
+
+        wait_s: how long to wait for the first message.
+        """
         poses = 0
         while True:
             try:
@@ -154,8 +157,10 @@ class Hub:
         return not (self.tracker.in_flight or self.tracker.attaching or self.estimator.waiting)
 
     def until(self, done: Callable[[], bool], end_s: float, progress: str = "") -> bool:
-        """Handle messages until done; False if end_s (of time.monotonic) or an impatient user came
-        first.
+        """Handle messages until done() holds; return whether it does.
+
+        False after end_s [s] of time.monotonic, or once `impatient` is set, because the user has
+        asked twice to stop. progress: text to print every 5 s, with the windows left.
         """
         reported_s = time.monotonic()
         while not done():
@@ -169,7 +174,7 @@ class Hub:
         return True
 
     def say(self, text: str) -> None:
-        """A warning for the user and the outputs."""
+        """Print a warning for the user and pass it to the outputs."""
         self._say_to_user(text)
         self.outputs.give(lambda output: output.say(logging.WARNING, text, "daemon"))
 
@@ -178,7 +183,7 @@ class Hub:
         self.outputs.give(lambda output: output.update(update), array_bytes(update))
 
     def take_status(self) -> HubStatus:
-        """The figures so far, and the oldest pose since the last call."""
+        """Return the counters so far, and the greatest pose age since the last call."""
         return take_status(
             self.result,
             self.tracker,

@@ -47,7 +47,7 @@ def take_status(
     pose_ns: int,
     stage_ms: dict[str, float],
 ) -> HubStatus:
-    """The status at now_ns; the pose age in `result` starts anew."""
+    """Return the status at now_ns, and reset the greatest pose age in `result`."""
     links = {"estimator": estimator.given_up, "tracker": tracker.given_up}
     given_up = [f"{name} failed, not restarted" for name, gone in links.items() if gone]
     return HubStatus(

@@ -167,9 +167,10 @@ class Process:
 
 @dataclass(frozen=True, slots=True)
 class Processed:
-    """Result of a window; update is None when it could not be solved, problem is then the reason.
+    """Result of a window.
 
-    window: its record once more, where a loop keyframe was added.
+    update: None if the window could not be solved. problem: why not, else empty. window: the
+    window's record with the loop keyframe that was added to it, None without one.
     """
 
     submap_id: int
@@ -185,7 +186,7 @@ class Finish:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """All sub-maps in their final places, and the trajectory; None without any sub-map."""
+    """All sub-maps in their final places; trajectory: None without any sub-map."""
 
     submaps: tuple[Submap, ...]
     trajectory: Trajectory | None

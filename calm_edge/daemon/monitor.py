@@ -74,7 +74,7 @@ class Monitor:
         return True
 
     def update(self, status: HubStatus, ticks_late: bool, skipped: int) -> tuple[Shed, str]:
-        """Determine and report the state; what to leave out from now on, and why.
+        """Determine and report the state; return what to leave out from now on, and why.
 
         ticks_late: ticks take longer than their period. skipped: deadlines passed so far.
         """

@@ -63,7 +63,7 @@ class RecordResult:
                 self._worst_age_ms = max(age_ms, self._worst_age_ms or 0.0)
 
     def take_worst_age_ms(self) -> float | None:
-        """The greatest pose age since the last call; None without a pose."""
+        """Return and reset the greatest pose age since the last call; None without a pose."""
         worst, self._worst_age_ms = self._worst_age_ms, None
         return worst
 

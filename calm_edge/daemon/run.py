@@ -59,7 +59,7 @@ def record(
     lockstep: bool,
     say: Callable[[str], None],
 ) -> tuple[Path, RecordResult]:
-    """Record until the frames end or SIGINT or SIGTERM; the folder and the result.
+    """Record until the frames end or SIGINT or SIGTERM; return the folder and the result.
 
     say: prints a line for the user. Raises CalmEdgeError, DeviceError.
     """

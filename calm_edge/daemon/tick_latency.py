@@ -12,7 +12,7 @@ _BINS = 40_000
 
 @dataclass(frozen=True, slots=True)
 class TickLatency:
-    """Milliseconds after the deadline; zeros without a tick."""
+    """Statistics of the delay [ms] of ticks after their deadlines; zeros without a tick."""
 
     ticks: int = 0
     p50_ms: float = 0.0
@@ -21,7 +21,7 @@ class TickLatency:
 
 
 class TickLatencyMeter:
-    """Owner of the latencies since the last `take`, and of a histogram of all, of 2 s."""
+    """Owner of the latencies since the last `take`, and of a histogram of earlier ones, to 2 s."""
 
     def __init__(self) -> None:
         self._recent: list[float] = []
@@ -29,11 +29,11 @@ class TickLatencyMeter:
         self._max_ms = 0.0
 
     def add(self, latency_ns: int) -> None:
-        """Add a tick; early counts as zero."""
+        """Add a tick; a negative latency counts as zero."""
         self._recent.append(max(latency_ns, 0) / 1e6)
 
     def take(self) -> TickLatency:
-        """The ticks since the last call."""
+        """Return the statistics of the ticks since the last call, and add them to the histogram."""
         recent, self._recent = np.array(self._recent), []
         if not len(recent):
             return TickLatency()
@@ -44,7 +44,7 @@ class TickLatencyMeter:
         return TickLatency(len(recent), float(p50), float(p99), float(recent.max()))
 
     def overall(self) -> TickLatency:
-        """All ticks taken so far; percentiles rounded up to the histogram's bins."""
+        """Statistics of all ticks up to the last `take`; percentiles rounded up to 0.05 ms."""
         cumulated = np.cumsum(self._histogram)
         total = int(cumulated[-1])
         if not total:

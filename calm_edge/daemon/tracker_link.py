@@ -137,7 +137,7 @@ class TrackerLink:
             self._replace()
 
     def accept(self, message: Any) -> tuple[tuple[SubmapWindow, ...], Frame | None]:
-        """Handle a message of the current process; the windows and the keyframe in it."""
+        """Handle a message of the current process; return the windows and the keyframe in it."""
         self._answered_s = time.monotonic()
         match message:
             case Ready():

@@ -71,7 +71,7 @@ class TrackerWork:
             self._newest_ns = message.t_ns
 
     def handle(self, message: Any) -> Any:
-        """The answer to one message, None where there is none."""
+        """Handle one message; return the answer, or None if it needs none."""
         match message:
             case FrameIn():
                 return self._handle_frame(message)

@@ -69,7 +69,10 @@ class ThinPlate:
         return np.where(np.abs(det) > 1e-9, det * (1 - reach), 0.0)
 
     def _jacobian(self, x: Float) -> Float:
-        """Jacobians (M, 3, 3) at normalised points, without the term of a control at the point."""
+        """Jacobians (M, 3, 3) at normalised points (M, 3).
+
+        A control point at the point itself is left out: its term has no derivative there.
+        """
         from scipy.spatial.distance import cdist
 
         J = np.broadcast_to(self.affine[:3].T, (len(x), 3, 3)).copy()

@@ -119,7 +119,7 @@ def plain_chunk(content: bytes) -> bytes:
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
         if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-            raise DamageError("impossible size")
+            raise DamageError("the size in its header is out of range")
         data = _decompressed(chunk.compression, chunk.data, chunk.uncompressed_size)
     except DamageError:
         raise
@@ -127,7 +127,7 @@ def plain_chunk(content: bytes) -> bytes:
         # decompressors raise various types on damaged input
         raise DamageError(str(error)) from None
     if len(data) != chunk.uncompressed_size:
-        raise DamageError("wrong size")
+        raise DamageError("its content does not have the size in its header")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise DamageError("wrong CRC")
     return data
@@ -156,7 +156,7 @@ def _slice(data: bytes, at: int, n: int) -> bytes:
 def _index_chunk(index: SegmentIndex, read: ReadAt, offset: int, length: int, check: bool) -> None:
     """Add a chunk's messages, channels and schemas to the index; raises DamageError."""
     if length > MAX_CHUNK_BYTES or length < _CHUNK.size + 8:
-        raise DamageError("impossible size")
+        raise DamageError("the size in its header is out of range")
     head = read(offset, _CHUNK.size)
     start_ns, end_ns, _, _, name_length = _CHUNK.unpack(head)
     base = 0

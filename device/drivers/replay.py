@@ -43,7 +43,7 @@ class ReplayCamera:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Empty: a replay fulfils no requests."""
+        """Empty: nothing can be requested of a replay."""
         return ()
 
     @property
