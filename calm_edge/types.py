@@ -1,8 +1,8 @@
-"""The nouns of calm-edge. Frozen: only these cross queues and processes.
+"""Data types that are passed between modules and processes; all are frozen.
 
-Frames: w world, s sub-map, c camera, p primary, a assistant. `T_a_b` takes b to a.
-Lengths: the *raw unit* is whatever a backbone solved a sub-map in; *map units* are camera
-spacings; *world units* are metres when `scale.spacing_m` is set, else map units. Times are
+Frames: w world, s sub-map, c camera, p primary, a assistant. `T_a_b` maps b-coordinates to a.
+Lengths: *raw units* are those in which a backbone solved a sub-map; *map units* are camera
+spacings; *world units* are metres if `scale.spacing_m` is set, else map units. Times are
 host-monotonic nanoseconds.
 """
 
@@ -25,12 +25,12 @@ Bytes = NDArray[np.uint8]
 
 
 class CalmEdgeError(Exception):
-    """Anything a user can mend; its text is one line naming the thing and the mend."""
+    """An error that the user can fix; its text is one line that names the fault and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Keyframe:
-    """A frame worth reconstructing. `id` counts the keyframes of its own eye from 0."""
+    """A frame selected for reconstruction. id: counted from 0 for each camera."""
 
     id: int
     frame: Frame
@@ -38,10 +38,11 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True)
 class SubmapWindow:
-    """The keyframes of both eyes that become one sub-map (paper IV-A).
+    """Keyframes of both cameras that are reconstructed as one sub-map (paper IV-A).
 
-    n_overlap: how many leading primary keyframes were the previous window's last.
-    loop_keyframe: a historical primary keyframe appended to the batch (IV-D), or None.
+    n_overlap: number of leading primary keyframes shared with the end of the previous window.
+    loop_keyframe: an earlier primary keyframe appended to the batch for loop closure (IV-D), or
+    None.
     """
 
     submap_id: int
@@ -51,17 +52,16 @@ class SubmapWindow:
     loop_keyframe: Keyframe | None = None
 
     def keyframes(self) -> tuple[Keyframe, ...]:
-        """Batch order everywhere: primary, assistant, then the loop keyframe."""
+        """All keyframes in batch order: primary, assistant, then the loop keyframe."""
         loop = (self.loop_keyframe,) if self.loop_keyframe else ()
         return self.primary + self.assistant + loop
 
 
 @dataclass(frozen=True, slots=True)
 class KitBelief:
-    """A Gaussian over what stays constant in one kit: the optics of both eyes, the rig, and how
-    late the assistant's stamps are.
+    """Gaussian over the constants of a kit: optics of both cameras, rig, and time offset.
 
-    mean: (D,) information: (D, D). Entries as in `kit/layout.py`.
+    mean: (D,). information: (D, D) inverse covariance. Entries as in `kit/layout.py`.
     """
 
     mean: Float
@@ -70,12 +70,12 @@ class KitBelief:
 
 @dataclass(frozen=True, slots=True)
 class Hints:
-    """What the caller knows of a batch of N images.
+    """Prior knowledge of a batch of N images.
 
-    eyes: (N,) Eye values. t_ns: (N,). hfov_deg: one an eye, None where unknown.
-    kit: what earlier windows of the same kit taught, or None.
-    sizes: (2, 2) width, height [px] of each eye's pictures, None where not known.
-    loop: the batch ends with a loop keyframe, a primary view behind the assistant's (IV-D).
+    eyes: (N,) Eye values. t_ns: (N,). hfov_deg: one per camera, None if unknown.
+    kit: belief from earlier windows with the same kit, or None.
+    sizes: (2, 2) width, height [px] of each camera's images, or None.
+    loop: the last image is a loop keyframe, a primary view after those of the assistant (IV-D).
     """
 
     eyes: Int
@@ -88,11 +88,11 @@ class Hints:
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:
-    """Sparse points of a sub-map and the pixels that saw them: its matches.
+    """Sparse points of a sub-map and their observations.
 
-    points_s: (M, 3) raw unit, sub-map frame. index: (O,) landmark of each observation.
+    points_s: (M, 3) sub-map frame, raw units. index: (O,) landmark of each observation.
     view: (O,) batch index of the image. uv: (O, 2) pixels of the full image.
-    sigma_px: (O,) one sigma of uv, an axis; None where all are alike.
+    sigma_px: (O,) sigma of uv per axis; None if equal for all.
     """
 
     points_s: Float
@@ -104,18 +104,19 @@ class Landmarks:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a backbone says of N images: the paper's (K, T, D, C), section III.
+    """Output of a backbone for N images: (K, T, D, C) of paper III.
 
-    cameras: N, of the full image. T_s_c: (N, 4, 4) camera->sub-map, OpenCV axes.
-    depth: (N, h, w) z-depth in the sub-map's own unit, 0 unknown; h, w may be smaller
-    than the image, pixel centres scale as cv2.resize does. None until densified.
-    confidence: (N, h, w) in [0, 1], larger is better; None with depth.
-    focal_log_sigma: (N,) one sigma of log focal, None where the model has no idea of it.
-    kit: this batch's own evidence on the kit (without the hints), or None.
-    assistant_late_s: how much later than stamped, on the primary's clock, assistants were exposed.
-    stamps_off_s: (A,) how much later than that each was, None where stamps are even.
-    loop_found: False where the trailing loop keyframe could not be placed: its pose says nothing.
-    notices: lines for the user, the same for every such batch.
+    cameras: N, of the full image. T_s_c: (N, 4, 4) camera->sub-map, OpenCV axes, raw units.
+    depth: (N, h, w) z-depth in raw units, 0 unknown; h, w may be smaller than the image, with
+    pixel centres as in cv2.resize. None before `densify`.
+    confidence: (N, h, w) in [0, 1], larger is better; None if depth is.
+    focal_log_sigma: (N,) sigma of the log focal length; None if the model does not estimate it.
+    kit: evidence of this batch on the kit, without the prior in the hints; or None.
+    assistant_late_s: time offset, i.e. how much later than its stamp, on the primary's clock, the
+    assistant was exposed. stamps_off_s: (A,) additional offset of each assistant view, None if
+    their stamps are regular.
+    loop_found: False if the loop keyframe could not be placed; its pose is then meaningless.
+    notices: lines for the user, equal for all batches of this kind.
     """
 
     cameras: tuple[Camera, ...]
@@ -133,14 +134,14 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class Submap:
-    """A placed sub-map. Pixels and depth live in the log, not here.
+    """A placed sub-map, without images and depth.
 
-    primary_ids / assistant_ids: keyframe ids in batch order. t_ns: (N,) of that order.
-    T_s_c_raw: (N, 4, 4), cameras_raw: N, as the backbone gave them, kept so that they can be
-    rectified again. T_s_c: (N, 4, 4) rectified, in world units. cameras: N, rectified.
-    scale: world units a raw unit; depth is multiplied by it. T_w_s: (4, 4).
-    focal_log_sigma: (2,) an eye, as believed when the sub-map was placed.
-    assistant_late_ns, stamps_off_ns: see Prediction.assistant_late_s, stamps_off_s.
+    primary_ids, assistant_ids: keyframe ids in batch order. t_ns: (N,) in batch order, a loop
+    view included. T_s_c_raw: (N, 4, 4) and cameras_raw: output of the backbone in raw units, kept
+    for rectifying again. T_s_c: (N, 4, 4) and cameras: rectified, in world units.
+    scale: world units per raw unit, also of depth. T_w_s: (4, 4) sub-map->world.
+    focal_log_sigma: (2,) sigma of each camera's log focal length when the sub-map was placed.
+    assistant_late_ns, stamps_off_ns: as assistant_late_s, stamps_off_s of Prediction.
     """
 
     id: int
@@ -164,7 +165,7 @@ class Submap:
 
     @property
     def exposed_ns(self) -> Int:
-        """(N,) t_ns, the assistant's brought to the primary's clock and beat."""
+        """Times of exposure (N,): t_ns, those of the assistant corrected by the time offset."""
         late = np.zeros(len(self.t_ns), np.int64)
         off = 0 if self.stamps_off_ns is None else self.stamps_off_ns
         end = self.n_primary + len(self.assistant_ids)
@@ -172,13 +173,13 @@ class Submap:
         return self.t_ns + late
 
     def T_w_c(self) -> Float:
-        """(N, 4, 4) camera->world of every view, batch order."""
+        """Poses camera->world (N, 4, 4) of all views, in batch order."""
         return np.asarray(self.T_w_s @ self.T_s_c)
 
 
 @dataclass(frozen=True, slots=True)
 class LoopClosure:
-    """The primary keyframe `query_id` saw `match_id` again. T_match_query: (4, 4) world units."""
+    """Relative pose of two primary keyframes at one place, T_match_query (4, 4), world units."""
 
     query_id: int
     match_id: int
@@ -187,10 +188,10 @@ class LoopClosure:
 
 @dataclass(frozen=True, slots=True)
 class GlobalIntrinsics:
-    """What the online search holds true of each eye (V-A): K_global and how far to trust it.
+    """Result of the online intrinsic search: K_global of each camera and its weight (V-A).
 
-    cameras: one an eye. damping: (2,) multiples of 0.1 in [0, 1] (V-C). focal_log_sigma: (2,) one
-    sigma of log focal, inf where no matrix could tell.
+    cameras: one per eye. damping: (2,) multiples of 0.1 in [0, 1] (V-C). focal_log_sigma: (2,)
+    sigma of the log focal length, inf if no matrix determines it.
     """
 
     cameras: tuple[Camera, Camera]
@@ -199,15 +200,15 @@ class GlobalIntrinsics:
 
     @property
     def focals(self) -> Float:
-        """(2,) fx [px] of each eye."""
+        """Focal lengths fx (2,) [px]."""
         return np.array([camera.fx for camera in self.cameras])
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Primary keyframe poses in the world: keyframe_ids (N,), t_ns (N,), T_w_c (N, 4, 4).
+    """Poses of primary keyframes: keyframe_ids (N,), t_ns (N,), T_w_c (N, 4, 4), world units.
 
-    T_p_a: (4, 4) world units. epoch: grows each time poses already published moved.
+    T_p_a: (4, 4) rig. epoch: incremented whenever poses already published have moved.
     """
 
     keyframe_ids: Int
@@ -225,12 +226,11 @@ class PoseStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PoseSample:
-    """The pose that leaves the car, of one primary frame.
+    """Live pose of one primary frame, as published.
 
-    T_w_c: (4, 4) primary camera->world, world units. velocity_c: (3,) world units/s, camera
-    axes. covariance: (6, 6) of (translation, rotation) in camera axes, world units and rad.
-    turn_rate_c: (3,) rad/s. twist_covariance: (6, 6) of (velocity_c, turn_rate_c). Camera axes;
-    NaN where unknown.
+    T_w_c: (4, 4) primary camera->world. velocity_c: (3,) and turn_rate_c: (3,) rad/s, camera
+    axes. covariance: (6, 6) of (translation, rotation), twist_covariance: (6, 6) of (velocity_c,
+    turn_rate_c), camera axes. World units and rad; NaN if unknown.
     """
 
     t_ns: int
@@ -245,9 +245,9 @@ class PoseSample:
 
 @dataclass(frozen=True, slots=True)
 class AnchorTable:
-    """Anchors of one sub-map, as rows (paper VI-A, VI-B).
+    """Anchors of one sub-map and their observations (paper VI-A, VI-B).
 
-    anchor: (R,) ids over the whole drive. p_s: (R, 3) world units, sub-map frame. Observations:
+    anchor: (R,) ids, unique over the drive. p_s: (R, 3) sub-map frame, world units. Observations:
     seen_anchor (Q,), seen_view (Q,) batch index, uv (Q, 2) px.
     """
 
@@ -260,7 +260,7 @@ class AnchorTable:
 
 @dataclass(frozen=True, slots=True)
 class MapTile:
-    """A piece of the map: points_w (P, 3) float32 world units, color (P, 3) uint8 RGB."""
+    """Points of one sub-map in the map: points_w (P, 3) world units, color (P, 3) RGB."""
 
     points_w: Float32
     color: Bytes
@@ -268,12 +268,12 @@ class MapTile:
 
 @dataclass(frozen=True, slots=True)
 class LocalizerUpdate:
-    """What one processed window changed: the new sub-map and every pose that is new.
+    """Result of processing one window: the new sub-map, and new and changed poses.
 
-    trajectory: the keyframes that are new or moved; all of them when its epoch grew.
+    trajectory: keyframes that are new or have moved; all of them if the epoch has changed.
     stage_ms: stage name -> milliseconds. kit: belief after this window. notices: lines for the
-    user. loop: what IV-D closed.
-    loop_keyframe: the picture it joined to the batch, for the window's record.
+    user. loop: loop closure found by IV-D. loop_keyframe: its image in the batch, for the record
+    of the window.
     """
 
     submap: Submap

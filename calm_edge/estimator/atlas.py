@@ -1,7 +1,7 @@
-"""The placed sub-maps and the pose graph that ties them (paper IV-B's placement, IV-C).
+"""Placed sub-maps and the pose graph between them (paper IV-B, placement, and IV-C).
 
-As T_w_f of IV-B implies, a keyframe belongs to the first sub-map that placed it, and later
-sub-maps place themselves by it.
+As T_w_f of IV-B implies, a keyframe has its pose from the first sub-map that contains it, and
+later sub-maps are placed by it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from calm_edge.types import Float, Int, LoopClosure, Submap, Trajectory
 
 @dataclass(frozen=True, slots=True)
 class SkippedWindow:
-    """A window without a sub-map. t_ns: (N,) of its primary keyframes."""
+    """A window that was not reconstructed. t_ns: (N,) of its primary keyframes."""
 
     submap_id: int
     reason: str
@@ -28,7 +28,7 @@ class SkippedWindow:
 
 
 class Atlas:
-    """Owns where every sub-map and keyframe is. `epoch` grows when one of them moves."""
+    """Owner of the poses of all sub-maps and keyframes. epoch: incremented when they move."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -47,29 +47,29 @@ class Atlas:
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
-        """Every sub-map where it now is."""
+        """All sub-maps with their current poses."""
         return tuple(self._submaps)
 
     @property
     def skipped(self) -> tuple[SkippedWindow, ...]:
-        """Windows that could not be reconstructed; the next sub-map's n_overlap is 0."""
+        """Windows that were not reconstructed; the n_overlap of the following sub-map is 0."""
         return tuple(self._skipped)
 
     def pose(self, keyframe_id: int) -> Float:
-        """T_w_p (4, 4) of a primary keyframe; KeyError where it has none."""
+        """Pose T_w_p (4, 4) of a primary keyframe; KeyError without one."""
         return self._graph.pose(keyframe_id)
 
     @property
     def T_p_a(self) -> Float:
-        """(4, 4) assistant->primary, world units; identity before the first sub-map."""
+        """Rig (4, 4), assistant->primary, world units; identity before the first sub-map."""
         return self._graph.T_p_a
 
     def skip(self, window: SkippedWindow) -> None:
-        """Remembers that motion went on while nothing was reconstructed."""
+        """Record a window that was not reconstructed, for bridging it."""
         self._skipped.append(window)
 
     def add(self, submap: Submap) -> Submap:
-        """Places a sub-map in world units and adds what it measured to the graph."""
+        """Place a sub-map in world units and add its measurements to the graph."""
         graph, ids = self._graph, submap.primary_ids
         self._stamps.update(zip(ids, submap.t_ns[: submap.n_primary].tolist(), strict=True))
         primary, assistant = np.split(_rig_views(submap), [submap.n_primary])
@@ -91,31 +91,31 @@ class Atlas:
         return placed
 
     def add_loop(self, loop: LoopClosure) -> None:
-        """E_loop (IV-D); KeyError where a keyframe has no pose."""
+        """Add E_loop (IV-C); KeyError if a keyframe has no pose."""
         self._graph.add_loop(loop)
         self._loops.append(loop)
 
     def empty(self) -> Atlas:
-        """One that knows the same windows to have been skipped, and nothing else."""
+        """An atlas without sub-maps that has the same skipped windows."""
         other = Atlas(self._config)
         other._skipped = self._skipped
         return other
 
     def become(self, other: Atlas) -> None:
-        """Takes over where another one, no longer to be used, has placed the same sub-maps."""
+        """Take over the poses of another atlas of the same sub-maps; that one is then invalid."""
         self._submaps, self._graph = other._submaps, other._graph
         for loop in self._loops:
             self._graph.add_loop(loop)
         self.epoch += 1
 
     def request_optimum(self, optimiser: Optimiser) -> None:
-        """Asks for the joint optimum (IV-C) of everything measured so far."""
+        """Request the joint optimum (IV-C) of all measurements so far."""
         snapshot = self._graph.snapshot()
         if snapshot is not None:
             optimiser.request(snapshot)
 
     def settle(self, optimiser: Optimiser) -> bool:
-        """Takes an optimum that has come since; whether anything moved."""
+        """Apply a requested optimum if it is ready; returns whether poses have moved."""
         solved = optimiser.poll()
         if solved is None or not self._graph.apply(solved):
             return False
@@ -123,7 +123,7 @@ class Atlas:
         return True
 
     def _follow(self) -> None:
-        """Each sub-map follows the mean motion of its keyframes."""
+        """Move each sub-map by the mean motion of its keyframes."""
         self.epoch += 1
         alike: dict[int, list[int]] = {}
         for k, submap in enumerate(self._submaps):
@@ -134,17 +134,17 @@ class Atlas:
             T_s_p = np.stack([s.T_s_c[:n] for s in submaps])
             T_w_s = scale.placement(T_w_p, T_s_p, average=True)
             for k, submap, T in zip(some, submaps, T_w_s, strict=True):
-                # a copy: a view would keep those of every sub-map
+                # a copy: a view would keep the whole array in memory
                 self._submaps[k] = replace(submap, T_w_s=T.copy())
 
     def trajectory(self) -> Trajectory:
-        """Every primary keyframe that has a pose, once, in order of its id."""
+        """All primary keyframes that have a pose, sorted by id."""
         ids = self._graph.keyframe_ids
         order = np.argsort(ids)
         return self._trajectory(ids[order], self._graph.poses()[order])
 
     def trajectory_of(self, submap: Submap) -> Trajectory:
-        """The keyframes of one sub-map alone."""
+        """The primary keyframes of one sub-map."""
         ids = np.array(sorted(submap.primary_ids), np.int64)
         return self._trajectory(ids, np.stack([self._graph.pose(int(i)) for i in ids]))
 
@@ -153,10 +153,10 @@ class Atlas:
         return Trajectory(ids, t_ns, T_w_c, self._graph.T_p_a, self.epoch)
 
     def _bridge(self, submap: Submap) -> Float:
-        """T_w_f (4, 4) of a sub-map's first frame when none of its frames has a pose.
+        """Predict T_w_f (4, 4) of a sub-map's first frame if none of its frames has a pose.
 
-        The velocity between the last two keyframes goes on for as long as the skipped keyframes
-        show motion: where nothing moves there are none for longer than max_keyframe_gap_s.
+        Constant velocity from the last two keyframes, for the time in which skipped keyframes
+        show motion: at standstill there are none for longer than max_keyframe_gap_s.
         """
         if not self._submaps:
             return np.eye(4)
@@ -164,7 +164,7 @@ class Atlas:
         start, end = self._stamps[ids[-1]], int(submap.t_ns[0])
         between = [t for skipped in self._skipped for t in skipped.t_ns if start < t < end]
         gaps = np.diff(np.unique([start, *between, end])) * 1e-9
-        # a keyframe forced by the clock comes at the limit, or a frame or two later
+        # a keyframe is selected at this gap at the latest, or a frame or two later
         moving_s = gaps[gaps < 2 * self._config.frontend.max_keyframe_gap_s].sum()
         T_last = self._graph.pose(ids[-1])
         step_s = (start - self._stamps[ids[0]]) * 1e-9
@@ -175,5 +175,5 @@ class Atlas:
 
 
 def _rig_views(submap: Submap) -> Int:
-    """Batch indices of the primary, then the assistant keyframes; no loop keyframe."""
+    """Batch indices of primary and assistant keyframes, without the loop keyframe."""
     return np.arange(submap.n_primary + len(submap.assistant_ids))

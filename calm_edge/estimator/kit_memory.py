@@ -1,4 +1,4 @@
-"""What each window taught of the kit, and what it takes to solve it again once that is known."""
+"""Evidence of each window on the kit, and solving windows again when the belief has changed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from calm_edge.types import Float, Hints, KitBelief, Prediction
 
 log = logging.getLogger(__name__)
 
-# A focal this far (log) from the one a window was solved with bends its motion visibly.
+# Change of log focal length since a window was solved upon which it is solved again.
 FOCAL_MOVED = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """log_focal: (2,) an eye, as believed when it was last solved; nan for an absent eye."""
+    """A solved window. log_focal: (2,) of the belief used, per camera; NaN without its images."""
 
     prediction: Prediction
     hints: Hints
@@ -28,35 +28,35 @@ class _Window:
 
 
 class KitMemory:
-    """Owns the kit evidence of every window, and the `limit` most recent windows themselves.
+    """Owner of the kit evidence of all windows, and of the `limit` most recent windows.
 
-    remembered: of earlier drives, None for nothing. Windows are kept only for a backbone with
-    `resolve`, and without their depth.
+    prior: belief of earlier drives, or None. Windows are kept only for a backbone with `resolve`,
+    without depth.
     """
 
     def __init__(self, backbone: Backbone, limit: int) -> None:
         self._backbone = backbone
         self._limit = limit
-        self.remembered: KitBelief | None = None
-        self._taught: dict[int, KitBelief] = {}
-        self._together: KitBelief | None = None
+        self.prior: KitBelief | None = None
+        self._evidence: dict[int, KitBelief] = {}
+        self._total: KitBelief | None = None
         self._windows: dict[int, _Window] = {}
 
-    def taught(self, without: int | None = None) -> KitBelief | None:
-        """The product of what all windows taught, `without` one of them."""
+    def evidence(self, without: int | None = None) -> KitBelief | None:
+        """Product of the evidence of all windows, or of all but one."""
         if without is None:
-            return self._together
-        return product([kit for key, kit in self._taught.items() if key != without])
+            return self._total
+        return product([kit for key, kit in self._evidence.items() if key != without])
 
     def belief(self, without: int | None = None) -> KitBelief | None:
-        """That and what is remembered of earlier drives."""
-        return product([self.remembered, self.taught(without)])
+        """Product of prior and evidence."""
+        return product([self.prior, self.evidence(without)])
 
     def add(self, submap_id: int, prediction: Prediction, hints: Hints) -> None:
-        """Takes in a window just solved."""
+        """Add a solved window."""
         if prediction.kit is not None:
-            self._taught[submap_id] = prediction.kit
-            self._together = product([self._together, prediction.kit])
+            self._evidence[submap_id] = prediction.kit
+            self._total = product([self._total, prediction.kit])
         if not isinstance(self._backbone, ResolvingBackbone):
             return
         light = replace(prediction, depth=None, confidence=None)
@@ -65,18 +65,18 @@ class KitMemory:
             del self._windows[next(iter(self._windows))]
 
     def retained(self) -> list[int]:
-        """Sub-map ids that can be solved again."""
+        """Ids of the sub-maps that can be solved again."""
         return list(self._windows)
 
     def outdated(self) -> list[int]:
-        """Sub-maps whose focal the newest window, solved last, is sure is wrong."""
+        """Sub-maps solved with a focal length that differs from a well-known newest one."""
         if not self._windows:
             return []
         newest = next(reversed(self._windows.values()))
         sigma = newest.prediction.focal_log_sigma
         if sigma is None:
             return []
-        sure = np.array(
+        known = np.array(
             [
                 np.min(sigma[newest.hints.eyes == eye], initial=np.inf) < FOCAL_MOVED
                 for eye in (0, 1)
@@ -85,15 +85,15 @@ class KitMemory:
         return [
             submap_id
             for submap_id, window in self._windows.items()
-            if np.any(sure & (np.abs(newest.log_focal - window.log_focal) > FOCAL_MOVED))
+            if np.any(known & (np.abs(newest.log_focal - window.log_focal) > FOCAL_MOVED))
         ]
 
     def resolve(self, submap_ids: Iterable[int]) -> dict[int, Prediction]:
-        """Solves windows again under what the others taught; those that fail are left out."""
+        """Solve windows again with the evidence of the others as prior; omits those that fail."""
         solved: dict[int, Prediction] = {}
         if not (self._windows and isinstance(self._backbone, ResolvingBackbone)):
             return solved
-        believed = next(reversed(self._windows.values())).log_focal
+        log_focal = next(reversed(self._windows.values())).log_focal
         for submap_id in submap_ids:
             window = self._windows[submap_id]
             hints = replace(window.hints, kit=self.belief(without=submap_id))
@@ -103,13 +103,13 @@ class KitMemory:
                 solved[submap_id] = prediction
             except BackboneError as error:
                 log.warning("sub-map %d keeps its earlier solution: %s", submap_id, error)
-            # solved or not, it need not be tried again until the belief moves on
+            # in case of failure too: not again before the belief changes
             light = replace(prediction, depth=None, confidence=None)
-            self._windows[submap_id] = _Window(light, hints, believed)
+            self._windows[submap_id] = _Window(light, hints, log_focal)
         for submap_id, prediction in solved.items():
             if prediction.kit is not None:
-                self._taught[submap_id] = prediction.kit
-        self._together = product(self._taught.values())
+                self._evidence[submap_id] = prediction.kit
+        self._total = product(self._evidence.values())
         return solved
 
 

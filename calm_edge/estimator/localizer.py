@@ -1,8 +1,8 @@
-"""Windows in, a trajectory out: sections IV and V of the paper in their order.
+"""Compute a trajectory from windows: sections IV and V of the paper in order.
 
-Differences from the paper: the spacing itself is the unit (scale.py); windows solved under an
-older belief of the kit are solved again (kit_memory.py); a window that cannot be reconstructed
-is bridged (atlas.py).
+Differences from the paper: the unit is the spacing itself (scale.py); windows solved with an
+outdated belief on the kit are solved again (kit_memory.py); windows that cannot be reconstructed
+are bridged (atlas.py).
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ from device.frame import UnreadableImage
 
 log = logging.getLogger(__name__)
 
-# Until there are so many times more sub-maps than the last time all were placed anew, only new ones
-# follow what was learned: of a long drive most have been told what there is to know.
+# Growth of the number of sub-maps after which all are rectified and placed again, if the
+# calibration has changed since. Calibration changes little late in a drive.
 REPLACE_GROWTH = 1.1
-# Sub-maps placed anew with a window, so that its cost does not grow with the drive.
-REPLACED_A_WINDOW = 8
+# Sub-maps placed again per window, so that its cost does not grow with the drive.
+REPLACED_PER_WINDOW = 8
 
 
 class Localizer:
-    """Owns the atlas and what is learned of the kit; a deterministic function of its windows.
+    """Owner of the atlas and of the estimates of the kit; deterministic in its windows.
 
-    loops: finds places again (IV-D), None for what the configuration asks for. optimiser: where
-    the joint optimum is computed; beside the live path the result comes with a later window.
+    loops: finder of loop closures (IV-D), by default as configured. optimiser: computes the joint
+    optimum; if in another process, the result is applied with a later window.
     """
 
     def __init__(
@@ -73,33 +73,33 @@ class Localizer:
         self._rectifier = Rectifier(config, isinstance(backbone, ResolvingBackbone))
         self._loops = loops
         if loops is None and config.loops.enabled:
-            knows = descriptor_of(backbone, config.loops.descriptor)
-            self._loops = PlaceLoops(config.loops, knows)
+            descriptor = descriptor_of(backbone, config.loops.descriptor)
+            self._loops = PlaceLoops(config.loops, descriptor)
         self._optimiser = optimiser or Immediate()
         self._atlas = Atlas(config)
         self._optimised = False
         self._stale = False
-        self._placed_anew = 0
+        self._n_replaced = 0
         self._replacement: Replacement | None = None
-        self._said: set[str] = set()
+        self._noticed: set[str] = set()
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
-        """Every sub-map where it now is."""
+        """All sub-maps with their current poses."""
         return self._atlas.submaps
 
     @property
     def skipped(self) -> tuple[SkippedWindow, ...]:
-        """Windows that could not be reconstructed; the next sub-map's n_overlap is 0."""
+        """Windows that were not reconstructed; the n_overlap of the following sub-map is 0."""
         return self._atlas.skipped
 
     @property
     def intrinsics(self) -> GlobalIntrinsics | None:
-        """What the online search holds true (V-A), where it runs."""
+        """Result of the online intrinsic search (V-A), if it runs."""
         return self._rectifier.intrinsics
 
     def process(self, window: SubmapWindow) -> LocalizerUpdate | None:
-        """One window more; None where it could not be reconstructed (see `skipped`)."""
+        """Process a window; None if it could not be reconstructed (see `skipped`)."""
         atlas, stage_ms = self._atlas, dict[str, float]()
         epoch = atlas.epoch
         if self._loops is None:
@@ -114,7 +114,7 @@ class Localizer:
                 prediction = self._backbone.infer(images, hints)
             raw = window_submap.raw_submap(window, hints, prediction)
             with _timed(stage_ms, "search"):
-                learned = self._rectifier.learn(raw, prediction.landmarks, images)
+                recalibrated = self._rectifier.update(raw, prediction.landmarks, images)
             with _timed(stage_ms, "rectify"):
                 submap = self._rectifier.rectify(raw)
         except (BackboneError, scale.ScaleError, UnreadableImage) as error:
@@ -129,15 +129,15 @@ class Localizer:
                 self._loops.remember(window)
         with _timed(stage_ms, "resolve"):
             self._memory.add(submap.id, prediction, hints)
-            changed = self._kit_prior.contradicted(self._memory.taught())
-            notices = self._unsaid((*prediction.notices, *changed))
-            self._memory.remembered = self._kit_prior.belief
-            self._stale |= learned
-            grown = len(atlas) >= REPLACE_GROWTH * self._placed_anew
+            changed = self._kit_prior.contradicted(self._memory.evidence())
+            notices = self._new_notices((*prediction.notices, *changed))
+            self._memory.prior = self._kit_prior.belief
+            self._stale |= recalibrated
+            grown = len(atlas) >= REPLACE_GROWTH * self._n_replaced
             if self._stale and grown and self._replacement is None:
                 self._begin_replacement(atlas.submaps)
             self._resolve(self._memory.outdated())
-            self._replace(REPLACED_A_WINDOW)
+            self._replace(REPLACED_PER_WINDOW)
         with _timed(stage_ms, "optimise"):
             if closed is not None:
                 atlas.add_loop(closed)
@@ -156,11 +156,11 @@ class Localizer:
         )
 
     def leave_out(self, submap_id: int, t_ns: Int) -> None:
-        """A window that will not come. t_ns (N,) of its primary keyframes: there was motion."""
+        """Record a window that will not be given. t_ns: (N,) of its primary keyframes."""
         self._atlas.skip(SkippedWindow(submap_id, "left out", t_ns))
 
     def finish(self) -> Trajectory | None:
-        """Every window under the final belief, then the joint optimum; None without a sub-map."""
+        """Solve all windows with the final belief, then the joint optimum; None without sub-map."""
         self._optimiser.close()
         self._optimiser = Immediate()
         if not len(self._atlas):
@@ -171,18 +171,18 @@ class Localizer:
         self._replace()
         self._request()
         self._atlas.settle(self._optimiser)
-        self._kit_prior.save(self._memory.taught())
+        self._kit_prior.save(self._memory.evidence())
         return self.trajectory()
 
     def trajectory(self) -> Trajectory:
-        """Every primary keyframe that has a pose, once, in order of its id."""
+        """All primary keyframes that have a pose, sorted by id."""
         return self._atlas.trajectory()
 
     def _hints(self, window: SubmapWindow, images: list[Bytes]) -> Hints:
         frames = [keyframe.frame for keyframe in window.keyframes()]
         sizes = window_submap.sizes(window, images)
         self._kit_prior.open(sizes)
-        self._memory.remembered = self._kit_prior.belief
+        self._memory.prior = self._kit_prior.belief
         return Hints(
             eyes=np.array([frame.eye for frame in frames], np.int64),
             t_ns=np.array([frame.t_ns for frame in frames], np.int64),
@@ -195,9 +195,9 @@ class Localizer:
     def _with_loop(
         self, window: SubmapWindow, images: list[Bytes]
     ) -> tuple[SubmapWindow, list[Bytes], LoopCandidate | None]:
-        """The window with a picture of the past in its batch, where one shows its place (IV-D).
+        """Append an earlier image of the same place to the batch, if one is found (IV-D).
 
-        A window that comes with one, from a recording, keeps it, unless loops are off.
+        A window from a recording that has a loop keyframe keeps it, unless loops are disabled.
         """
         if self._loops is None:
             return window, images, None
@@ -221,7 +221,7 @@ class Localizer:
         prediction: Prediction,
         candidate: LoopCandidate | None,
     ) -> LoopClosure | None:
-        """T_loop as the backbone measured it, where it did and the look-up does not object."""
+        """T_loop as measured by the backbone; None if it disagrees with the candidate's pose."""
         match = window.loop_keyframe
         if match is None or not prediction.loop_found or match.id not in self._atlas:
             return None
@@ -231,14 +231,14 @@ class Localizer:
         T_match_query = se3.inverse(T_s_match) @ submap.T_s_c[query]
         spacing = self._config.scale.spacing
         if candidate is not None and not candidate.agrees(se3.inverse(T_match_query), spacing):
-            log.info("sub-map %d: loop to keyframe %d contradicted", submap.id, match.id)
+            log.info("sub-map %d: loop closure with keyframe %d rejected", submap.id, match.id)
             return None
         return LoopClosure(submap.primary_ids[query], match.id, T_match_query)
 
-    def _unsaid(self, lines: Sequence[str]) -> tuple[str, ...]:
-        """Those that this drive has not brought yet."""
-        new = tuple(line for line in dict.fromkeys(lines) if line not in self._said)
-        self._said.update(new)
+    def _new_notices(self, lines: Sequence[str]) -> tuple[str, ...]:
+        """Lines that have not been reported in this drive."""
+        new = tuple(line for line in dict.fromkeys(lines) if line not in self._noticed)
+        self._noticed.update(new)
         return new
 
     def _skip(self, window: SubmapWindow, reason: str) -> None:
@@ -247,24 +247,25 @@ class Localizer:
         self._atlas.skip(SkippedWindow(window.submap_id, reason, t_ns))
 
     def _resolve(self, submap_ids: list[int]) -> None:
-        """Solves windows again as the kit is now known; where that worked, all are placed anew."""
+        """Solve windows again with the current belief; then all sub-maps are placed again."""
         solved = self._memory.resolve(submap_ids)
         if solved:
             raw = [window_submap.solved_again(s, solved.get(s.id)) for s in self._sources()]
             self._begin_replacement(raw)
 
     def _sources(self) -> tuple[Submap, ...]:
-        """Every sub-map with the newest raw poses there are."""
+        """All sub-maps with their newest raw poses."""
         return self._replacement.sources if self._replacement else self._atlas.submaps
 
     def _begin_replacement(self, submaps: Sequence[Submap]) -> None:
-        """From now on the sub-maps are rectified from their raw poses and placed anew."""
-        self._stale, self._placed_anew = False, len(submaps)
-        rectify = partial(self._rectifier.rectify, held=self._rectifier.held)
+        """Begin to rectify the sub-maps from their raw poses and to place them again."""
+        self._stale, self._n_replaced = False, len(submaps)
+        calibration = self._rectifier.calibration
+        rectify = partial(self._rectifier.rectify, calibration=calibration)
         self._replacement = Replacement(self._atlas, submaps, rectify)
 
     def _replace(self, most: int | None = None) -> None:
-        """At most so many sub-maps more are placed anew, None for all that are to be."""
+        """Place up to `most` further sub-maps again, None for all."""
         if self._replacement is not None and self._replacement.advance(most):
             self._replacement = None
             if self._optimised:

@@ -1,7 +1,7 @@
-"""From a backbone's raw sub-map to world units: section V, the assistant's clock, then IV-B.
+"""Rectify raw sub-maps: pose correction (paper V), time offset, then scale (paper IV-B).
 
-Scale comes after the correction of poses: with a wrong focal the lateral spacing is wrong while
-forward motion is kept, so the other order would put the focal's error into the scale.
+The scale is computed from corrected poses: a wrong focal length changes the lateral spacing but
+not the forward motion, so in the other order its error would enter the scale.
 """
 
 from __future__ import annotations
@@ -15,75 +15,72 @@ from calm_edge.config import Config
 from calm_edge.correction.intrinsic_search import IntrinsicSearch
 from calm_edge.correction.rectify import rectified
 from calm_edge.estimator import scale
-from calm_edge.estimator.time_offset import ClockOffset
+from calm_edge.estimator.time_offset import TimeOffsetEstimator
 from calm_edge.types import Bytes, Float, GlobalIntrinsics, Landmarks, Submap
 
-# What is placed is rectified again when the lateness moved by this, or by half its sigma.
-LATENESS_MOVED_S = 0.001
+# Placed sub-maps are rectified again after a change of the time offset by this and half its sigma.
+OFFSET_MOVED_S = 0.001
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """What is held true at one moment: of the intrinsics, None before the search knows any, and
-    of how late [s] the assistant's stamps are.
-    """
+class Calibration:
+    """Estimates of intrinsics, None before the search has any, and of the time offset."""
 
     intrinsics: GlobalIntrinsics | None
-    late_s: float
+    offset_s: float
 
 
 class Rectifier:
-    """Owns what is held true of the intrinsics and of the assistant's clock.
+    """Owner of the intrinsic search and of the time offset estimator.
 
-    learns_kit: whether the backbone itself finds both over the whole drive, as `bundle` does;
-    then its sub-maps are only scaled, unless `correction.apply` says otherwise.
+    estimates_kit: the backbone estimates both itself over the whole drive, as `bundle` does; its
+    sub-maps are then only scaled, unless `correction.apply` is `always`.
     """
 
-    def __init__(self, config: Config, learns_kit: bool) -> None:
+    def __init__(self, config: Config, estimates_kit: bool) -> None:
         self._config = config
         apply = config.correction.apply
-        corrects = apply == "always" or (apply == "auto" and not learns_kit)
+        corrects = apply == "always" or (apply == "auto" and not estimates_kit)
         self._search = IntrinsicSearch(config.correction) if corrects else None
-        self._clock = None if learns_kit else ClockOffset()
-        self._late_s = 0.0
+        self._clock = None if estimates_kit else TimeOffsetEstimator()
+        self._offset_s = 0.0
         self._first: tuple[int, float] | None = None
 
     @property
     def intrinsics(self) -> GlobalIntrinsics | None:
-        """What the online search holds true (V-A); None where it does not run, or at first."""
+        """Result of the online search (V-A); None if it does not run or has none yet."""
         return self._search.intrinsics if self._search else None
 
-    def learn(
+    def update(
         self, raw: Submap, landmarks: Landmarks | None, images: Sequence[Bytes] | None
     ) -> bool:
-        """Takes in one raw sub-map; whether those placed must be rectified again.
+        """Add a raw sub-map; returns whether placed sub-maps have to be rectified again.
 
-        landmarks: the backbone's, images: (H, W, 3) BGR, in batch order, as matches need them.
+        landmarks: of the backbone. images: (H, W, 3) BGR in batch order, for SIFT matches.
         """
         changed = self._search.add(raw, landmarks, images) if self._search else False
         if self._clock is None:
             return changed
         self._clock.add(self._corrected(raw))
-        return self._take_lateness() or changed
+        return self._update_offset() or changed
 
     def finish(self) -> bool:
-        """Ends what is still being measured; as `learn`."""
+        """Finish pending measurements; returns as `update`."""
         return self._search.finish() if self._search else False
 
     @property
-    def held(self) -> Held:
-        """What is held true now."""
-        return Held(self.intrinsics, self._late_s)
+    def calibration(self) -> Calibration:
+        """The current estimates."""
+        return Calibration(self.intrinsics, self._offset_s)
 
-    def rectify(self, submap: Submap, held: Held | None = None) -> Submap:
-        """The sub-map anew from its raw poses and cameras, in world units; raises ScaleError.
+    def rectify(self, submap: Submap, calibration: Calibration | None = None) -> Submap:
+        """Rectify a sub-map from its raw poses and cameras; raises ScaleError.
 
-        held: what was held true once, None for what is now.
-        Without `scale.rectify` the first sub-map's factor serves all, as it was when that one was
-        last rectified: where all are, it has to come first.
+        calibration: None for the current one. Without `scale.rectify` all sub-maps get the factor
+        of the first one as last rectified, which therefore must be the first to be rectified again.
         """
         raw = replace(submap, T_s_c=submap.T_s_c_raw, cameras=submap.cameras_raw, scale=1.0)
-        corrected = self._corrected(raw, held)
+        corrected = self._corrected(raw, calibration)
         if self._config.scale.rectify or self._first is None or self._first[0] == submap.id:
             scaled = scale.rectify(corrected, self._config.scale.spacing)
             if not self._config.scale.rectify:
@@ -95,29 +92,29 @@ class Rectifier:
         T_s_c = scale.rectified(corrected.T_s_c, world_units)
         return replace(corrected, scale=world_units, T_s_c=T_s_c)
 
-    def _corrected(self, raw: Submap, held: Held | None = None) -> Submap:
-        """Section V with what is held true, None for now, still in the raw unit."""
-        held = held or self.held
+    def _corrected(self, raw: Submap, calibration: Calibration | None = None) -> Submap:
+        """Apply time offset and pose correction (paper V); the result is in raw units."""
+        calibration = calibration or self.calibration
         if self._clock is not None:
-            raw = replace(raw, assistant_late_ns=round(held.late_s * 1e9))
-        intrinsics = held.intrinsics
+            raw = replace(raw, assistant_late_ns=round(calibration.offset_s * 1e9))
+        intrinsics = calibration.intrinsics
         if intrinsics is None or not raw.assistant_ids:
             return raw
         sigma = _effective_sigma(raw, intrinsics)
         return replace(rectified(raw, intrinsics, self._config.correction), focal_log_sigma=sigma)
 
-    def _take_lateness(self) -> bool:
+    def _update_offset(self) -> bool:
         assert self._clock is not None
-        told = self._clock.lateness
-        late_s = told.late_s if told.observed else 0.0
-        if abs(late_s - self._late_s) < max(LATENESS_MOVED_S, told.sigma_s / 2):
+        found = self._clock.offset
+        offset_s = found.offset_s if found.observed else 0.0
+        if abs(offset_s - self._offset_s) < max(OFFSET_MOVED_S, found.sigma_s / 2):
             return False
-        self._late_s = late_s
+        self._offset_s = offset_s
         return True
 
 
-def _effective_sigma(raw: Submap, held: GlobalIntrinsics) -> Float:
-    """(2,) of the log focals in use: what the search is unsure of, and what damping left in."""
+def _effective_sigma(raw: Submap, intrinsics: GlobalIntrinsics) -> Float:
+    """Sigma (2,) of the log focal lengths in use: that of the search, and the damped remainder."""
     estimated = np.array([raw.cameras_raw[view].fx for view in (0, raw.n_primary)])
-    left = np.log(estimated / held.focals) * (1 - held.damping)
-    return np.hypot(held.focal_log_sigma, left)
+    left = np.log(estimated / intrinsics.focals) * (1 - intrinsics.damping)
+    return np.hypot(intrinsics.focal_log_sigma, left)

@@ -1,4 +1,4 @@
-"""All sub-maps placed anew while a drive goes on: some with every window, so that none waits."""
+"""Rectify and place all sub-maps again during a drive, a few per window."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ log = logging.getLogger(__name__)
 
 
 class Replacement:
-    """Rectifies sub-maps again and places them in an atlas beside the live one.
+    """Build a second atlas from sub-maps rectified again, and replace the live one by it.
 
-    Once it has caught up with the live atlas it takes that one's place, all at once: until then
-    every pose stays. submaps: those to be rectified again, by `rectify`, which may raise
-    ScaleError; what comes later goes over as it was rectified when it came.
+    The live poses change all at once, when the second atlas has caught up. submaps: those to
+    rectify again. rectify: may raise ScaleError. Sub-maps added to the live atlas later are taken
+    as they are.
     """
 
     def __init__(
         self, live: Atlas, submaps: Sequence[Submap], rectify: Callable[[Submap], Submap]
     ) -> None:
         self._live, self._submaps, self._rectify = live, tuple(submaps), rectify
-        self._anew = live.empty()
+        self._next = live.empty()
 
     @property
     def sources(self) -> tuple[Submap, ...]:
-        """Every sub-map of the live atlas, with the raw poses that the new one will have."""
+        """All sub-maps of the live atlas, with the raw poses of the second one."""
         return self._submaps + self._live.submaps[len(self._submaps) :]
 
     def advance(self, most: int | None = None) -> bool:
-        """At most so many sub-maps more, None for all; whether the live atlas is the new one."""
+        """Place up to `most` further sub-maps (None: all); True if the live atlas was replaced."""
         placed = self._live.submaps
-        done = len(self._anew)
+        done = len(self._next)
         end = len(placed) if most is None else min(done + most, len(placed))
         for k in range(done, end):
-            self._anew.add(self._again(k, placed[k]))
+            self._next.add(self._rectified(k, placed[k]))
         if end < len(placed):
             return False
-        self._live.become(self._anew)
+        self._live.become(self._next)
         return True
 
-    def _again(self, k: int, placed: Submap) -> Submap:
-        """As it is now known; as it was where that has no scale, or where it came later."""
+    def _rectified(self, k: int, placed: Submap) -> Submap:
+        """Sub-map k rectified again; as placed if that fails or if it was added later."""
         if k >= len(self._submaps):
             return placed
         try:

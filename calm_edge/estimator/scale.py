@@ -1,6 +1,6 @@
-"""One scale for every sub-map from the constant camera spacing, and its place (paper IV-B).
+"""Scale sub-maps by the constant camera spacing, and place them in the world (paper IV-B).
 
-The paper makes the first sub-map's spacing the unit; here the spacing itself is: 1 map unit.
+The map unit is the spacing itself; the paper's is that of the first sub-map.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from calm_edge.types import CalmEdgeError, Float, Int, Submap
 
 
 class ScaleError(CalmEdgeError):
-    """The two cameras of a sub-map say nothing of its scale."""
+    """The scale of a sub-map cannot be determined from its two cameras."""
 
 
 def resampled(t_ns: Int, T: Float, query_ns: Int) -> tuple[Float, Int]:
-    """Poses of one camera at another's stamps, by SE(3) interpolation (IV-B).
+    """Interpolate poses of one camera at stamps of the other, on SE(3) (IV-B).
 
     t_ns (N,) increasing, T (N, 4, 4), query_ns (M,) -> poses (V, 4, 4) and the indices (V,) of
-    the stamps they belong to. A matched stamp gives back its own pose, so synchronous streams
-    are no special case. Stamps outside the span of t_ns by more than the frame gap at that end
-    are left out; so is every unmatched one when N is 1. Raises ScaleError unless t_ns grows.
+    their stamps in query_ns. At a stamp of t_ns the pose is exact. Stamps more than a frame gap
+    outside t_ns are left out, and all but equal ones if N is 1. Raises ScaleError if t_ns does not
+    increase.
     """
     if np.any(np.diff(t_ns) <= 0):
         raise ScaleError("two keyframes of one camera share a stamp; check the camera's clock")
-    # nanoseconds since the first frame: float64 holds these exactly, not a clock's full count
+    # relative to the first frame: float64 cannot hold absolute nanoseconds exactly
     t = (t_ns - t_ns[0]).astype(np.float64)
     query = (query_ns - t_ns[0]).astype(np.float64)
     if len(t) == 1:
@@ -39,7 +39,7 @@ def resampled(t_ns: Int, T: Float, query_ns: Int) -> tuple[Float, Int]:
 
 
 def rig_samples(t_p_ns: Int, T_s_p: Float, t_a_ns: Int, T_s_a: Float) -> Float:
-    """T_p_a (V, 4, 4) of every assistant view against the primary at its stamp; raises ScaleError.
+    """Rig T_p_a (V, 4, 4) at each assistant view; raises ScaleError.
 
     T_s_p (N, 4, 4), T_s_a (M, 4, 4): primary and assistant camera->sub-map, any unit.
     """
@@ -53,32 +53,29 @@ def rig_samples(t_p_ns: Int, T_s_p: Float, t_a_ns: Int, T_s_a: Float) -> Float:
 
 
 def spacing(T_p_a: Float) -> float:
-    """The mean distance of the optical centres, d_k of IV-B, of samples (V, 4, 4), their unit."""
+    """Mean distance of the optical centres, d_k of IV-B, of rig samples (V, 4, 4)."""
     return float(np.linalg.norm(T_p_a[:, :3, 3], axis=-1).mean())
 
 
 def factor(spacing_raw: float, spacing_world: float) -> float:
-    """World units a raw unit, s_k of IV-B; raises ScaleError.
+    """World units per raw unit, s_k of IV-B, from the spacing in both; raises ScaleError.
 
-    The spacing in raw and in world units (`ScaleConfig.spacing`).
+    spacing_world: `ScaleConfig.spacing`.
     """
     if not np.isfinite(spacing_raw) or spacing_raw <= 0:
-        raise ScaleError("the two cameras were solved into one place: no scale in this sub-map")
+        raise ScaleError("both cameras were solved to the same place: the scale is undetermined")
     return spacing_world / spacing_raw
 
 
 def rectified(T: Float, scale: float) -> Float:
-    """Poses (..., 4, 4) with their translations multiplied by `scale`."""
+    """Multiply the translations of poses (..., 4, 4) by `scale`."""
     out = np.array(T, np.float64)
     out[..., :3, 3] *= scale
     return out
 
 
 def rectify(submap: Submap, spacing_world: float) -> Submap:
-    """A sub-map in raw units (scale 1) brought to world units by its spacing; raises ScaleError.
-
-    spacing_world: `ScaleConfig.spacing`.
-    """
+    """Convert a sub-map from raw (scale 1) to world units by its spacing; raises ScaleError."""
     n, m = submap.n_primary, len(submap.assistant_ids)
     t_ns, T = submap.exposed_ns, submap.T_s_c
     T_p_a_raw = rig_samples(t_ns[:n], T[:n], t_ns[n : n + m], T[n : n + m])
@@ -87,10 +84,10 @@ def rectify(submap: Submap, spacing_world: float) -> Submap:
 
 
 def placement(T_w_f: Float, T_s_f: Float, average: bool = False) -> Float:
-    """T_w_s (..., 4, 4) of a sub-map from its common frames: T_w_s = T_w_f (T_s_f)^-1 (IV-B).
+    """Place a sub-map by common frames: T_w_s (..., 4, 4) = T_w_f (T_s_f)^-1 (IV-B).
 
-    T_w_f, T_s_f: (..., F, 4, 4), the frames in the world and in the rectified sub-map. The paper
-    uses the first frame; `average` takes the mean over all of them on the manifold.
+    T_w_f, T_s_f: (..., F, 4, 4) poses of the frames in the world and in the rectified sub-map.
+    average: mean over all frames on SE(3) instead of the paper's first frame.
     """
     T_w_s = T_w_f @ se3.inverse(T_s_f)
     return se3.mean(T_w_s) if average else np.asarray(T_w_s[..., 0, :, :])

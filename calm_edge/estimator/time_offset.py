@@ -1,10 +1,9 @@
-"""How late the assistant's stamps are against the primary's, from the poses of both.
+"""Time offset between the cameras' stamps, estimated from the poses of both (past the paper).
 
-Past the paper, which takes stamps as true: a host stamps what has arrived, and two cameras need
-not be equally quick. Were the stamps right, every assistant view would sit on one rig; lateness
-moves it off by the car's own motion, T_p_a -> exp(twist * late) T_p_a. Turning and changes of
-speed tell the two apart; at constant velocity on a straight the rig's forward offset explains it
-as well, and lateness is unobserved.
+A host stamps an image when it arrives, and two cameras may differ in delay. With correct stamps
+all assistant views lie on one rigid rig; an offset displaces them by the car's own motion,
+T_p_a -> exp(twist * offset) T_p_a. Turns and changes of speed make it observable; at constant
+velocity on a straight it cannot be distinguished from the rig's forward position.
 """
 
 from __future__ import annotations
@@ -17,31 +16,33 @@ import numpy as np
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Submap
 
-# What is thought of two cameras' clocks before they have been seen.
+# Prior of the offset of two cameras, zero mean.
 PRIOR_SIGMA_S = 0.02
-# What poses bent by a wrong focal feign in turns: up to 11 ms on scripted drives that had none.
-FEIGNED_SIGMA_S = 0.006
-# A lateness of fewer sigmas is no knowledge: the stamps are taken as they are.
-TOLD_SIGMAS = 2.0
-LARGEST_S = 0.1
+# Systematic error: poses bent by a wrong focal length resemble an offset in turns, of up to 11 ms
+# on scripted drives without one.
+SYSTEMATIC_SIGMA_S = 0.006
+# An offset of fewer sigmas is not significant and not applied.
+SIGNIFICANT_SIGMAS = 2.0
+MAX_OFFSET_S = 0.1
 MAX_SUBMAPS = 200
 MIN_SUBMAPS = 5
-# How far the poses of one sub-map are thought to sit off the rig, to weigh translation (in
-# spacings) against rotation; the sigma is measured, though never taken for under a tenth of that.
+# Assumed deviation of poses from the rig, which weighs translation (spacings) against rotation.
+# The sigma is computed from the residuals, as at least MIN_NOISE of this.
 TRANSLATION_NOISE = 0.02
 ROTATION_NOISE_RAD = 0.002
-LEAST_NOISE = 0.1
+MIN_NOISE = 0.1
 ITERATIONS = 8
-# Frames to either side over which the car's motion is taken: between two alone it is mostly noise.
+# Number of frames on either side over which the car's motion is averaged: the motion between two
+# consecutive frames is mostly noise.
 SMOOTHING = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """One sub-map's assistant views against the primary at their stamps.
+    """Assistant views of one sub-map relative to the primary at their stamps.
 
-    T_p_a: (V, 4, 4), raw unit. twist: (V, 6) of the primary there, raw units and rad a second,
-    the mean over span_s: (V,).
+    T_p_a: (V, 4, 4), raw units. twist: (V, 6) of the primary at these times, raw units/s and
+    rad/s, averaged over span_s (V,).
     """
 
     T_p_a: Float
@@ -50,23 +51,23 @@ class Samples:
 
 
 @dataclass(frozen=True, slots=True)
-class Lateness:
-    """late_s: how much later than stamped the assistant was exposed. sigma_s: one sigma of it."""
+class TimeOffset:
+    """Exposure of the assistant minus its stamp, on the primary's clock, with its sigma."""
 
-    late_s: float
+    offset_s: float
     sigma_s: float
 
     @property
     def observed(self) -> bool:
-        """Whether it is told from none, and the drive rather than the prior says so."""
+        """Whether it is significantly non-zero and determined by the drive, not by the prior."""
         known = self.sigma_s < PRIOR_SIGMA_S / 2
-        return known and abs(self.late_s) > TOLD_SIGMAS * self.sigma_s
+        return known and abs(self.offset_s) > SIGNIFICANT_SIGMAS * self.sigma_s
 
 
 def samples(submap: Submap) -> Samples | None:
-    """What one sub-map shows; None where it has no two primary and one assistant views.
+    """Samples of one sub-map; None with fewer than two primary or one assistant views.
 
-    Assistant views outside the span of the primary's by more than a frame gap are left out.
+    Assistant views more than a frame gap outside the time of the primary ones are left out.
     """
     n, m = submap.n_primary, len(submap.assistant_ids)
     if n < 2 or m < 1:
@@ -84,63 +85,63 @@ def samples(submap: Submap) -> Samples | None:
     first, last = np.maximum(i - SMOOTHING, 0), np.minimum(i + 1 + SMOOTHING, n - 1)
     span = t_p[last] - t_p[first]
     T_s_ref = se3.interpolate_at(t_p, T_s_p, t_a[valid])
-    # the mean motion as seen from where the primary is now, not from where the span began
+    # mean motion in the axes of the primary at the stamp, not at the start of the span
     step = se3.inverse(T_s_ref) @ T_s_p[last] @ se3.inverse(T_s_p[first]) @ T_s_ref
     return Samples(se3.inverse(T_s_ref) @ T_s_a, se3.log(step) / span[:, None], span)
 
 
-def estimate(history: list[Samples]) -> Lateness:
-    """The lateness under which the assistant sits most nearly on one rig, with the prior.
+def estimate(history: list[Samples]) -> TimeOffset:
+    """Maximum a posteriori offset for which the assistant views lie best on one rig.
 
-    Gauss-Newton over lateness, rig and each sub-map's scale; the sigma is from the scatter of
-    whole sub-maps (a sandwich), as the errors within one are not independent.
+    Gauss-Newton over offset, rig and the scale of each sub-map. The sigma is a sandwich estimate
+    clustered by sub-map (Liang and Zeger, 1986), because errors within one are correlated.
     """
-    late = 0.0
+    offset = 0.0
     sigma = PRIOR_SIGMA_S
     for _ in range(ITERATIONS):
-        step, sigma = _step(history, late)
-        late = float(np.clip(late + step, -LARGEST_S, LARGEST_S))
+        step, sigma = _step(history, offset)
+        offset = float(np.clip(offset + step, -MAX_OFFSET_S, MAX_OFFSET_S))
         if abs(step) < 1e-6:
             break
-    return Lateness(late, float(np.hypot(sigma, FEIGNED_SIGMA_S)))
+    return TimeOffset(offset, float(np.hypot(sigma, SYSTEMATIC_SIGMA_S)))
 
 
-def _step(history: list[Samples], late: float) -> tuple[float, float]:
-    """(Gauss-Newton step of the lateness, its sigma), both seconds."""
-    r, J, k = _residuals(history, late)
-    # the rig's own six parameters are what all samples share: projected out by their mean
+def _step(history: list[Samples], offset: float) -> tuple[float, float]:
+    """Gauss-Newton step of the offset and its sigma, both in seconds."""
+    r, J, k = _residuals(history, offset)
+    # subtracting the mean projects out the six parameters of the rig
     J_free, r_free = J - J.mean(0), r - r.mean(0)
     H = float((J_free * J_free).sum())
-    # noise in the poses makes motion seem to change: what it adds to H tells nothing
+    # pose noise looks like changes of motion and inflates H by this much
     span = np.concatenate([s.span_s for s in history])
     signal = H - float((r_free**2).mean() * (6 / span**2).sum())
     if signal <= 0:
-        return -late, PRIOR_SIGMA_S
+        return -offset, PRIOR_SIGMA_S
     score = np.bincount(k, (J_free * r_free).sum(1))
     scatter = float((score - score.mean()) @ (score - score.mean()))
-    information = signal**2 / max(scatter, LEAST_NOISE**2 * signal)
+    information = signal**2 / max(scatter, MIN_NOISE**2 * signal)
     total = information + PRIOR_SIGMA_S**-2
-    found = late + float(score.sum()) / H
-    return found * information / total - late, total**-0.5
+    found = offset + float(score.sum()) / H
+    return found * information / total - offset, total**-0.5
 
 
-def _residuals(history: list[Samples], late: float) -> tuple[Float, Float, np.ndarray]:
-    """Whitened residuals (V, 6), derivatives (V, 6) by lateness, sub-map (V,) of every sample."""
+def _residuals(history: list[Samples], offset: float) -> tuple[Float, Float, np.ndarray]:
+    """Whitened residuals (V, 6), their derivatives (V, 6) by the offset, and sub-map index (V,)."""
     k = np.repeat(np.arange(len(history)), [len(s.T_p_a) for s in history])
     T = np.concatenate([s.T_p_a for s in history])
     twist = np.concatenate([s.twist for s in history])
-    # T_p_a as it would be had the stamp been `late` later
-    moved = se3.exp(-twist * late) @ T
-    # each sub-map's own unit is its spacing
+    # T_p_a at stamps corrected by the offset
+    moved = se3.exp(-twist * offset) @ T
+    # lengths in spacings, for each sub-map
     length = np.bincount(k, np.linalg.norm(moved[:, :3, 3], axis=1)) / np.bincount(k)
     moved[:, :3, 3] /= length[k, None]
     velocity = twist[:, :3] / length[k, None]
     rig = se3.mean(moved)
     to_rig = se3.log(se3.inverse(rig) @ moved)
-    # moving the instant moves the assistant by the primary's motion, seen from the assistant
+    # a change of the offset moves the assistant by the primary's motion, in the assistant's axes
     motion = np.concatenate([velocity, twist[:, 3:]], 1)
     J = (se3.adjoint(se3.inverse(rig)) @ motion[..., None])[..., 0]
-    # the mean length is one whatever the lateness: what moves it is taken back with the scale
+    # the mean length stays one for any offset: remove the part of J that would change it
     along = rig[:3, :3].T @ rig[:3, 3]
     pull = np.bincount(k, J[:, :3] @ along) / np.bincount(k)
     J[:, :3] -= pull[k, None] * along
@@ -148,18 +149,18 @@ def _residuals(history: list[Samples], late: float) -> tuple[Float, Float, np.nd
     return to_rig / sigma, J / sigma, k
 
 
-class ClockOffset:
-    """Owns the samples of the most recent sub-maps; `lateness` is what they say together."""
+class TimeOffsetEstimator:
+    """Owner of the samples of recent sub-maps, and of the `offset` estimated from them."""
 
     def __init__(self) -> None:
         self._history: deque[Samples] = deque(maxlen=MAX_SUBMAPS)
-        self.lateness = Lateness(0.0, PRIOR_SIGMA_S)
+        self.offset = TimeOffset(0.0, PRIOR_SIGMA_S)
 
     def add(self, submap: Submap) -> None:
-        """Takes in a sub-map with corrected poses, in its raw unit."""
+        """Add a sub-map with corrected poses, in raw units."""
         found = samples(submap)
         if found is None:
             return
         self._history.append(found)
         if len(self._history) >= MIN_SUBMAPS:
-            self.lateness = estimate(list(self._history))
+            self.offset = estimate(list(self._history))

@@ -1,8 +1,9 @@
-"""One batch of pictures: the window it came of, what a backbone said of it, and its sub-map."""
+"""Convert between windows, predictions and unplaced sub-maps."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -19,64 +20,55 @@ from device.frame import Eye
 
 
 def raw_submap(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Submap:
-    """The window as a sub-map, neither rectified nor placed."""
+    """Create a sub-map of a window, neither rectified nor placed."""
     return Submap(
         id=window.submap_id,
         primary_ids=tuple(keyframe.id for keyframe in window.primary),
         assistant_ids=tuple(keyframe.id for keyframe in window.assistant),
         n_overlap=window.n_overlap,
         t_ns=hints.t_ns,
-        T_s_c_raw=prediction.T_s_c,
-        cameras_raw=prediction.cameras,
         T_s_c=prediction.T_s_c,
         cameras=prediction.cameras,
         scale=1.0,
         T_w_s=np.eye(4),
-        focal_log_sigma=_focal_log_sigma(len(window.primary), prediction),
-        assistant_late_ns=round(prediction.assistant_late_s * 1e9),
-        stamps_off_ns=_stamps_off_ns(prediction),
+        **_raw_fields(prediction, len(window.primary)),
     )
 
 
 def solved_again(submap: Submap, prediction: Prediction | None) -> Submap:
-    """The sub-map with a later prediction's raw poses and cameras."""
+    """The sub-map with the raw poses and cameras of a later prediction, if there is one."""
     if prediction is None:
         return submap
-    return replace(
-        submap,
-        T_s_c_raw=prediction.T_s_c,
-        cameras_raw=prediction.cameras,
-        focal_log_sigma=_focal_log_sigma(submap.n_primary, prediction),
-        assistant_late_ns=round(prediction.assistant_late_s * 1e9),
-        stamps_off_ns=_stamps_off_ns(prediction),
-    )
+    return replace(submap, **_raw_fields(prediction, submap.n_primary))
 
 
 def sizes(window: SubmapWindow, images: list[Bytes]) -> Int | None:
-    """(2, 2) width and height [px] of each eye's pictures, None without an assistant."""
+    """Width and height (2, 2) [px] of each camera's images; None without an assistant image."""
     if not window.assistant:
         return None
     shapes = [images[0].shape, images[len(window.primary)].shape]
     return np.array([[shape[1], shape[0]] for shape in shapes], np.int64)
 
 
-def _stamps_off_ns(prediction: Prediction) -> Int | None:
-    off_s = prediction.stamps_off_s
-    return None if off_s is None else np.round(off_s * 1e9).astype(np.int64)
-
-
-def _focal_log_sigma(n_primary: int, prediction: Prediction) -> Float:
-    """(2,) an eye; inf where the model does not know its focal's error."""
-    sigma = prediction.focal_log_sigma
-    if sigma is None or len(sigma) <= n_primary:
-        return np.full(len(Eye), np.inf)
-    return np.asarray(sigma[[0, n_primary]])
+def _raw_fields(prediction: Prediction, n_primary: int) -> dict[str, Any]:
+    """Fields of a sub-map that come from the prediction; an unknown focal sigma is inf."""
+    sigma, off_s = prediction.focal_log_sigma, prediction.stamps_off_s
+    focal = np.full(len(Eye), np.inf)
+    if sigma is not None and len(sigma) > n_primary:
+        focal = sigma[[0, n_primary]]
+    return {
+        "T_s_c_raw": prediction.T_s_c,
+        "cameras_raw": prediction.cameras,
+        "focal_log_sigma": focal,
+        "assistant_late_ns": round(prediction.assistant_late_s * 1e9),
+        "stamps_off_ns": None if off_s is None else np.round(off_s * 1e9).astype(np.int64),
+    }
 
 
 def without_loop(
     prediction: Prediction, submap: Submap, hints: Hints
 ) -> tuple[Prediction, Submap, Hints]:
-    """All three without the trailing loop view, which told nothing that is believed."""
+    """Drop a rejected loop view from prediction, sub-map and hints."""
     n = len(hints.eyes) - 1
     marks = prediction.landmarks
     if marks is not None:

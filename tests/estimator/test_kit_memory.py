@@ -26,9 +26,7 @@ def seen(focals, *, sigma=0.002, kit=None):
 
 
 class Resolver:
-    """Answers with focals of 500 px and its own evidence, except where told to fail."""
-
-    name = "resolver"
+    """Returns focals of 500 px and its own evidence, or raises if `fails`."""
 
     def __init__(self, *, fails=False):
         self.fails, self.asked = fails, []
@@ -41,7 +39,7 @@ class Resolver:
         return seen((500, 500), kit=5.0)
 
 
-def test_a_window_is_told_what_the_others_taught():
+def test_the_prior_of_a_window_is_the_evidence_of_the_others():
     memory = KitMemory(Resolver(), 10)
     for submap_id, kit in enumerate((1.0, 2.0, 6.0)):
         memory.add(submap_id, seen((500, 500), kit=kit), HINTS)
@@ -50,13 +48,13 @@ def test_a_window_is_told_what_the_others_taught():
     assert KitMemory(Resolver(), 10).belief() is None
 
 
-def test_what_a_window_teaches_again_replaces_what_it_taught():
+def test_new_evidence_of_a_window_replaces_the_old():
     backbone = Resolver()
     memory = KitMemory(backbone, 10)
     for submap_id, kit in enumerate((1.0, 2.0)):
         memory.add(submap_id, seen((500, 500), kit=kit), HINTS)
     assert set(memory.resolve([0, 1])) == {0, 1}
-    # each was asked under the other's first evidence: the order of solving does not matter
+    # each was solved with the first evidence of the other, whatever the order
     assert backbone.asked == [2.0, 1.0]
     assert memory.belief().mean == pytest.approx([5.0])
     assert memory.belief().information[0, 0] == pytest.approx(2.0)
@@ -72,7 +70,7 @@ def test_a_focal_that_moved_in_either_eye_is_outdated(moved):
     assert memory.outdated() == [0, 1]
 
 
-def test_an_unsure_focal_outdates_nothing():
+def test_an_uncertain_focal_outdates_nothing():
     memory = KitMemory(Resolver(), 10)
     memory.add(0, seen((500, 500)), HINTS)
     memory.add(1, seen((700, 700), sigma=0.05), HINTS)
@@ -81,7 +79,7 @@ def test_an_unsure_focal_outdates_nothing():
     assert memory.outdated() == []
 
 
-def test_a_window_that_cannot_be_solved_again_is_not_asked_at_every_turn():
+def test_a_window_that_cannot_be_solved_again_is_not_tried_each_time():
     memory = KitMemory(Resolver(fails=True), 10)
     memory.add(0, seen((600, 600), sigma=0.3), HINTS)
     memory.add(1, seen((500, 500)), HINTS)
@@ -90,7 +88,7 @@ def test_a_window_that_cannot_be_solved_again_is_not_asked_at_every_turn():
     assert memory.outdated() == []
 
 
-def test_the_oldest_windows_are_let_go_but_not_what_they_taught():
+def test_the_oldest_windows_are_dropped_but_not_their_evidence():
     memory = KitMemory(Resolver(), 2)
     for submap_id in range(4):
         memory.add(submap_id, seen((500, 500), kit=float(submap_id)), HINTS)

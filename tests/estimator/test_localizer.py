@@ -16,7 +16,7 @@ from tests.drives import PERIOD_NS, START_NS, T_P_A, circle, curved, position_er
 
 SPACING_M = float(np.linalg.norm(T_P_A[:3, 3]))
 CORRECTED = merge(Config(), {"scale": {"spacing_m": SPACING_M}})
-# these sub-maps have true focals: what section V reads from float32 pixels moves them by 1e-5
+# these sub-maps have true focals; section V would move them by 1e-5, from float32 pixels
 METRES = merge(CORRECTED, {"correction": {"apply": "never"}})
 NOISE = ScriptedErrors(scale_log_sigma=0.5, translation_sigma=0.004, rotation_sigma_rad=0.0005)
 
@@ -32,11 +32,11 @@ def with_loop_to(keyframe, window):
 
 
 def live(updates):
-    """The trajectory as the updates so far tell it."""
+    """Trajectory of the updates so far."""
     return folded(update.trajectory for update in updates)
 
 
-def test_any_scale_of_any_submap_comes_out_as_metres():
+def test_submaps_of_any_scale_are_placed_in_metres():
     T = curved(150)
     localizer, updates = drive(T, ScriptedErrors(scale_log_sigma=0.5))
     raw = [1 / update.submap.scale for update in updates]
@@ -60,7 +60,7 @@ def test_without_a_spacing_the_world_is_in_spacings():
 
 
 @pytest.mark.parametrize("late_ns", [17_000_000, -40_000_000])
-def test_unsynchronised_cameras_cost_little(late_ns):
+def test_unsynchronised_cameras_add_little_error(late_ns):
     T = curved(150)
     localizer, _ = drive(T, ScriptedErrors(scale_log_sigma=0.5), assistant_late_ns=late_ns)
     error = position_error(localizer.finish().T_w_c, T)
@@ -87,7 +87,7 @@ def test_optimising_a_noisy_loop_lowers_its_error(late_ns):
     assert np.abs(after.T_p_a - T_P_A).max() < 0.02
 
 
-def test_what_is_learned_of_the_focal_moves_every_submap_placed_before():
+def test_a_change_of_the_focal_moves_all_earlier_submaps():
     T = curved(75)
     errors = ScriptedErrors(coupled=True, focal_log_sigma=0.08)
     localizer, updates = drive(T, errors, config=CORRECTED)
@@ -138,7 +138,7 @@ def test_same_windows_give_the_same_bytes():
     assert runs[0] == runs[1]
 
 
-def test_the_loop_view_takes_no_part_in_scale_and_closes_a_loop():
+def test_the_loop_view_closes_a_loop_and_does_not_affect_the_scale():
     T = circle(150)
     cut = windows(150)
     localizer = Localizer(METRES, ScriptedBackbone(scene(T)))
@@ -182,7 +182,7 @@ def test_without_loops_a_recorded_loop_keyframe_is_left_out():
 
 
 class Failing(ScriptedBackbone):
-    """Cannot reconstruct the calls named in `fails`."""
+    """Raises in the calls numbered in `fails`."""
 
     def __init__(self, *arguments, fails):
         super().__init__(*arguments)
@@ -234,7 +234,7 @@ def test_a_window_left_out_is_bridged_as_if_it_had_failed():
 
 def test_long_gaps_between_skipped_keyframes_are_a_standstill():
     T = straight(60)
-    # a moving car would have been given a keyframe long before
+    # a moving car would have had a keyframe long before
     gap_ns = int(3 * METRES.frontend.max_keyframe_gap_s * 1e9)
     stops = 9  # keyframes 15 to 23, all in window 1, show the car where 14 left it
     lost_ns = stops * gap_ns
@@ -268,7 +268,7 @@ def test_nothing_reconstructed_is_no_trajectory():
     assert len(localizer.trajectory().keyframe_ids) == 0
 
 
-def test_a_window_of_one_eye_or_of_broken_pictures_is_skipped():
+def test_a_window_of_one_camera_or_with_a_broken_image_is_skipped():
     localizer = Localizer(METRES, ScriptedBackbone(scene(curved(40))))
     first, second, third = windows(40)[:3]
     assert localizer.process(dataclasses.replace(first, assistant=())) is None
@@ -280,8 +280,8 @@ def test_a_window_of_one_eye_or_of_broken_pictures_is_skipped():
     assert localizer.process(third).submap.n_overlap == 0
 
 
-class Learning(ScriptedBackbone):
-    """One log focal, learnt from the third window on; a wrong focal stretches the motion."""
+class Converging(ScriptedBackbone):
+    """One log focal, known from the third window on; a wrong focal stretches the motion."""
 
     WRONG = 0.2
 
@@ -310,18 +310,18 @@ class Learning(ScriptedBackbone):
         assert hints.kit is not None
         self.resolved.append(int(hints.t_ns[0] - START_NS) // PERIOD_NS)
         if abs(hints.kit.mean[0]) > 0.01:
-            raise BackboneError("still unsure")
+            raise BackboneError("unknown focal")
         return self._seen(ScriptedBackbone.infer(self, [], hints), hints, 0.0)
 
 
 def test_windows_are_solved_again_once_the_focal_is_known():
     T = straight(70)
-    backbone = Learning(scene(T))
+    backbone = Converging(scene(T))
     localizer = Localizer(METRES, backbone)
     updates = [localizer.process(window) for window in windows(70)]
     assert backbone.inferred[0] is None
     assert backbone.inferred[1].mean == pytest.approx([0.2])
-    # the third window starts at keyframe 24; it is sure, so the two before it are solved again
+    # the third window, from keyframe 24 on, knows the focal: the two before are solved again
     assert backbone.resolved == [0, 12]
     assert [update.trajectory.epoch for update in updates] == [0, 0, 1, 1, 1, 1][: len(updates)]
     old, new = live(updates[:2]), updates[2].trajectory
@@ -333,8 +333,8 @@ def test_windows_are_solved_again_once_the_focal_is_known():
     assert final.epoch == 3
 
 
-def test_only_so_many_windows_are_kept_for_solving_again():
-    backbone = Learning(scene(straight(70)))
+def test_a_limited_number_of_windows_is_solved_again():
+    backbone = Converging(scene(straight(70)))
     config = merge(METRES, {"backbone": {"resolve_windows": 2}})
     localizer = Localizer(config, backbone)
     for window in windows(70):
@@ -344,10 +344,10 @@ def test_only_so_many_windows_are_kept_for_solving_again():
     assert backbone.resolved[1:] == [48, 60]
 
 
-def test_what_is_learned_late_is_applied_to_all_at_the_end_at_latest(monkeypatch):
+def test_a_late_calibration_is_applied_to_all_at_the_end_at_the_latest(monkeypatch):
     localizer = Localizer(METRES, ScriptedBackbone(scene(curved(150))))
     moved = []
-    monkeypatch.setattr(localizer._rectifier, "learn", lambda *_: True)
+    monkeypatch.setattr(localizer._rectifier, "update", lambda *_: True)
     begin = localizer._begin_replacement
     monkeypatch.setattr(localizer, "_begin_replacement", lambda s: (moved.append(len(s)), begin(s)))
     for window in windows(150):
@@ -360,35 +360,37 @@ def test_what_is_learned_late_is_applied_to_all_at_the_end_at_latest(monkeypatch
     assert moved[-1] == placed
 
 
-def learnt(monkeypatch, a_window, n, at):
-    """The final trajectory of a curved drive that learns of the assistant's lateness at sub-map
-    `at`, and the epoch and the sub-maps rectified with each window.
+def recalibrated(monkeypatch, per_window, n, at):
+    """Final trajectory of a curved drive whose time offset changes at sub-map `at`, and for each
+    window the epoch and the number of sub-maps rectified.
     """
-    monkeypatch.setattr(localizer_module, "REPLACED_A_WINDOW", a_window)
+    monkeypatch.setattr(localizer_module, "REPLACED_PER_WINDOW", per_window)
     localizer = Localizer(METRES, ScriptedBackbone(scene(curved(n))))
     rectifier, rectify = localizer._rectifier, localizer._rectifier.rectify
-    rectified, per_window, epochs = [], [], []
+    rectified, counts, epochs = [], [], []
 
-    def learn(raw, landmarks, images):
+    def update(raw, landmarks, images):
         if raw.id == at:
-            rectifier._late_s = 0.02
+            rectifier._offset_s = 0.02
         return raw.id == at
 
-    monkeypatch.setattr(rectifier, "learn", learn)
+    monkeypatch.setattr(rectifier, "update", update)
     monkeypatch.setattr(
-        rectifier, "rectify", lambda s, held=None: rectified.append(s.id) or rectify(s, held)
+        rectifier,
+        "rectify",
+        lambda s, calibration=None: rectified.append(s.id) or rectify(s, calibration),
     )
     for window in windows(n):
         epochs.append(localizer.process(window).trajectory.epoch)
-        per_window.append(len(rectified))
-    return localizer.finish(), epochs, np.diff(per_window, prepend=0).tolist()
+        counts.append(len(rectified))
+    return localizer.finish(), epochs, np.diff(counts, prepend=0).tolist()
 
 
 @pytest.mark.parametrize(("n", "moved"), [(150, [7]), (87, [])])
-def test_a_share_with_every_window_ends_where_all_at_once_does(monkeypatch, n, moved):
-    # of the shorter drive the end comes before all were placed anew
-    at_once, early, most = learnt(monkeypatch, 1000, n, at=5)
-    shared, late, few = learnt(monkeypatch, 3, n, at=5)
+def test_placing_some_per_window_ends_as_placing_all_at_once(monkeypatch, n, moved):
+    # the shorter drive ends before all were placed again
+    at_once, early, most = recalibrated(monkeypatch, 1000, n, at=5)
+    shared, late, few = recalibrated(monkeypatch, 3, n, at=5)
     assert np.flatnonzero(np.diff(early, prepend=0)).tolist() == [5]
     assert np.flatnonzero(np.diff(late, prepend=0)).tolist() == moved
     assert (max(most), max(few)) == (1 + 6, 1 + 3)

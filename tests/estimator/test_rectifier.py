@@ -16,7 +16,7 @@ ONE_FACTOR = merge(Config(), {"scale": {"rectify": False}})
 
 
 def raw_submap(submap_id, unit, late_ns=0):
-    """`unit`: raw units a metre."""
+    """unit: raw units per metre."""
     T = np.concatenate([curved(N), curved(N) @ T_P_A])
     T[:, :3, 3] *= unit
     t_ns = START_NS + PERIOD_NS * np.tile(np.arange(N), 2)
@@ -28,23 +28,23 @@ def raw_submap(submap_id, unit, late_ns=0):
 
 
 def test_each_submap_has_its_own_factor():
-    rectifier = Rectifier(Config(), learns_kit=True)
+    rectifier = Rectifier(Config(), estimates_kit=True)
     for k, unit in enumerate((1.0, 3.0)):
         assert rectifier.rectify(raw_submap(k, unit)).scale == pytest.approx(1 / (unit * SPACING))
 
 
-def test_stamps_known_to_be_off_do_not_lengthen_the_spacing():
+def test_known_offsets_of_stamps_do_not_lengthen_the_spacing():
     off_ns = np.random.default_rng(0).normal(0, 5e6, N).astype(np.int64)
     submap = raw_submap(0, 1.0)
     submap.t_ns[N:] += off_ns
-    rectifier = Rectifier(Config(), learns_kit=True)
-    told = replace(submap, stamps_off_ns=-off_ns)
-    assert rectifier.rectify(told).scale == pytest.approx(1 / SPACING)
+    rectifier = Rectifier(Config(), estimates_kit=True)
+    corrected = replace(submap, stamps_off_ns=-off_ns)
+    assert rectifier.rectify(corrected).scale == pytest.approx(1 / SPACING)
     assert rectifier.rectify(submap).scale < 0.999 / SPACING
 
 
-def test_without_rectification_all_take_the_factor_of_the_first_as_it_now_is():
-    rectifier = Rectifier(ONE_FACTOR, learns_kit=True)
+def test_without_rectification_all_take_the_current_factor_of_the_first():
+    rectifier = Rectifier(ONE_FACTOR, estimates_kit=True)
     first, second = raw_submap(3, 1.0), raw_submap(4, 3.0)
     for unit in (1.0, 2.0):
         # the first one is solved again, in another unit
@@ -57,7 +57,7 @@ def test_without_rectification_all_take_the_factor_of_the_first_as_it_now_is():
 
 def test_without_rectification_only_the_first_needs_a_scale():
     elsewhere = 3600 * 1_000_000_000
-    rectifier = Rectifier(ONE_FACTOR, learns_kit=True)
+    rectifier = Rectifier(ONE_FACTOR, estimates_kit=True)
     with pytest.raises(ScaleError):
         rectifier.rectify(raw_submap(0, 5.0, late_ns=elsewhere))
     placed = rectifier.rectify(raw_submap(1, 2.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calm_edge.estimator import time_offset
-from calm_edge.estimator.time_offset import ClockOffset
+from calm_edge.estimator.time_offset import TimeOffsetEstimator
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Submap
@@ -22,7 +22,7 @@ def path(n, speed, yaw):
 
 
 def submaps(T_w_p, late_s, *, noise=0.0, seed=0, n=15):
-    """Sub-maps of 15 + 15 views in units of their own; the stamps say both eyes see at once."""
+    """Sub-maps of 15 + 15 views in units of their own; both cameras have equal stamps."""
     rng = np.random.default_rng(seed)
     t = PERIOD_S * np.arange(len(T_w_p))
     T_w_a = se3.interpolate_at(t, T_w_p, t + late_s) @ T_P_A
@@ -55,7 +55,7 @@ def submaps(T_w_p, late_s, *, noise=0.0, seed=0, n=15):
 
 
 def lively(n, seed=0):
-    """A drive through a town: speed and yaw rate come and go."""
+    """A drive in a town with varying speed and yaw rate."""
     k = np.arange(n - 1) * PERIOD_S
     rng = np.random.default_rng(seed)
     a, b = rng.uniform(0, 6, 2)
@@ -63,47 +63,47 @@ def lively(n, seed=0):
 
 
 def found(maps):
-    clock = ClockOffset()
+    clock = TimeOffsetEstimator()
     for submap in maps:
         clock.add(submap)
-    return clock.lateness
+    return clock.offset
 
 
 @pytest.mark.parametrize("late_s", [-0.04, 0.0, 0.025])
-def test_exact_poses_give_the_lateness_back(late_s):
-    lateness = found(submaps(lively(200), late_s))
-    # what is left is the path's bend between two frames, and the prior's pull
-    assert lateness.late_s == pytest.approx(late_s, abs=0.0015)
-    assert lateness.observed == (late_s != 0)
+def test_exact_poses_give_the_offset(late_s):
+    offset = found(submaps(lively(200), late_s))
+    # the rest is due to interpolation between frames and to the prior
+    assert offset.offset_s == pytest.approx(late_s, abs=0.0015)
+    assert offset.observed == (late_s != 0)
 
 
-def test_the_sigma_is_honest_under_noise():
+def test_the_normalised_error_is_at_most_one_under_noise():
     errors = []
     for seed in range(30):
-        lateness = found(submaps(lively(150, seed), 0.015, noise=0.01, seed=seed))
-        errors.append((lateness.late_s - 0.015) / lateness.sigma_s)
-    # the drives of this test have no wrong focal to feign anything
+        offset = found(submaps(lively(150, seed), 0.015, noise=0.01, seed=seed))
+        errors.append((offset.offset_s - 0.015) / offset.sigma_s)
+    # these drives have no systematic error, which the sigma includes
     assert np.sqrt(np.mean(np.square(errors))) < 1.0
 
 
 def test_constant_velocity_on_a_straight_is_unobserved():
     straight = path(200, np.full(199, 10.0), np.zeros(199))
-    lateness = found(submaps(straight, 0.03, noise=0.005))
-    assert not lateness.observed
+    offset = found(submaps(straight, 0.03, noise=0.005))
+    assert not offset.observed
 
 
-def test_few_submaps_say_nothing_yet():
+def test_too_few_submaps_give_the_prior():
     maps = submaps(lively(200), 0.02)[: time_offset.MIN_SUBMAPS - 1]
-    assert found(maps) == time_offset.Lateness(0.0, time_offset.PRIOR_SIGMA_S)
+    assert found(maps) == time_offset.TimeOffset(0.0, time_offset.PRIOR_SIGMA_S)
 
 
-def test_a_submap_of_one_eye_is_passed_over():
+def test_a_submap_of_one_camera_is_ignored():
     maps = submaps(lively(200), 0.02)
     blind = [dataclasses.replace(m, assistant_ids=(), T_s_c=m.T_s_c[:15]) for m in maps]
-    assert found(blind) == time_offset.Lateness(0.0, time_offset.PRIOR_SIGMA_S)
+    assert found(blind) == time_offset.TimeOffset(0.0, time_offset.PRIOR_SIGMA_S)
 
 
-def test_only_the_newest_submaps_are_held(monkeypatch):
+def test_only_the_newest_submaps_are_used(monkeypatch):
     monkeypatch.setattr(time_offset, "MAX_SUBMAPS", 6)
     maps = submaps(lively(400), 0.02)
     assert found(maps) == found(maps[-6:])
