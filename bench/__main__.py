@@ -1,7 +1,7 @@
-"""`python -m bench NAME`: one entry point to every measurement. Never shipped.
+"""Command line of the benchmarks: `python -m bench NAME`. Not part of the shipped package.
 
-A command is a module with `configure(parser)`, which adds its arguments, and `run(options)`, which
-returns the exit code; its docstring is the text of `--help`.
+A command is a module with `configure(parser)`, which adds the arguments, and `run(options)`, which
+returns the exit code; the module's docstring is the text of `--help`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ COMMANDS = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; an error that the user can fix is one line and exit code 1."""
+    """Run the command named in `argv` and return its exit code.
+
+    A CalmEdgeError is printed as one line without a traceback; the exit code is then ERROR.
+    """
     name, *rest = (sys.argv[1:] if argv is None else argv) or ["--help"]
     if name in ("-h", "--help"):
         print("usage: python -m bench NAME [ARGUMENTS]; NAME --help lists the arguments\n")

@@ -1,4 +1,4 @@
-"""The paper's chaining baselines on the sub-maps of a recording."""
+"""The paper's chaining baselines, run on the sub-maps of a recording."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from device.frame import Eye
 
 
 def matched_submaps(updates: Sequence[LocalizerUpdate]) -> list[LocalizerUpdate]:
-    """The last update of each sub-map that has matches or depth, by id.
+    """Updates with landmarks or depth, the last one of each sub-map, in order of ids.
 
-    Windows solved again at the end are logged without these, so the live solution is used: the
-    baselines get no later estimate of the kit.
+    Windows that are solved again at the end of a drive are logged without landmarks and depth. So
+    these are the live solutions, made without the final estimate of the kit.
     """
     last = {
         update.submap.id: update
@@ -32,23 +32,23 @@ def matched_submaps(updates: Sequence[LocalizerUpdate]) -> list[LocalizerUpdate]
 
 
 def overlaps(updates: Sequence[LocalizerUpdate], size: Int) -> Iterator[Correspondences]:
-    """Correspondences of consecutive sub-maps in their common pictures. size: (2,) px."""
+    """Yield the correspondences of consecutive sub-maps. size: (2,) of the pictures, px."""
     for previous, new in pairwise(updates):
         views = common_views(previous.submap, new.submap)
         yield correspondences(previous.prediction, views[0], new.prediction, views[1], size)
 
 
 def chained(recording: Path, alignment: str) -> Estimate:
-    """Chain a recording's sub-maps by `alignment` (a key of ALIGNMENTS), without loops.
+    """Chain a recording's sub-maps by `alignment`, a key of ALIGNMENTS, without loops.
 
-    World unit: metres where the spacing is configured, from the first sub-map's scale. Raises
-    EvaluationError when the chain breaks, RecordingError.
+    World unit: metres if the spacing is configured, by the scale of the first sub-map; else the
+    spacing. Raises EvaluationError if a sub-map cannot be aligned, and RecordingError.
     """
     source = Recording(recording)
     updates = matched_submaps(list(source.updates()))
     frame = next(source.frames(Eye.PRIMARY), None)
     if frame is None or not updates:
-        raise EvaluationError(f"{recording}: holds no sub-maps with matches to chain")
+        raise EvaluationError(f"{recording}: no sub-map with landmarks or depth, nothing to chain")
     height, width = frame.bgr().shape[:2]
     submaps = [update.submap for update in updates]
     result = chain(ALIGNMENTS[alignment], submaps, overlaps(updates, np.array([width, height])))

@@ -1,8 +1,9 @@
-"""Pose errors of the joint graph over their claimed covariances (NEES), on scripted drives.
+"""NEES of the joint graph's poses, their errors over their covariances, on scripted drives.
 
-Views have errors of known size, and each sub-map a scale of its own. Normalised estimation error
-squared: Bar-Shalom, Li, Kirubarajan, "Estimation with applications to tracking and navigation",
-2001, 5.4. The average over independent runs of a consistent estimate lies in a chi-square band.
+The views have errors of known size, and each sub-map has a scale of its own. NEES, normalised
+estimation error squared: Bar-Shalom, Li, Kirubarajan, "Estimation with applications to tracking and
+navigation", 2001, 5.4. Its average over independent runs of a consistent estimator lies in a
+chi-square interval.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from calm_edge.posegraph.problem import State
 from calm_edge.types import Float
 
 TRANSLATION_SIGMA_M, ROTATION_SIGMA_RAD, SCALE_LOG_SIGMA = 0.01, 0.001, 0.2
-# Keyframes between the two poses of a pair, a metre and 0.1 s each: 1 s and 100 m.
+# Keyframes between the two poses of a pair. One keyframe is 1 m and 0.1 s: 10 m and 100 m.
 LAGS = (10, 100)
 COLUMNS = (
     "keyframes apart",
@@ -40,7 +41,7 @@ COLUMNS = (
 
 
 class _Kept(Immediate):
-    """Optimiser that keeps the snapshot it solved."""
+    """Optimiser that stores the graph it has solved, for its covariances."""
 
     snapshot: Snapshot
 
@@ -50,9 +51,10 @@ class _Kept(Immediate):
 
 
 def pose_nees(T: Float, T_truth: Float, covariance: Float) -> Float:
-    """NEES (M,) of poses (M, 4, 4) with covariances (M, 6, 6) of (translation, rotation).
+    """NEES (M,) of poses T (M, 4, 4) with covariances (M, 6, 6), translation first.
 
-    Both relative to the same origin, in the same unit; covariances in each pose's own axes.
+    T, T_truth: relative to the same origin, in the same unit. Covariances: in the axes of each
+    pose.
     """
     error = se3.log(se3.inverse(T_truth) @ T)
     solved = np.linalg.solve(covariance, error[..., None])[..., 0]
@@ -60,9 +62,9 @@ def pose_nees(T: Float, T_truth: Float, covariance: Float) -> Float:
 
 
 def consistent_band(n: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Interval of the mean of n independent pose NEES over 6, of that confidence.
+    """Confidence interval of the mean of n independent pose NEES, divided by 6.
 
-    Above it the covariances are too small, below it too large.
+    A mean above it shows that the covariances are too small, one below it that they are too large.
     """
     tail, dof = (1 - confidence) / 2, 6 * n
     low, high = stats.chi2(dof).ppf([tail, 1 - tail]) / dof
@@ -70,7 +72,7 @@ def consistent_band(n: int, confidence: float = 0.95) -> tuple[float, float]:
 
 
 def solved(seed: int, n_submaps: int) -> tuple[Float, Float, Marginals]:
-    """Poses (N, 4, 4) of one drive at the optimum, the true ones, and the graph's marginals."""
+    """Optimise one scripted drive: poses (N, 4, 4), true poses (N, 4, 4), marginal covariances."""
     spacing_m = float(np.linalg.norm(circuit.T_P_A[:3, 3]))
     known = {"scale": {"spacing_m": spacing_m}, "loops": {"enabled": False}}
     config = merge(Config(), known | {"correction": {"apply": "never"}})
@@ -97,12 +99,16 @@ def solved(seed: int, n_submaps: int) -> tuple[Float, Float, Marginals]:
 
 
 def rows(seeds: int, n_submaps: int) -> tuple[tuple[float | str, ...], ...]:
-    """Errors and covariances of poses relative to earlier keyframes, over `seeds` drives."""
+    """Compute the table: relative pose errors over their covariances, a row for each lag.
+
+    seeds: number of drives.
+    """
     found: dict[int, list[tuple[float, float, float]]] = {lag: [] for lag in LAGS}
     for seed in range(seeds):
         T, truth, marginals = solved(seed, n_submaps)
         for lag in LAGS:
-            # consecutive pairs, which share only their end keyframes
+            # consecutive pairs share only their end keyframes, so their errors are nearly
+            # independent
             for origin in range(0, len(T) - lag, lag):
                 of_pair = [se3.inverse(X[origin]) @ X[origin + lag] for X in (T, truth)]
                 covariance = marginals.covariances(np.array([origin + lag]), origin)
@@ -119,14 +125,14 @@ def rows(seeds: int, n_submaps: int) -> tuple[tuple[float | str, ...], ...]:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--seeds", type=int, default=20, help="drives")
     parser.add_argument("--submaps", type=int, default=9, help="sub-maps of a drive")
     parser.add_argument("--out", type=Path, default=OUT)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and save the table."""
+    """Compute the NEES of all drives, print and save the table, return the exit code."""
     title = "Relative poses of the joint graph against their covariances"
     notes = (f"{options.seeds} drives of {options.submaps} sub-maps",)
     measured = rows(options.seeds, options.submaps)

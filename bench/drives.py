@@ -1,4 +1,4 @@
-"""Drives that the measurements run on: on disk, derived from one another, or rendered once."""
+"""Drives on which the measurements run: found on disk, derived from others, or rendered once."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ DATA = ROOT.parent / "shared" / "data"
 SIMULATOR = ROOT.parent / "shared" / "tools" / "drive_sim.py"
 SIMULATED = ROOT / "build" / "sim"
 
-# Maps a work folder to the sequence folder, or to the reason why there is none.
+# Maps a work folder to a sequence folder, or to the reason why the drive is missing.
 Prepare = Callable[[Path], Path | str]
 
 
 def there(folder: Path) -> Prepare:
-    """A sequence folder on disk."""
+    """Prepare function of a sequence folder that is on disk."""
     return lambda _out: folder if (folder / "cam1").is_dir() else f"{folder} is not here"
 
 
 def pictures(folder: Path, eye: int) -> list[Path]:
-    """Picture files of one eye, in the order a sequence folder plays them."""
+    """Picture files of one eye of a sequence folder, in the order of replay."""
     return sorted(
         p for p in (folder / f"cam{eye}").iterdir() if p.suffix.lower() in (".png", ".jpg", ".jpeg")
     )
@@ -46,10 +46,11 @@ def read_picture(file: Path) -> Bytes:
 
 
 def shifted_by_one(source: Path, out: Path) -> Path:
-    """`out`/sequence: links to `source` without the assistant's first and the primary's last frame.
+    """Make the sequence folder `out`/sequence, in which the assistant is one frame ahead.
 
-    Frame k of cam1 is frame k + 1 of the source, with its stamp: stamps stay true, and only
-    pairing frames by their index is wrong.
+    It has links to the pictures of `source` without the assistant's first and the primary's last
+    frame. Frame k of cam1 is frame k + 1 of the source with its own stamp. The stamps stay true;
+    only pairing frames by their index is wrong.
     """
     folder = out / "sequence"
     shutil.rmtree(folder, ignore_errors=True)
@@ -69,7 +70,7 @@ def shifted_by_one(source: Path, out: Path) -> Path:
 
 
 def late_assistant(source: Path) -> Prepare:
-    """`source` with the assistant one frame ahead, see `shifted_by_one`."""
+    """Prepare function of `source` with the assistant one frame ahead, see `shifted_by_one`."""
 
     def prepare(out: Path) -> Path | str:
         if not (source / "cam1").is_dir():
@@ -80,7 +81,10 @@ def late_assistant(source: Path) -> Prepare:
 
 
 def simulated(name: str, *options: str) -> Prepare:
-    """A drive rendered into build/sim/ by the simulator with these options, once."""
+    """Prepare function of a drive rendered into build/sim/`name` by the simulator.
+
+    options: of the simulator. Rendered only if the folder does not exist yet.
+    """
 
     def prepare(_out: Path) -> Path | str:
         folder = SIMULATED / name
@@ -88,7 +92,8 @@ def simulated(name: str, *options: str) -> Prepare:
             return folder
         if not SIMULATOR.is_file():
             return f"{SIMULATOR} is not here"
-        # an interrupted rendering must not pass for a whole drive
+        # rendered in a folder of its own, so that an interrupted rendering does not pass for a
+        # whole drive
         part = SIMULATED / f"{name}.part"
         command = [sys.executable, str(SIMULATOR), "--out", str(part), *options]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -116,12 +121,12 @@ class Kilometre:
 
     @property
     def loose(self) -> Prepare:
-        """With its timing faults."""
+        """Prepare function of the drive with its timing faults."""
         return simulated(self.name, *self._rig, *self.timing)
 
     @property
     def in_step(self) -> Prepare:
-        """Without them: both cameras exposed at the same instants, at an even rate."""
+        """Prepare function of the drive without timing faults: synchronised, at an even rate."""
         if not self.timing:
             return self.loose
         return simulated(f"{self.name}_in_step", *self._rig)
@@ -135,7 +140,7 @@ def _kilometre(name: str, track: str, spacing_m: float, scene: str, timing: str 
     return Kilometre(name, spacing_m, ("--track", track, *scene.split()), tuple(timing.split()))
 
 
-# All rigs differ in fields of view, spacing, angle between the axes, clocks and exposure.
+# The rigs differ in fields of view, spacing, angle between the optical axes, clocks and exposure.
 DEVELOPMENT = (
     _kilometre(
         "km_aalborg",
@@ -164,7 +169,7 @@ DEVELOPMENT = (
         0.5,
         "--frames 910 --hfov 80 80 --rot-deg 0.5 -1.5 0.8 --bumps 2 --seed 14",
     ),
-    # a lap is 2,058 m: 1.3 of them
+    # a lap is 2,058 m, so this is 1.3 laps
     _kilometre(
         "km_g-track-1_loop",
         "g-track-1",
@@ -173,7 +178,7 @@ DEVELOPMENT = (
         "--async 0.03",
     ),
 )
-# Tracks that nothing is tuned on; evaluated once, at the end.
+# Tracks used for no tuning, only for the final evaluation.
 HELD_OUT = (
     _kilometre(
         "km_forza",

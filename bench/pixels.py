@@ -168,7 +168,7 @@ def table(results: Mapping[str, Mapping[str, Any]]) -> list[list[Any]]:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--only", action="append", metavar="NAME", choices=list(EVERY))
     parser.add_argument("--method", action="append", choices=list(METHODS))
     group = parser.add_mutually_exclusive_group()

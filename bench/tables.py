@@ -140,7 +140,7 @@ def _plain(value: Any) -> Any:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--out", type=Path, default=OUT)
 
 

@@ -244,7 +244,7 @@ def run_all(rows: Iterable[Row], out: Path) -> dict[str, Measured]:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--only", action="append", metavar="NAME", choices=[r.name for r in ROWS])
     parser.add_argument("--out", type=Path, default=OUT)
 

@@ -1,1 +1,1 @@
-"""Alignments the paper compares with (VII), on the same sub-maps."""
+"""Baselines of the paper (section VII): other methods that align the same sub-maps."""

@@ -1,4 +1,4 @@
-"""Chain sub-maps into one world by a pairwise alignment, as the paper's baselines do (VII)."""
+"""Chain sub-maps into one world by pairwise alignment, as the paper's baselines do (VII)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """A pairwise alignment.
+    """A method of aligning a sub-map with its predecessor.
 
     place: (previous, new, correspondences) -> T_previous_new (4, 4). poses: (T_w_s, sub-map) ->
-    T_w_c (N, 4, 4). Both raise BaselineError. group: of the pose graph with loops.
+    T_w_c (N, 4, 4) of its views. Both raise BaselineError. group: Lie group of the pose graph that
+    closes loops.
     """
 
     name: str
@@ -39,7 +40,10 @@ ALIGNMENTS = {
 
 @dataclass(frozen=True, slots=True)
 class LoopOverlap:
-    """Correspondences of two sub-maps with a common picture, by index; previous < new."""
+    """Correspondences of two sub-maps that share a picture of one place.
+
+    previous, new: indices of the sub-maps, previous < new.
+    """
 
     previous: int
     new: int
@@ -50,10 +54,10 @@ class LoopOverlap:
 class BaselineResult:
     """Poses of the primary keyframes by an alignment, or the reason of its failure.
 
-    keyframe_ids, t_ns: (N,), each keyframe once, by the first sub-map with it. T_w_c: (N, 4, 4),
-    None if `failed`. transforms: (S, 4, 4) homogeneous, raw sub-map points -> world, of the
-    sub-maps placed before a failure. World: frame and scale of the first sub-map. loops: number
-    closed.
+    keyframe_ids, t_ns: (N,), each keyframe once, with its pose from the first sub-map that contains
+    it. T_w_c: (N, 4, 4), None after a failure. failed: reason, empty on success. transforms: (S, 4,
+    4) homogeneous, raw sub-map points -> world, of the sub-maps placed before a failure. World:
+    frame and scale of the first sub-map. loops: number of closed loops.
     """
 
     name: str
@@ -65,7 +69,10 @@ class BaselineResult:
     loops: int = 0
 
     def transform_points(self, k: int, points_s: Float) -> Float:
-        """Raw points (..., 3) of sub-map k -> world; raises IndexError if it is not placed."""
+        """Transform raw points (..., 3) of sub-map k to the world.
+
+        Raises IndexError if the sub-map is not placed.
+        """
         T = self.transforms[k]
         moved = points_s @ T[:3, :3].T + T[:3, 3]
         with np.errstate(all="ignore"):
@@ -78,11 +85,11 @@ def chain(
     overlaps: Iterable[Correspondences],
     loops: Iterable[LoopOverlap] = (),
 ) -> BaselineResult:
-    """Place each sub-map by its predecessor, then close the loops.
+    """Place each sub-map relative to its predecessor, then close the loops.
 
-    overlaps: between sub-maps k - 1 and k for k = 1, 2 ...; may be lazy. A CalmEdgeError, also of
-    a lazy overlap, is not raised but becomes `failed`. Loops that cannot be aligned are logged and
-    left out.
+    overlaps: correspondences of sub-maps k - 1 and k for k = 1, 2 ...; may be a generator. A
+    CalmEdgeError, also one of that generator, is not raised but returned as text in `failed`. Loops
+    that cannot be aligned are logged and left out.
     """
     rows = [(k, view) for k, views in enumerate(_first_views(submaps)) for view in views]
     keyframe_ids = np.array([submaps[k].primary_ids[view] for k, view in rows], np.int64)
@@ -90,7 +97,7 @@ def chain(
     transforms: list[Float] = []
     T_w_c, failed, closed = None, "", 0
     try:
-        # non-finite results are detected below
+        # results that are not finite raise a BaselineError below
         with np.errstate(all="ignore"):
             ties = _ties(alignment, submaps, overlaps, transforms)
             closures = _closures(alignment, submaps, loops)
@@ -105,7 +112,7 @@ def chain(
 
 
 def _first_views(submaps: Sequence[Submap]) -> list[list[int]]:
-    """Primary views of each sub-map with keyframes that are in no earlier one."""
+    """For each sub-map, indices of the primary views whose keyframes no earlier sub-map has."""
     seen: set[int] = set()
     views = []
     for submap in submaps:
@@ -120,16 +127,20 @@ def _ties(
     overlaps: Iterable[Correspondences],
     transforms: list[Float],
 ) -> list[pose_graph.Tie]:
-    """Fill `transforms`, as far as possible, and return the ties."""
+    """Align each sub-map with its predecessor; return the relative transforms.
+
+    Appends T_w_s (4, 4) of each sub-map to `transforms`, which after a BaselineError holds the
+    sub-maps placed so far.
+    """
     if not submaps:
-        raise BaselineError("there is no sub-map")
+        raise BaselineError("no sub-map to chain")
     transforms.append(np.diag([submaps[0].scale] * 3 + [1.0]))
     ties: list[pose_graph.Tie] = []
     following = iter(overlaps)
     for k in range(1, len(submaps)):
         matches = next(following, None)
         if matches is None:
-            raise BaselineError(f"sub-map {submaps[k].id}: no overlap was given")
+            raise BaselineError(f"sub-map {submaps[k].id}: no correspondences with its predecessor")
         T = _placed(alignment, submaps[k - 1], submaps[k], matches)
         T_w_s = transforms[-1] @ T
         if not (np.isfinite(T_w_s).all() and np.linalg.det(T_w_s) > 0):
@@ -147,7 +158,7 @@ def _closures(
         try:
             T = _placed(alignment, submaps[loop.previous], submaps[loop.new], loop.matches)
         except BaselineError as error:
-            log.warning("%s: loop left out: %s", alignment.name, error)
+            log.warning("%s: a loop is left out: %s", alignment.name, error)
             continue
         closures.append(pose_graph.Tie(loop.previous, loop.new, T))
     return closures
@@ -157,7 +168,9 @@ def _placed(alignment: Alignment, previous: Submap, new: Submap, matches: Corres
     try:
         return alignment.place(previous, new, matches)
     except (BaselineError, np.linalg.LinAlgError) as error:
-        raise BaselineError(f"sub-map {new.id} by {previous.id}: {error}") from None
+        raise BaselineError(
+            f"sub-map {new.id} cannot be aligned with {previous.id}: {error}"
+        ) from None
 
 
 def _poses(
@@ -166,7 +179,7 @@ def _poses(
     transforms: Sequence[Float],
     rows: Sequence[tuple[int, int]],
 ) -> Float:
-    """T_w_c (N, 4, 4) of `rows` (sub-map, view)."""
+    """T_w_c (N, 4, 4) of the views in `rows`, pairs of sub-map index and view index."""
     T_w_c = []
     for submap, T_w_s in zip(submaps, transforms, strict=True):
         try:

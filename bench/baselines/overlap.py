@@ -1,4 +1,4 @@
-"""Points of two sub-maps at the same pixels: the correspondences that an alignment fits."""
+"""Correspondences of two sub-maps: their points at equal pixels of common pictures."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from calm_edge.types import CalmEdgeError, Float, Int, Landmarks, Prediction, Su
 STRIDE = 2
 # VGGT-Long drops pixels below a tenth of the smaller of the two median confidences.
 CONFIDENCE_SHARE = 0.1
-# Each window detects its own corners: within this distance they are the same point.
+# Each window detects corners anew: detections within this distance are the same point.
 SAME_PIXEL_PX = 0.5
 
 
 class BaselineError(CalmEdgeError):
-    """A baseline cannot place a sub-map."""
+    """A sub-map cannot be placed by a baseline."""
 
 
 @dataclass(frozen=True, slots=True)
 class Correspondences:
-    """M points in two sub-maps, (M, 3) each, in their own frames and raw units.
+    """M corresponding points of two sub-maps.
 
-    weight: (M,) > 0, the geometric mean of both confidences.
+    previous, new: (M, 3) each in its sub-map's frame and raw unit. weight: (M,) > 0, the geometric
+    mean of both confidences.
     """
 
     previous: Float
@@ -34,7 +35,7 @@ class Correspondences:
     weight: Float
 
     def finite(self) -> Correspondences:
-        """Correspondences with finite values and positive weight."""
+        """Keep the correspondences with finite values and positive weight."""
         all_columns = np.column_stack([self.previous, self.new, self.weight])
         keep = np.isfinite(all_columns).all(1) & (self.weight > 0)
         return Correspondences(self.previous[keep], self.new[keep], self.weight[keep])
@@ -42,13 +43,13 @@ class Correspondences:
     def unit(self) -> float:
         """Mean distance of the previous sub-map's points from its origin, raw unit.
 
-        Published thresholds are for scenes normalised by it.
+        Thresholds published for normalised scenes are multiplied by it.
         """
         return float(np.linalg.norm(self.previous, axis=1).mean())
 
 
 def common_views(previous: Submap, new: Submap) -> tuple[Int, Int]:
-    """Batch indices (V,) in each sub-map of their common primary keyframes."""
+    """Batch indices (V,) of the common primary keyframes, in each of two sub-maps."""
     ids = [i for i in new.primary_ids if i in previous.primary_ids]
     return (
         np.array([previous.primary_ids.index(i) for i in ids], np.int64),
@@ -57,9 +58,10 @@ def common_views(previous: Submap, new: Submap) -> tuple[Int, Int]:
 
 
 def loop_views(match: Submap, query: Submap, match_id: int) -> tuple[Int, Int]:
-    """View of keyframe `match_id` in its own sub-map and of the query's loop keyframe (IV-D).
+    """Views of one place in two sub-maps joined by a loop (IV-D), as batch indices (1,) each.
 
-    Raises BaselineError if one lacks it.
+    In `match`: the view of keyframe `match_id`. In `query`: the loop keyframe, which is the last
+    view. Raises BaselineError if either is missing.
     """
     last = query.n_primary + len(query.assistant_ids)
     if match_id not in match.primary_ids or last >= len(query.T_s_c_raw):
@@ -75,10 +77,11 @@ def correspondences(
     size: Int,
     stride: int = STRIDE,
 ) -> Correspondences:
-    """Correspondences by depth if both have it, else by landmarks, else none.
+    """Correspondences from depth maps if both predictions have them, else from landmarks.
 
-    views_previous, views_new: (V,) batch indices of the same V pictures. size: (2,) their width
-    and height, px. Raises BaselineError for depth without confidence.
+    views_previous, views_new: (V,) batch indices of the same V pictures. size: (2,) width and
+    height of the pictures, px. Empty without depth and landmarks. Raises BaselineError for depth
+    without confidence.
     """
     if previous.depth is not None and new.depth is not None:
         return from_depth(previous, views_previous, new, views_new, size, stride)
@@ -93,11 +96,11 @@ def from_depth(
     size: Int,
     stride: int = STRIDE,
 ) -> Correspondences:
-    """Every `stride`-th depth pixel of the common pictures, back-projected by its own camera.
+    """Back-project every `stride`-th depth pixel of the common pictures in both sub-maps.
 
-    Pixels without depth in either, or with a confidence below CONFIDENCE_SHARE of the lower median,
-    are left out. Depth maps of different sizes are sampled at the nearest pixel. Arguments as in
-    `correspondences`; raises BaselineError without depth or confidence.
+    Left out: pixels without depth in either sub-map, and those with a confidence below
+    CONFIDENCE_SHARE of the smaller median. Depth maps of different sizes are sampled at the nearest
+    pixel. Arguments as in `correspondences`; raises BaselineError without depth or confidence.
     """
     parts = [_none()]
     for view_previous, view_new in zip(views_previous, views_new, strict=True):
@@ -120,7 +123,7 @@ def from_depth(
 def from_landmarks(
     previous: Prediction, views_previous: Int, new: Prediction, views_new: Int
 ) -> Correspondences:
-    """Landmarks that are mutual nearest neighbours in a common picture, within SAME_PIXEL_PX."""
+    """Pair landmarks that are mutual nearest neighbours in a picture, within SAME_PIXEL_PX."""
     if previous.landmarks is None or new.landmarks is None:
         return _none()
     parts = [_none()]
@@ -140,7 +143,10 @@ def from_landmarks(
 def _lifted(
     prediction: Prediction, view: int, uv: Float, size: Int
 ) -> tuple[Float, NDArray[np.float64]]:
-    """Points (M, 3) in the sub-map frame of pixels uv (M, 2), and confidence, 0 without depth."""
+    """Back-project pixels uv (M, 2) of a view to points (M, 3) in the sub-map frame.
+
+    Also returns their confidence (M,), 0 where there is no depth. size: (2,) of the picture, px.
+    """
     depth, confidence = _maps(prediction)
     height, width = depth.shape[1:]
     xy = np.rint((uv + 0.5) * (np.array([width, height]) / size) - 0.5).astype(np.int64)
@@ -154,12 +160,12 @@ def _lifted(
 
 def _maps(prediction: Prediction) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     if prediction.depth is None or prediction.confidence is None:
-        raise BaselineError("a prediction has depth or confidence missing")
+        raise BaselineError("a prediction lacks depth or confidence")
     return prediction.depth, prediction.confidence
 
 
 def _seen(landmarks: Landmarks, view: int) -> tuple[Float, Float]:
-    """Points (M, 3) and pixels (M, 2) of the landmarks seen in one view."""
+    """Points (M, 3) and pixels (M, 2) of the landmarks visible in one view."""
     here = landmarks.view == view
     return landmarks.points_s[landmarks.index[here]], landmarks.uv[here].astype(np.float64)
 

@@ -13,14 +13,14 @@ from bench.baselines.sl4 import special
 from calm_edge.geometry.similarity import Similarity
 from calm_edge.types import Float
 
-# Sigma of all components in VGGT-SLAM; VGGT-Long also weighs all edges and components equally.
+# Sigma of all components in VGGT-SLAM. VGGT-Long, too, gives all edges and components equal weight.
 SIGMA = 0.05
 _HELD = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Tie:
-    """A measured T_previous_new (4, 4) between two sub-maps, by index."""
+    """Measured relative transform T_previous_new (4, 4) of two sub-maps, given by index."""
 
     previous: int
     new: int
@@ -30,11 +30,11 @@ class Tie:
 def optimise(
     group: Literal["sim3", "sl4"], T_w_s: Float, ties: Sequence[Tie], loops: Sequence[Tie]
 ) -> Float:
-    """T_w_s (S, 4, 4) at the optimum, the first fixed; raises BaselineError.
+    """Optimise T_w_s (S, 4, 4) of all sub-maps with the first one fixed; raises BaselineError.
 
-    Without robust kernels, as published: these would reject the true loop of a long drive. Lengths
-    are divided by the median step between sub-maps, so that all components of an error have equal
-    weight in any unit, as in a normalised scene.
+    T_w_s: initial values. ties: between consecutive sub-maps. There is no robust kernel, as in the
+    publications: one would reject the true loop of a long drive. Lengths are divided by the median
+    step between sub-maps, so that all components of an error have equal weight in any unit.
     """
     import gtsam
 
@@ -72,9 +72,9 @@ def _similarity(T: Float) -> Any:
     import gtsam
 
     if not (np.isfinite(T).all() and np.linalg.det(T[:3, :3]) > 0):
-        raise BaselineError("the pose graph got a transform that is no similarity")
+        raise BaselineError("a transform given to the pose graph is not a similarity")
     s = Similarity.from_matrix(T)
-    # gtsam's acts as scale (R p + t)
+    # gtsam.Similarity3 maps p to scale (R p + t)
     return gtsam.Similarity3(gtsam.Rot3(s.R), s.t / s.scale, s.scale)
 
 

@@ -1,4 +1,4 @@
-"""Sim(3) alignment of a sub-map by its overlap, as in VGGT-Long.
+"""Sim(3) alignment of a sub-map with its predecessor, as in VGGT-Long.
 
 Deng et al., "VGGT-Long: Chunk it, Loop it, Align it", 2025: iteratively reweighted least squares
 with Huber weights on the points of the common pictures, weighted by confidence; Sim(3) loops.
@@ -13,20 +13,20 @@ from calm_edge.geometry.similarity import Similarity, align
 from calm_edge.types import Float, Submap
 
 ITERATIONS = 5
-# Published value, for a mean distance of the scene's points of one.
+# Published value, for a scene whose points have a mean distance of one.
 HUBER_DELTA = 0.1
-# Huber's constant times the ratio of sigma to the median distance of a 3-D Gaussian.
+# Huber's constant 1.345 in sigmas, over the median length 1.538 of a 3-D Gaussian in sigmas.
 _DELTA_PER_MEDIAN = 1.345 / 1.538
-# Below this ratio of extents the points are a line, which leaves the roll undetermined.
+# Points with a smaller ratio of extents lie on a line, and the rotation about it is undetermined.
 _LINE = 1e-6
 
 
 def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
-    """T_previous_new (4, 4) = [[scale R, t], [0, 1]] between raw frames; raises BaselineError.
+    """Estimate T_previous_new (4, 4) = [[scale R, t], [0, 1]] between raw frames.
 
-    The scale is the ratio of the weighted spreads, as published: unlike the least-squares scale it
-    does not shrink with noise. Huber's delta is the published one, or smaller where the median
-    residual is.
+    The scale is the ratio of the weighted spreads of both point sets, as published: unlike the
+    least-squares scale it does not shrink with noise. Huber's delta is the published value, reduced
+    if the median residual is small. Raises BaselineError.
     """
     matches = matches.finite()
     if len(matches.weight) < 3:
@@ -41,14 +41,14 @@ def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
         found = _fit(matches, matches.weight * delta / np.maximum(residual, delta))
     T = found.matrix()
     if not np.isfinite(T).all():
-        raise BaselineError("the similarity is not finite")
+        raise BaselineError("the estimated similarity is not finite")
     return T
 
 
 def poses(T_w_s: Float, submap: Submap) -> Float:
     """T_w_c (N, 4, 4) of every view of a sub-map placed by T_w_s (4, 4); raises BaselineError."""
     if not (np.isfinite(T_w_s).all() and np.linalg.det(T_w_s[:3, :3]) > 0):
-        raise BaselineError("the transform is no similarity")
+        raise BaselineError("the optimised transform is not a similarity")
     return Similarity.from_matrix(T_w_s).poses(submap.T_s_c_raw)
 
 
@@ -60,8 +60,8 @@ def _fit(matches: Correspondences, weight: Float) -> Similarity:
     spread_target = float(np.sqrt(share @ (target**2).sum(1)))
     spread_source = float(np.linalg.norm(extent))
     if not (spread_target > 0 and extent[1] > _LINE * extent[0]):
-        raise BaselineError("the common points lie on a line; Sim(3) needs more")
+        raise BaselineError("the common points lie on a line, which does not determine Sim(3)")
     if not (spread_source > 0 and np.isfinite(scale := spread_target / spread_source)):
-        raise BaselineError("the common points have no extent")
+        raise BaselineError("the common points all coincide")
     rigid = align(scale * matches.new, matches.previous, with_scale=False, weights=share)
     return Similarity(scale, rigid.R, rigid.t)

@@ -1,7 +1,8 @@
-"""SL(4) alignment of a sub-map by a homography of its overlap, as in VGGT-SLAM.
+"""SL(4) alignment of a sub-map with its predecessor by a homography, as in VGGT-SLAM.
 
 Maggio et al., "VGGT-SLAM: Dense RGB SLAM Optimized on the SL(4) Manifold", 2025: 4x4 homographies
-from five-point samples, of determinant one; poses by decomposing the moved projection matrices.
+of determinant one from five-point samples; poses by decomposing the transformed projection
+matrices.
 """
 
 from __future__ import annotations
@@ -13,20 +14,20 @@ from bench.baselines.overlap import BaselineError, Correspondences
 from calm_edge.types import Float, Submap
 
 SAMPLES = 300
-# Published value, for a mean distance of the scene's points of one.
+# Published value, for a scene whose points have a mean distance of one.
 INLIER_DISTANCE = 0.01
 SEED = 0
-# Points to score a sample on, and to fit the homography to.
+# Numbers of points on which a sample is scored, and to which the homography is fitted.
 _SCORED, _FITTED = 500, 1000
 _REFITS = 2
-# Below this ratio of singular values the homography is undetermined.
+# With a smaller ratio of singular values the homography is undetermined.
 _OPEN = 1e-7
 
 
 def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
-    """T_previous_new (4, 4), det 1, between raw homogeneous points; raises BaselineError.
+    """Estimate T_previous_new (4, 4), det 1, between raw homogeneous points.
 
-    Deterministic: the samples are seeded.
+    Deterministic: the random samples are seeded. Raises BaselineError.
     """
     matches = matches.finite()
     n = len(matches.weight)
@@ -51,9 +52,9 @@ def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
 
 
 def poses(T_w_s: Float, submap: Submap) -> Float:
-    """T_w_c (N, 4, 4) of the projections K [R | t] T_w_s^-1 of all views; raises BaselineError.
+    """Decompose the projections K [R | t] T_w_s^-1 of all views into T_w_c (N, 4, 4).
 
-    Decomposes each projection; the calibration part, which the homography changes, is dropped.
+    The calibration part, which the homography has changed, is dropped. Raises BaselineError.
     """
     with np.errstate(all="ignore"):
         try:
@@ -63,16 +64,16 @@ def poses(T_w_s: Float, submap: Submap) -> Float:
             centre = -np.linalg.solve(M, P[:, :, 3:])[..., 0]
             R_c_w = _rotation(M * np.sign(np.linalg.det(M))[:, None, None])
         except np.linalg.LinAlgError:
-            raise BaselineError("a camera cannot be decomposed") from None
+            raise BaselineError("a transformed projection matrix cannot be decomposed") from None
     T = np.tile(np.eye(4), (len(P), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = np.swapaxes(R_c_w, 1, 2), centre
     if not np.isfinite(T).all():
-        raise BaselineError("a camera is not finite")
+        raise BaselineError("a transformed projection matrix is not finite")
     return T
 
 
 def special(H: Float) -> Float:
-    """H (4, 4) scaled to det 1; raises BaselineError for a reflection or non-finite values."""
+    """Scale H (4, 4) to det 1; raises BaselineError for a reflection or non-finite values."""
     determinant = np.linalg.det(H) if np.isfinite(H).all() else np.nan
     if not determinant > 0:
         raise BaselineError(f"the homography's determinant is {determinant:.3g}, not above 0")
@@ -88,7 +89,7 @@ def homogeneous(p: Float) -> Float:
 
 
 def _normalisation(p: Float) -> Float:
-    """(4, 4) that centres points (N, 3) and scales their mean distance to sqrt(3)."""
+    """Similarity (4, 4) that centres points (N, 3) and scales their mean distance to sqrt(3)."""
     centre = p.mean(0)
     distance = float(np.linalg.norm(p - centre, axis=1).mean())
     if distance == 0:
@@ -99,12 +100,15 @@ def _normalisation(p: Float) -> Float:
 
 
 def _best_sample(source: Float, target: Float, limit: float, rng: np.random.Generator) -> Float:
-    """The homography of five sampled points with the most inliers among points (N, 4)."""
+    """Homography (4, 4) from the five-point sample with the most inliers (RANSAC).
+
+    source, target: (N, 4) homogeneous points. limit: largest distance of an inlier.
+    """
     rows = rng.integers(0, len(source), (SAMPLES, 5))
     B, B_target = _basis(source[rows]), _basis(target[rows])
     volume, volume_target = np.linalg.det(B), np.linalg.det(B_target)
     usable = np.isfinite(B).all((1, 2)) & np.isfinite(B_target).all((1, 2))
-    # degenerate (coplanar or repeated points) and mirrored samples are no candidates
+    # discard degenerate (coplanar or repeated points) and mirrored samples
     usable &= (np.abs(volume) > 1e-9) & (np.abs(volume_target) > 1e-9)
     usable &= volume * volume_target > 0
     if not usable.any():
@@ -116,7 +120,10 @@ def _best_sample(source: Float, target: Float, limit: float, rng: np.random.Gene
 
 
 def _basis(points: Float) -> Float:
-    """(B, 4, 4) that map unit vectors and their sum to five points (B, 5, 4); NaN if coplanar."""
+    """Matrices (B, 4, 4) that map unit vectors and their sum to five points (B, 5, 4).
+
+    NaN where the points are coplanar.
+    """
     corners = np.swapaxes(points[:, :4], 1, 2)
     flat = np.abs(np.linalg.det(corners)) < 1e-9
     corners = np.where(flat[:, None, None], np.eye(4), corners)
@@ -126,7 +133,10 @@ def _basis(points: Float) -> Float:
 
 
 def _distance(H: Float, source: Float, target: Float) -> Float:
-    """(B, N) distances of H (B, 4, 4) source (N, 4) from target (N, 4); NaN at infinity."""
+    """Distances (B, N) of H source from target, H (B, 4, 4); NaN at infinity.
+
+    source, target: (N, 4) homogeneous points.
+    """
     moved = source @ np.swapaxes(H, 1, 2)
     return np.asarray(
         np.linalg.norm(moved[..., :3] / moved[..., 3:] - target[None, :, :3], axis=-1)
@@ -134,7 +144,10 @@ def _distance(H: Float, source: Float, target: Float) -> Float:
 
 
 def _direct_linear(source: Float, target: Float) -> Float:
-    """Direct linear transform: H that minimises target_w (H source)_i - target_i (H source)_w."""
+    """Fit H (4, 4) to homogeneous points (N, 4) by the direct linear transform.
+
+    Minimises the squares of target_w (H source)_i - target_i (H source)_w.
+    """
     n = len(source)
     A = np.zeros((n, 3, 4, 4))
     for i in range(3):
@@ -148,7 +161,7 @@ def _direct_linear(source: Float, target: Float) -> Float:
 
 
 def _rotation(M: Float) -> NDArray[np.float64]:
-    """R (N, 3, 3) of M = K R, K upper triangular with a positive diagonal, det M > 0."""
+    """Rotations R (N, 3, 3) of M = K R, K upper triangular with a positive diagonal, det M > 0."""
     Q, R = np.linalg.qr(np.swapaxes(M[:, ::-1], 1, 2))
     Q = Q * np.where(np.diagonal(R, axis1=1, axis2=2) < 0, -1.0, 1.0)[:, None]
     return np.asarray(np.swapaxes(Q, 1, 2)[:, ::-1])

@@ -1,4 +1,4 @@
-"""The paper's placement (IV-B) between two sub-maps, as an alignment to compare with."""
+"""Placement of the paper (IV-B) as an alignment, for comparison with the baselines."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from calm_edge.types import Float, Submap
 
 
 def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
-    """T_previous_new (4, 4) = [[scale R, t], [0, 1]] between raw frames; raises BaselineError.
+    """Compute T_previous_new (4, 4) = [[scale R, t], [0, 1]] between raw frames.
 
-    The scale is the ratio of both sub-maps' scales by the camera spacing, the pose that of the
-    first common picture; points are not used.
+    The scale is the ratio of the scales that both sub-maps have from the camera spacing; the pose
+    is that of the first common picture. `matches` is not used. Raises BaselineError without a
+    common picture.
     """
     views_previous, views_new = common_views(previous, new)
     if not len(views_new):
-        raise BaselineError("no common picture")
+        raise BaselineError("the sub-maps have no common picture")
     ratio = new.scale / previous.scale
     T_s_f = scale.rectified(new.T_s_c_raw[views_new], ratio)
     T = scale.placement(previous.T_s_c_raw[views_previous], T_s_f)

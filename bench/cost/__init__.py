@@ -1,1 +1,1 @@
-"""Time and memory: of each stage, over a long drive, and under load."""
+"""Processor time and memory of calm-edge: by stage, over a long drive, on a loaded machine."""

@@ -14,13 +14,13 @@ from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Bytes, Float, Keyframe, LoopClosure, SubmapWindow
 from device.frame import Eye, Frame
 
-# Keyframes per lap, about one per metre; a place returns after exactly this many.
+# Keyframes per lap, about one per metre; the car passes the same place again after a lap.
 LAP = 1800
 PERIOD_NS, START_NS = 100_000_000, 5_000_000_000
 ASSISTANT_LATE_NS = 17_000_000
 SIZE = (544, 208)
 T_P_A = se3.exp(np.array([0.5, 0.02, 0.05, 0.02, -0.06, -0.03]))
-# Sub-maps between two loop closures, and the sigma of their errors (world units, rad).
+# Sub-maps between two loop closures, and the sigma of a closure's error (world units, rad).
 CLOSURE_EVERY = 5
 _CLOSURE_SIGMA = np.array([0.05, 0.05, 0.05, 0.005, 0.005, 0.005])
 
@@ -41,7 +41,7 @@ def lap() -> Float:
 
 
 def scene(n: int) -> ScriptedScene:
-    """Ground truth of n keyframes in a convex room: ground and a dome."""
+    """Ground truth of n keyframes on the circuit, in a convex room of ground plane and dome."""
     T_w_p = lap()[np.arange(n) % LAP]
     return ScriptedScene(
         t_ns=START_NS + PERIOD_NS * np.arange(n),
@@ -52,12 +52,15 @@ def scene(n: int) -> ScriptedScene:
 
 
 def n_keyframes(n_submaps: int, config: FrontendConfig) -> int:
-    """Number of keyframes of either eye in `n_submaps` whole windows."""
+    """Number of keyframes of each eye in `n_submaps` full windows."""
     return config.n_max + (n_submaps - 1) * (config.n_max - config.n_overlap)
 
 
 def windows(n_submaps: int, config: FrontendConfig) -> Iterator[SubmapWindow]:
-    """Yield whole windows in order; lazy, so that the memory measured holds no drive."""
+    """Yield `n_submaps` full windows in order.
+
+    A generator: all windows of a drive at once would count in the memory that is measured.
+    """
     new = config.n_max - config.n_overlap
     held: dict[Eye, list[Keyframe]] = {eye: [] for eye in Eye}
     for k in range(n_submaps):
@@ -77,7 +80,7 @@ def windows(n_submaps: int, config: FrontendConfig) -> Iterator[SubmapWindow]:
 
 
 def closures(n_keyframes: int, every: int) -> list[LoopClosure]:
-    """True loop closures over one lap, one in `every` keyframes, with noise."""
+    """True loop closures with the keyframe one lap before, every `every` keyframes, with noise."""
     rng = np.random.default_rng(0)
     return [
         LoopClosure(query, query - LAP, se3.exp(_CLOSURE_SIGMA * rng.standard_normal(6)))
@@ -86,7 +89,10 @@ def closures(n_keyframes: int, every: int) -> list[LoopClosure]:
 
 
 def _picture(eye: Eye, number: int) -> Bytes:
-    """Smooth noise, different at each place; for the assistant black, without memory."""
+    """Picture of smooth noise, different for each number.
+
+    Pictures of the assistant are black, as a broadcast array of one byte.
+    """
     width, height = SIZE
     if eye is Eye.ASSISTANT:
         return np.broadcast_to(np.zeros((), np.uint8), (height, width, 3))

@@ -1,4 +1,4 @@
-"""Processor and wall time of stages."""
+"""Stopwatch of processor and wall time."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A stage: mean processor and wall time over n runs; load: load average of the machine.
+    """Mean processor and wall time of one stage over n runs.
 
-    paper_s, target_s: None where there is none. share: runs per sub-map in the correction core
-    (without the test bank).
+    paper_s, target_s: time in the paper, and the required one; None if there is none. load: load
+    average of the machine. share: runs of the stage per sub-map in the correction core, which
+    excludes the test bank.
     """
 
     name: str
@@ -30,7 +31,7 @@ class Measured:
 
 
 class Clock:
-    """Sums the time of all runs of one stage."""
+    """Accumulates the time of all runs of one stage."""
 
     def __init__(self) -> None:
         self.cpu_s = self.wall_s = 0.0
@@ -44,7 +45,7 @@ class Clock:
         return made
 
     def add(self, cpu_s: float, wall_s: float, things: int = 1) -> None:
-        """Add a run timed elsewhere, of `things` items."""
+        """Add a time measured by the caller, in which `things` items were processed."""
         self.cpu_s += cpu_s
         self.wall_s += wall_s
         self._n += things
@@ -56,7 +57,7 @@ class Clock:
         target_s: float | None = None,
         share: float = 0.0,
     ) -> Measured:
-        """Means over the runs."""
+        """Return the mean times of the runs; the arguments are the fields of Measured."""
         n, load = max(self._n, 1), os.getloadavg()[0]
         cpu_s, wall_s = self.cpu_s / n, self.wall_s / n
         return Measured(name, paper_s, target_s, cpu_s, wall_s, self._n, load, share)

@@ -1,7 +1,6 @@
 """Time and memory of calm-edge on this machine, beside the paper's figures and the required ones.
 
-A requirement that is not met is marked in its table; the exit code is 1 only where nothing could be
-measured.
+The tables mark requirements that are not met. The exit code is 1 only if nothing could be measured.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ PLOT = Path("build") / "bench" / "length.svg"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("recording", type=Path, nargs="?", help="none: only the long drive")
     parser.add_argument("--submaps", type=int, default=2000, help="of the long drive; 0 for none")
     parser.add_argument("--out", type=Path, default=OUT)
@@ -26,9 +25,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and save the tables and the plot."""
+    """Measure, print and save the tables and the plot; return the exit code."""
     cv2.setNumThreads(1)
-    # first: the memory of a process that has done little else
+    # the long drive comes first, since memory of other measurements would add to its own
     if options.submaps:
         course = length.drive(options.submaps)
         publish(length.table(course, options.command), options.out)

@@ -1,7 +1,7 @@
-"""Errors of the intrinsic search (paper V-A) over their claimed sigma, by motion, and its time.
+"""Errors and computing time of the intrinsic search (paper V-A), by motion of the camera.
 
-Scripted motions with 0.3 px of pixel noise and the principal point drawn within its prior; the
-initial focal length is 10 % too long.
+Errors are divided by the reported sigma. Scripted motions with 0.3 px of pixel noise and the
+principal point drawn from its prior; the initial focal length is 10 % too long.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from calm_edge.correction.spectral import PRINCIPAL_POINT_SHARE
 from calm_edge.correction.test_bank import TestBank
 
 GUESS = CAMERA.with_focal(1.1 * CAMERA.fx)
-# Motions of the groups of one bank, see `bench.scripted.motions.motion`.
+# Each entry: the motions of the groups in one bank, see `bench.scripted.motions.motion`.
 BANKS = (
     ("general",),
     ("ahead", "-ahead"),
@@ -39,7 +39,10 @@ COLUMNS = (
 
 
 def row(kinds: Sequence[str], seeds: int) -> tuple[str | float | None, ...]:
-    """Of the banks drawn by each seed: figures of the informative ones, and the median time."""
+    """Table row of one kind of bank: errors of the informative banks, and the median time.
+
+    kinds: motions of the bank's groups. seeds: number of random banks.
+    """
     found, milliseconds = [], []
     for seed in range(seeds):
         rng = np.random.default_rng([seed, len(kinds)])
@@ -66,13 +69,13 @@ def row(kinds: Sequence[str], seeds: int) -> tuple[str | float | None, ...]:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--seeds", type=int, default=200, help="banks of each kind")
     parser.add_argument("--out", type=Path, default=OUT)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and save the table."""
+    """Run the searches, print and save the table, return the exit code."""
     title = "Focal lengths of the intrinsic search"
     rows = tuple(row(kinds, options.seeds) for kinds in BANKS)
     notes = ("error / sigma is 1 where the claimed sigma is right",)

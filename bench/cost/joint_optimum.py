@@ -1,4 +1,8 @@
-"""Time and memory of the joint optimum of a long drive, beside the live path and on it."""
+"""Time and memory of the joint optimum of a long drive.
+
+The optimum itself is computed in a process of its own; taking the snapshot for it and moving all
+sub-maps after it delay the live path.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +22,17 @@ from calm_edge.posegraph.optimum import optimum
 from calm_edge.types import CalmEdgeError, Submap
 
 MOST_MS = 0.5
-# Largest ratio of time per keyframe, at four times the length, that passes as linear.
+# Time per keyframe at full length over that at a quarter: up to this ratio it counts as linear.
 LINEAR = 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class Optimisation:
-    """One joint optimum of the first keyframes of the drive.
+    """Times of one joint optimum over the first keyframes of the drive.
 
-    cpu_s: of the optimum, beside the live path. snapshot_s, update_s: on the live path, taking the
-    snapshot before and moving all sub-maps after. accepted: number of loops.
+    cpu_s: of the optimisation, outside the live path. snapshot_s, update_s: on the live path, for
+    taking the snapshot before and moving all sub-maps after. loops, accepted: numbers of loops in
+    the graph, and of those not rejected as outliers.
     """
 
     keyframes: int
@@ -43,7 +48,7 @@ class Optimisation:
 
 
 class _Beside:
-    """Optimiser that keeps the request, like one in its own process, and solves it in `solve`."""
+    """Optimiser that stores the request and solves it when `solve` is called, to time each part."""
 
     def __init__(self) -> None:
         self.snapshot: Snapshot | None = None
@@ -65,12 +70,13 @@ class _Beside:
 
 
 def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) -> list[Optimisation]:
-    """Optima of the final graph at several lengths, without and with loops.
+    """Optimise the final graph at several lengths, without and with loops.
 
-    Uses the sub-maps before correction, since this uncoupled model has no errors to correct.
+    shares: lengths as shares of the drive. Uses the sub-maps before correction, since this
+    uncoupled model has no errors to correct.
     """
     scaled = _uncorrected(course)
-    _optimise(course.config, scaled[:2], with_loops=False)  # warm-up, which loads GTSAM
+    _optimise(course.config, scaled[:2], with_loops=False)  # warm-up: loads GTSAM
     runs = []
     for with_loops in (False, True):
         for share in shares:
@@ -79,9 +85,9 @@ def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) ->
 
 
 def peak_bytes(course: Course, deadline_s: float = 300.0) -> int:
-    """Peak memory of the optimiser's process on the whole drive with loops.
+    """Peak memory [bytes] of the optimiser's process on the whole drive with loops.
 
-    Raises CalmEdgeError without an answer in time.
+    Raises CalmEdgeError if there is no result within deadline_s.
     """
     atlas, _ = _graph(course.config, _uncorrected(course), with_loops=True)
     beside, end = Spawned(), time.monotonic() + deadline_s
@@ -89,7 +95,7 @@ def peak_bytes(course: Course, deadline_s: float = 300.0) -> int:
         atlas.request_optimum(beside)
         while beside.poll() is None:
             if time.monotonic() > end:
-                raise CalmEdgeError(f"the optimiser gave no answer in {deadline_s:.0f} s")
+                raise CalmEdgeError(f"the optimiser did not finish within {deadline_s:.0f} s")
             time.sleep(0.05)
         status = Path(f"/proc/{beside.pid}/status").read_text(encoding="ascii")
     finally:
@@ -99,7 +105,7 @@ def peak_bytes(course: Course, deadline_s: float = 300.0) -> int:
 
 
 def snapshot(course: Course) -> Snapshot:
-    """Optimiser request of the whole drive with loops."""
+    """Request to the optimiser: the graph of the whole drive with loops."""
     atlas, _ = _graph(course.config, _uncorrected(course), with_loops=True)
     beside = _Beside()
     atlas.request_optimum(beside)
@@ -108,7 +114,7 @@ def snapshot(course: Course) -> Snapshot:
 
 
 def _uncorrected(course: Course) -> list[Submap]:
-    """Sub-maps in world units with the raw poses, which are right in the uncoupled model."""
+    """Sub-maps in world units with their raw poses, which are unbiased in the uncoupled model."""
     plain = [
         replace(s, T_s_c=s.T_s_c_raw, cameras=s.cameras_raw, scale=1.0) for s in course.submaps
     ]
@@ -116,7 +122,7 @@ def _uncorrected(course: Course) -> list[Submap]:
 
 
 def _graph(config: Config, submaps: Sequence[Submap], *, with_loops: bool) -> tuple[Atlas, int]:
-    """Atlas of the placed sub-maps, and the number of loops."""
+    """Place the sub-maps in an Atlas and add the loops; return it with the number of loops."""
     atlas = Atlas(config)
     for submap in submaps:
         atlas.add(submap)
@@ -151,7 +157,7 @@ def _optimise(config: Config, submaps: Sequence[Submap], with_loops: bool) -> Op
 def table(
     runs: Sequence[Optimisation], command: str, estimator_bytes: float, optimiser_bytes: float
 ) -> Table:
-    """Table of the runs, a row each.
+    """Table with a row for each run.
 
     estimator_bytes: memory of this process after the drive. optimiser_bytes: peak memory of the
     optimiser's process.

@@ -1,4 +1,4 @@
-"""Time and memory per sub-map as a drive grows long."""
+"""Processor time and memory per sub-map over a long drive."""
 
 from __future__ import annotations
 
@@ -24,29 +24,30 @@ from calm_edge.estimator.localizer import Localizer
 from calm_edge.report import curves
 from calm_edge.types import CalmEdgeError, Float, Hints, KitBelief, Prediction, Submap
 
-# Sub-map from which all caps are reached: 1,000 places, 200 sub-maps for the time offset.
+# Sub-map from which all buffers are full: 1,000 places, 200 sub-maps for the time offset.
 SETTLED = 300
 ENDS = 200
-# Largest growth of the live cost over the drive, as a share of its mean, that passes as none.
+# Up to this growth over the drive, as a share of the mean, the live cost counts as constant.
 FLAT_SHARE = 0.1
 MOST_MB = 600
-# Size of the kit vector: four terms per eye, six of the rig, one time offset.
+# Length of the kit vector: four terms per eye, six of the rig, one time offset.
 _KIT = 15
-# Landmarks per sub-map, seen by nearly all views of the room: about 7,000 observations.
+# Landmarks per sub-map. Nearly all views of the room see each: about 7,000 observations.
 _LANDMARKS = 350
 
 
 class TeachingBackbone:
-    """Scripted backbone, uncoupled for speed, with kit evidence and landmarks like `bundle`.
+    """Scripted backbone with kit evidence and as many landmarks as `bundle` has.
 
-    The number of landmarks matters: it determines the time of the search.
+    The number of landmarks matters, since it determines the time of the intrinsic search. Uncoupled
+    (see `ScriptedErrors`), for speed.
     """
 
     def __init__(self, backbone: ScriptedBackbone) -> None:
         self._backbone = backbone
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """The scripted prediction with kit evidence and fewer landmarks."""
+        """Return the scripted prediction with kit evidence and fewer landmarks."""
         prediction = self._backbone.infer(images, hints)
         marks = prediction.landmarks
         assert marks is not None
@@ -70,10 +71,11 @@ class TeachingBackbone:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Measurements of one drive by sub-map (S,), and its final state.
+    """Measurements of one drive by sub-map (S,), and its final sub-maps.
 
-    stage_ms: processor time by stage without the model's (`infer`); `rest`: outside all stages.
-    rss: memory of this process, bytes. replaced: sub-maps at which all poses were replaced.
+    stage_ms: processor time of each stage except the backbone; its key `rest` is the time outside
+    all stages. infer_ms: processor time of the backbone. rss: memory of this process, bytes.
+    replaced: whether all poses were replaced at this sub-map.
     """
 
     stage_ms: dict[str, Float]
@@ -85,7 +87,7 @@ class Course:
 
     @property
     def live_ms(self) -> Float:
-        """(S,) all but the model."""
+        """Processor time (S,) of all stages except the backbone, ms."""
         return np.asarray(np.sum(list(self.stage_ms.values()), axis=0))
 
 
@@ -96,9 +98,12 @@ def rss() -> int:
 
 
 def drive(n_submaps: int, config: Config | None = None, seed: int = 0) -> Course:
-    """Run the Localizer over the circuit; raises CalmEdgeError below ten sub-maps."""
+    """Run the Localizer over the circuit and measure each sub-map.
+
+    Raises CalmEdgeError for fewer than ten sub-maps, or if one is skipped.
+    """
     if n_submaps < 10:
-        raise CalmEdgeError(f"--submaps {n_submaps}: at least 10 are needed to fit a line")
+        raise CalmEdgeError(f"--submaps {n_submaps}: give at least 10")
     spacing_m = float(np.linalg.norm(circuit.T_P_A[:3, 3]))
     config = merge(config or Config(), {"scale": {"spacing_m": spacing_m}})
     scene = circuit.scene(circuit.n_keyframes(n_submaps, config.frontend))
@@ -107,7 +112,7 @@ def drive(n_submaps: int, config: Config | None = None, seed: int = 0) -> Course
     stages: dict[str, Float] = {}
     memory, replaced = np.zeros(n_submaps), np.zeros(n_submaps, bool)
     rest, epoch = np.zeros(n_submaps), 0
-    # processor time: other load of the machine does not count
+    # processor time, so that other load of the machine does not count
     with mock.patch.object(localizer_module, "perf_counter", time.process_time):
         for k, window in enumerate(circuit.windows(n_submaps, config.frontend)):
             start = time.process_time()
@@ -125,13 +130,16 @@ def drive(n_submaps: int, config: Config | None = None, seed: int = 0) -> Course
 
 
 def growth(values: Float, settled: int) -> float:
-    """Growth over all S of a straight line fitted to values (S,) from `settled` on."""
+    """Growth over all S sub-maps, by a straight line fitted to values (S,) from `settled` on."""
     x = np.arange(settled, len(values))
     return float(np.polyfit(x, values[settled:], 1)[0] * len(values))
 
 
 def table(course: Course, command: str) -> Table:
-    """One row for each stage of the live path and for memory: at the start, settled, at the end."""
+    """Table of cost and memory at the start of the drive, after SETTLED sub-maps and at the end.
+
+    One row for each stage of the live path and one for memory.
+    """
     n = len(course.infer_ms)
     settled, ends = min(SETTLED, n // 2), min(ENDS, n // 5)
     new = course.config.frontend.n_max - course.config.frontend.n_overlap
@@ -185,7 +193,7 @@ def table(course: Course, command: str) -> Table:
 
 
 def plot(course: Course) -> str:
-    """SVG of the cost per sub-map, running means of it and of the longest stages, and memory."""
+    """SVG plot of processor time per sub-map, in all and of the longest stages, and of memory."""
     figure, axes = curves._figure(10, 4.2)
     live = course.live_ms
     x = np.arange(len(live))

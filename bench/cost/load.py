@@ -1,7 +1,8 @@
 """Frame loss, tick jitter and pose age of capture on an overloaded machine.
 
-Replays two 1280x720 JPEG streams at 30 Hz through the real daemon, with more windows than can be
-solved; again while a long graph is optimised beside it; again while the estimator is killed twice.
+Replays two 1280x720 JPEG streams at 30 Hz through the real daemon three times, always with more
+windows than the estimator can solve. In the second and third run another process optimises a long
+graph; in the third the estimator is also killed twice.
 """
 
 from __future__ import annotations
@@ -47,11 +48,11 @@ KILLS = (1 / 3, 2 / 3)
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One replay.
+    """Measurements of one replay.
 
-    asked, lost: frames sent, and frames missing in the files. core_share, tracker_share: processor
-    time of the capture process (with recording) and of the tracker, over wall time. load: load
-    average at the end. priority: real-time priority of the capture threads, 0 for none.
+    asked, lost: frames sent, and frames missing in the recording. core_share, tracker_share:
+    processor time of the capture process (with recording) and of the tracker, over wall time. load:
+    load average at the end. priority: real-time priority of the capture threads, 0 for none.
     """
 
     name: str
@@ -65,7 +66,7 @@ class Run:
 
 
 class Watch(NullNotifier):
-    """Times the capture process from first to last frame; kills the estimator at given times."""
+    """Measures the processor time of capture and tracker; kills the estimator at given times."""
 
     def __init__(self, kill_at_s: list[float]) -> None:
         self._kill_at_s = kill_at_s
@@ -87,14 +88,14 @@ class Watch(NullNotifier):
         self.core_share = cpu_s / wall_s
         if self.hub is not None:
             self.tracker_share = cpu_seconds(self.hub.tracker.child.pid) / wall_s
-            # pending windows are not measured: do not wait for them
+            # pending windows are not part of the measurement: end without solving them
             self.hub.impatient = True
 
 
 def granted(priority: int) -> int:
-    """`priority` if this user may set it, else 0."""
+    """Return `priority` if this user may set it as real-time priority, else 0."""
     refused: list[str | None] = []
-    # in a thread, since the priority stays with it
+    # in a thread of its own, since the kernel would keep the priority for this one
     thread = threading.Thread(target=lambda: refused.append(realtime.request(priority)))
     thread.start()
     thread.join()
@@ -102,14 +103,17 @@ def granted(priority: int) -> int:
 
 
 def cpu_seconds(pid: int) -> float:
-    """Processor time of a process, user and system."""
+    """Processor time of a process, user and system, s."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager
 def optimising(keyframes: int) -> Iterator[None]:
-    """Optimise a long graph meanwhile; raises CalmEdgeError if that does not start."""
+    """Context in which a child process optimises a graph of `keyframes` again and again.
+
+    Raises CalmEdgeError if the child process does not start, or ends early.
+    """
     program = "bench.cost.load_graph"
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen(
@@ -120,10 +124,10 @@ def optimising(keyframes: int) -> Iterator[None]:
         try:
             assert child.stdout is not None
             if child.stdout.readline() != b"ready\n":
-                raise CalmEdgeError(f"{program}: did not start; see its message above")
+                raise CalmEdgeError(f"{program}: did not start; its own error message is above")
             yield
             if child.poll() is not None:
-                raise CalmEdgeError(f"{program}: ended early ({child.returncode})")
+                raise CalmEdgeError(f"{program}: ended early, exit code {child.returncode}")
         finally:
             child.kill()
 
@@ -135,12 +139,16 @@ def replay(
     priority: int,
     kills: tuple[float, ...] = (),
 ) -> Run:
-    """Run the daemon on `seconds` of frames."""
+    """Run the daemon on `seconds` of frames and return its measurements.
+
+    name: title of the run. pictures: files of each eye. kills: times at which the estimator is
+    killed, as shares of `seconds`.
+    """
     config = merge(
         Config(),
         {
             "scale": {"spacing_m": 0.5},
-            # more windows than any machine can solve
+            # more keyframes, hence more windows than any machine can solve
             "frontend": {"max_keyframe_gap_s": 0.1},
             "capture": {
                 "rate_hz": float(RATE_HZ),
@@ -174,7 +182,7 @@ def replay(
 
 
 def table(runs: list[Run], command: str) -> Table:
-    """One row for each replay, with its requirements."""
+    """Table with one row for each replay, and the requirements on it."""
     rows, checks = [], []
     for each in runs:
         tick, result = each.result.tick, each.result
@@ -248,7 +256,7 @@ def table(runs: list[Run], command: str) -> Table:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--minutes", type=float, default=1.0, help="of each run")
     parser.add_argument("--ordinary", action="store_true", help="no real-time scheduling")
     parser.add_argument("--drive", type=Path, default=Path("demo") / "drive")
@@ -257,7 +265,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run all three replays, print and save the table; a missed target is no error."""
+    """Run all three replays, print and save the table; return 0 even if a target is missed."""
     cv2.setNumThreads(1)
     seconds = 60 * options.minutes
     pictures = tuple(enlarged(options.drive, eye, options.pictures) for eye in Eye)

@@ -1,6 +1,6 @@
-"""Child process that optimises a graph of KEYFRAMES again and again: load for `cost.load`.
+"""Child process of `cost.load` that optimises a graph of KEYFRAMES again and again, as load.
 
-Prints `ready` when it starts.
+Prints `ready` before the first optimisation.
 """
 
 from __future__ import annotations

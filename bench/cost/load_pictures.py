@@ -1,4 +1,4 @@
-"""A drive as JPEG streams of two 1280x720 cameras at 30 Hz, of any duration."""
+"""JPEG streams of two 1280x720 cameras at 30 Hz, of any duration, made from a short drive."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from device.frame import Eye, Frame, jpeg
 SIZE = (1280, 720)
 RATE_HZ = 30
 EPOCH_NS = 5_000_000_000
-# frames of the drive used, played forwards and backwards
+# number of frames of the drive that are played, forwards and backwards
 MOST = 200
 _QUALITY = 85
-# sigma of added noise, for JPEG sizes like a camera's
+# sigma of noise added, in grey levels, so that JPEG files are as large as a camera's
 _NOISE = 3.0
 
 
 def enlarged(drive: Path, eye: Eye, folder: Path, most: int = MOST) -> list[Path]:
-    """First pictures of a drive, cropped to 16:9, enlarged and interpolated by optical flow.
+    """Crop pictures of a drive to 16:9, enlarge them and interpolate to RATE_HZ by optical flow.
 
-    Both eyes at equal times: played backwards, a time offset would change sign. Made once and kept
-    in `folder`.
+    most: number of pictures of the drive used. Both eyes are interpolated to the same times, since
+    a time offset would change its sign when the drive is played backwards. The files are made once
+    and kept in `folder`.
     """
     kept = folder / f"cam{int(eye)}"
     if not kept.is_dir():
@@ -49,7 +50,7 @@ def enlarged(drive: Path, eye: Eye, folder: Path, most: int = MOST) -> list[Path
 
 
 def frames(pictures: Sequence[Path], eye: Eye, count: int) -> Iterator[Frame]:
-    """Yield `count` frames at RATE_HZ from EPOCH_NS on, the drive forwards and backwards."""
+    """Yield `count` frames at RATE_HZ from EPOCH_NS on, the drive played forwards and backwards."""
     there_and_back = [*pictures, *pictures[-2:0:-1]]
     for k in range(count):
         t_ns = EPOCH_NS + round(k * 1e9 / RATE_HZ)
@@ -57,7 +58,7 @@ def frames(pictures: Sequence[Path], eye: Eye, count: int) -> Iterator[Frame]:
 
 
 def _between(images: Sequence[Bytes], taken_ns: Int, times_ns: Int) -> Iterator[Bytes]:
-    """Interpolate pictures (H, W, 3) taken at taken_ns to times_ns."""
+    """Interpolate pictures (H, W, 3), taken at taken_ns, to the times times_ns."""
     estimator = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
     flow: Float | None = None
     at = -1

@@ -1,4 +1,4 @@
-"""Processor time of anchors and mapping by stage, on one core; depth is computed before."""
+"""Processor time of anchors and mapping by stage, on one core, without computing the depth."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from calm_edge.mapping.voxel_filter import VoxelFilter
 from calm_edge.types import CalmEdgeError
 
 TARGET_S, PAPER_S = 0.30, 0.95
-# name, and owner and attribute of the function timed
+# title, owner and attribute of each function timed
 STAGES: tuple[tuple[str, Any, str], ...] = (
     ("spool depth and colour", Spool, "write"),
     ("load depth", skeleton_module.Skeleton, "views"),
@@ -49,8 +49,8 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
 class Cost:
     """Totals over all sub-maps.
 
-    seconds: processor time by stage. points: of the clouds before the map is thinned. controls:
-    control points of the thin plates.
+    seconds: processor time by stage. points: number of points of the clouds before the voxel
+    filter. controls: number of control points of the thin-plate splines.
     """
 
     submaps: int = 0
@@ -61,7 +61,10 @@ class Cost:
 
 @contextmanager
 def timed_stages(cost: Cost) -> Iterator[None]:
-    """Add the time of each stage to `cost`; nested stages count for the inner one alone."""
+    """Context in which the processor time of each stage is added to `cost`.
+
+    The time of a nested stage is added to the inner stage only.
+    """
     running: list[float] = []
 
     def timed(stage: str, work: Callable[..., Any]) -> Callable[..., Any]:
@@ -92,7 +95,10 @@ def timed_stages(cost: Cost) -> Iterator[None]:
 
 
 def measure(pieces: Sequence[Dense], config: MappingConfig, spacing: float, folder: Path) -> Cost:
-    """Map the sub-maps in `folder` and measure the time. spacing: world units per map unit."""
+    """Map the sub-maps and measure the time of each stage.
+
+    pieces: sub-maps with depth. spacing: world units per map unit. folder: for the mapper's files.
+    """
     cost = Cost(len(pieces))
     start = time.process_time()
     with timed_stages(cost):
@@ -109,7 +115,7 @@ def measure(pieces: Sequence[Dense], config: MappingConfig, spacing: float, fold
 
 
 def table(cost: Cost, command: str) -> Table:
-    """One row for each stage, milliseconds per sub-map."""
+    """Table with one row for each stage, milliseconds per sub-map."""
     n = max(1, cost.submaps)
     rows = [(stage, 1000 * seconds / n) for stage, seconds in cost.seconds.items()]
     total = sum(cost.seconds.values()) / n
@@ -129,14 +135,14 @@ def table(cost: Cost, command: str) -> Table:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("recording", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     parser.add_argument("--out", type=Path, default=OUT)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure a recording, print and save the table; return 1 if it takes longer than required."""
+    """Map a recording, print and save the table; return 1 if it takes longer than required."""
     cv2.setNumThreads(1)
     recorded = read(options.recording, options.set)
     pieces: list[Dense] = []

@@ -1,4 +1,4 @@
-"""Full sub-maps of a recording, with their pictures."""
+"""Sub-maps with the full number of keyframes, and their pictures, read from a recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from calm_edge.types import CalmEdgeError, Landmarks, LocalizerUpdate, Submap, S
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A sub-map of a recording with its window."""
+    """A sub-map of a recording with its window of keyframes."""
 
     record: WindowRecord
     update: LocalizerUpdate
@@ -33,12 +33,15 @@ class Piece:
         return marks
 
     def images(self) -> list[NDArray[np.uint8]]:
-        """(H, W, 3) BGR in batch order."""
+        """Pictures (H, W, 3) BGR of the window in batch order."""
         return [keyframe.frame.bgr() for keyframe in self.window.keyframes()]
 
 
 def read(path: Path, least: int) -> tuple[Config, list[Piece]]:
-    """Read the sub-maps with all keyframes; raises CalmEdgeError where they are too few."""
+    """Read the sub-maps with all keyframes of both eyes, and the configuration of the recording.
+
+    Raises CalmEdgeError if there are fewer than `least`.
+    """
     _, recording, config, drive = recorded.read(path)
     most = config.frontend.n_max
     found = [
@@ -49,7 +52,7 @@ def read(path: Path, least: int) -> tuple[Config, list[Piece]]:
     ]
     if len(found) < least:
         raise CalmEdgeError(
-            f"{path}: {len(found)} sub-maps of {most} + {most} keyframes; "
+            f"{path}: {len(found)} sub-maps with {most} keyframes of each eye; "
             f"{least} are needed, record a longer drive"
         )
     return config, found

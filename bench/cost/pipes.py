@@ -1,7 +1,7 @@
-"""Bytes between the processes of `record`, and their processor time.
+"""Traffic between the processes of `record` in bytes, and their processor time.
 
-One lockstep run of a sequence folder by the real command, with the traffic of all pipes of the
-capture process by direction and type of message.
+Records a sequence folder once in lockstep and counts what passes the pipes of the capture process,
+by direction and type of message.
 """
 
 from __future__ import annotations
@@ -29,14 +29,17 @@ from calm_edge.daemon.messages import FrameIn
 from calm_edge.recording.reader import Recording
 from device.frame import Eye
 
-# messages that contain pictures
+# types of messages that contain pictures
 PICTURES = ("Process", "Expect")
 MB = 1e6
 
 
 @dataclass(slots=True)
 class Tally:
-    """Traffic and time. messages, sent: number and bytes by (from, to, kind). cpu_s: by process."""
+    """Traffic and processor time of one recording.
+
+    messages, sent: number and bytes by (from, to, type of message). cpu_s: by process.
+    """
 
     messages: defaultdict[tuple[str, str, str], int] = field(
         default_factory=lambda: defaultdict(int)
@@ -45,19 +48,19 @@ class Tally:
     cpu_s: dict[str, float] = field(default_factory=dict)
 
     def count(self, source: str, target: str, kind: str, size: int) -> None:
-        """Add one message of `size` bytes."""
+        """Count one message of `size` bytes."""
         self.messages[source, target, kind] += 1
         self.sent[source, target, kind] += size
 
 
 class CountedPipe:
-    """Connection that counts what it sends and receives."""
+    """Connection that counts the messages it sends and receives in a Tally."""
 
     def __init__(self, pipe: Connection, child: str, tally: Tally) -> None:
         self._pipe, self._child, self._tally = pipe, child, tally
 
     def send(self, message: Any) -> None:
-        """Send as Connection.send does."""
+        """Count and send a message, as Connection.send does."""
         data = ForkingPickler.dumps(message)
         self._tally.count("capture", self._child, type(message).__name__, len(data))
         if isinstance(message, FrameIn):
@@ -65,7 +68,7 @@ class CountedPipe:
         self._pipe.send_bytes(data)
 
     def recv(self) -> Any:
-        """Receive as Connection.recv does."""
+        """Receive and count a message, as Connection.recv does."""
         data = self._pipe.recv_bytes()
         message = pickle.loads(data)
         self._tally.count(self._child, "capture", type(message).__name__, len(data))
@@ -74,7 +77,7 @@ class CountedPipe:
 
 @contextmanager
 def counted() -> Iterator[Tally]:
-    """Count the traffic of child processes started in this context."""
+    """Context in which the pipes of new child processes are counted."""
     tally = Tally()
 
     class CountedChild(Child):
@@ -100,14 +103,14 @@ def counted() -> Iterator[Tally]:
 
 
 def picture_bytes(recording: Recording) -> int:
-    """Total size of the distinct pictures in windows."""
+    """Total size [bytes] of the pictures in all windows, each picture counted once."""
     held = {key for record in recording.windows() for key in record.frame_keys}
     frames = (recording.frame(Eye(eye), sequence, t_ns) for eye, sequence, t_ns in held)
     return sum(len(f.image) for f in frames if isinstance(f.image, bytes))
 
 
 def table(tally: Tally, pictures: int, command: str) -> Table:
-    """One row per direction and type of message, largest first, then totals."""
+    """Table with a row for each direction and type of message, largest first, then totals."""
     kinds = sorted(tally.sent, key=lambda key: (key[:2], -tally.sent[key]))
     rows: list[tuple[Any, ...]] = [
         (*key, tally.messages[key], round(tally.sent[key] / MB, 3), None)
@@ -128,7 +131,7 @@ def table(tally: Tally, pictures: int, command: str) -> Table:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--sequence", type=Path, default=Path("demo") / "drive")
     parser.add_argument("--spacing-m", type=float, default=0.5)
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")

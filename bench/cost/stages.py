@@ -1,4 +1,4 @@
-"""Time of the stages of sections V, IV and VI per sub-map, on the pictures of a recording."""
+"""Time per sub-map of the stages of sections V, IV and VI, on the pictures of a recording."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ from calm_edge.types import (
 )
 from device.frame import Eye
 
-# Numbers of sub-maps with a test group from SIFT, with one from landmarks, and mapped.
+# Numbers of sub-maps: with a test group from SIFT, with one from landmarks, and mapped.
 BY_SIFT, BY_LANDMARKS, MAPPED = 2, 7, 4
-# Of stages that take microseconds.
+# Number of runs of stages that take only microseconds.
 REPEATS = 50
-# Factor of the focal length to correct.
+# Factor by which the focal length to correct is wrong.
 _OFF = 1.03
-# Keyframes and nanoseconds between a window and its return.
+# Keyframes and nanoseconds between a window and its repetition.
 _LATER, _LATER_NS = 10_000, 10**12
 
 
 def measure(path: Path) -> list[Measured]:
-    """Measure all stages; raises CalmEdgeError."""
+    """Measure all stages on a recording; raises CalmEdgeError."""
     config, pieces = read(path, BY_LANDMARKS)
     chosen = pieces[:: len(pieces) // BY_LANDMARKS][:BY_LANDMARKS]
     by_sift, _ = banks(chosen[:BY_SIFT], config.correction, by_sift=True)
@@ -71,7 +71,11 @@ def measure(path: Path) -> list[Measured]:
 def banks(
     pieces: Sequence[Piece], config: CorrectionConfig, *, by_sift: bool
 ) -> tuple[list[Measured], dict[Eye, list[BankGroup]]]:
-    """Build a test group of each eye and sub-map, in the shares of work of the live path."""
+    """Build a test group of each eye and sub-map, and measure its time.
+
+    The live path spreads the work of a group over several sub-maps; whole groups and such parts are
+    timed separately. by_sift: match SIFT features, else use the landmarks.
+    """
     whole, share = Clock(), Clock()
     made: dict[Eye, list[BankGroup]] = {eye: [] for eye in Eye}
     for piece in pieces:
@@ -105,7 +109,7 @@ def banks(
 def search(
     pieces: Sequence[Piece], groups: dict[Eye, list[BankGroup]], config: CorrectionConfig
 ) -> list[Measured]:
-    """Both stages of the update of one eye, at a bank that is full or being filled."""
+    """Measure the intrinsic search of one eye: with a new guess, and with a new test group."""
     guess, judged = Clock(), Clock()
     for eye in Eye:
         held = EyeSearch(config)
@@ -130,7 +134,7 @@ def search(
 
 
 def rectification(pieces: Sequence[Piece], config: Config) -> Measured:
-    """Pose correction and scale of a raw sub-map."""
+    """Measure pose correction and scale of raw sub-maps."""
     clock = Clock()
     for k in range(REPEATS):
         submap = pieces[k % len(pieces)].submap
@@ -147,7 +151,10 @@ def rectification(pieces: Sequence[Piece], config: Config) -> Measured:
 
 
 def placement(pieces: Sequence[Piece], config: Config) -> list[Measured]:
-    """Placement by poses alone, placement with the update of the graph, and the joint optimum."""
+    """Measure the placement of a sub-map and the joint optimum.
+
+    Placement is measured by poses alone, and with the update of the pose graph.
+    """
     atlas, place, add, pgo = Atlas(config), Clock(), Clock(), Clock()
     atlas.add(pieces[0].submap)
     for piece in pieces[1:]:
@@ -160,7 +167,7 @@ def placement(pieces: Sequence[Piece], config: Config) -> list[Measured]:
     keyframes = len(atlas.trajectory().keyframe_ids)
     optimiser = Immediate()
     atlas.request_optimum(optimiser)
-    optimiser.poll()  # first call: loads GTSAM
+    optimiser.poll()  # first call, not timed: loads GTSAM
     wall, cpu = time.perf_counter(), time.process_time()
     atlas.request_optimum(optimiser)
     optimiser.poll()
@@ -173,11 +180,14 @@ def placement(pieces: Sequence[Piece], config: Config) -> list[Measured]:
 
 
 def look_up(pieces: Sequence[Piece], config: Config) -> list[Measured]:
-    """Loop look-up of a window without a candidate, and of its repetition with a verified one."""
+    """Measure the loop look-up of a window without a candidate, and with a verified loop.
+
+    For the latter each window is looked up again after it has been remembered.
+    """
     atlas = Atlas(config)
     first = atlas.add(pieces[0].submap)
     kit = KnownKit((first.cameras[0], first.cameras[first.n_primary]), atlas.T_p_a)
-    # without candidates: describe the pictures and compare them with all places
+    # without candidates only: describe the pictures and compare them with all places
     blind, finder = PlaceLoops(replace(config.loops, top_k=0)), PlaceLoops(config.loops)
     none, verified = Clock(), Clock()
     for piece in pieces:
@@ -198,7 +208,7 @@ def look_up(pieces: Sequence[Piece], config: Config) -> list[Measured]:
 
 
 def _returned(window: SubmapWindow, later: int) -> SubmapWindow:
-    """The same pictures with later ids and stamps."""
+    """Copy a window with later ids and stamps, as if the same place were visited again."""
 
     def moved(keyframes: Sequence[Keyframe]) -> tuple[Keyframe, ...]:
         return tuple(
@@ -212,7 +222,7 @@ def _returned(window: SubmapWindow, later: int) -> SubmapWindow:
 
 
 def _mapping(path: Path, pieces: Sequence[Piece], config: Config) -> Measured:
-    """Anchors and mapping of consecutive sub-maps; their depth is computed before."""
+    """Measure anchors and mapping of consecutive sub-maps, without computing their depth."""
     middle = max(0, (len(pieces) - MAPPED) // 2)
     some = pieces[middle : middle + MAPPED]
     drive = Drive([p.record for p in some], [p.update for p in some])
@@ -230,7 +240,7 @@ def _mapping(path: Path, pieces: Sequence[Piece], config: Config) -> Measured:
 
 
 def table(measured: Sequence[Measured], command: str) -> Table:
-    """One row for each stage."""
+    """Table with one row for each stage."""
     rows = [(m.name, m.paper_s, m.target_s, m.cpu_s, m.wall_s, m.n, m.load) for m in measured]
     checks = [
         Check(m.name, f"<= {m.target_s:g} s", float(f"{m.cpu_s:.3g}"), m.cpu_s <= m.target_s)

@@ -24,7 +24,7 @@ EYES = ("stereo_front_left", "stereo_front_right")
 CALIBRATION = "vehicle_calibration_info.json"
 LOGS = 10
 
-# Range of the true cloud: beyond are other streets, below is the vehicle itself.
+# Range of the points kept: farther ones lie in other streets, nearer ones on the vehicle itself.
 RANGE_M = (2.0, 60.0)
 VOXEL_M = 0.15
 
@@ -37,12 +37,12 @@ def _logs(root: Path) -> dict[str, Path]:
         for file in root.glob(f"{pattern}/{CALIBRATION}")
     }
     if not found:
-        raise DatasetError(f"{root}: no LOG/{CALIBRATION} in it, in train*/ or in */train*/")
+        raise DatasetError(f"{root}: {CALIBRATION} is in no folder LOG, train*/LOG or */train*/LOG")
     return dict(sorted(found.items()))
 
 
 def sequences(root: Path) -> list[str]:
-    """The first LOGS logs with stereo pictures by name, the number in the paper."""
+    """Names of the first LOGS logs, by name, that have stereo pictures; the paper uses as many."""
     logs = _logs(root)
     return [name for name, log in logs.items() if (log / EYES[0]).is_dir()][:LOGS]
 
@@ -51,7 +51,9 @@ def _log(root: Path, name: str) -> Path:
     logs = _logs(root)
     matching = [log for known, log in logs.items() if known.startswith(name)]
     if len(matching) != 1:
-        raise DatasetError(f"{root}: {len(matching)} logs begin with {name!r}; give one")
+        raise DatasetError(
+            f"{root}: {len(matching)} logs begin with {name!r}; give the name of one"
+        )
     return matching[0]
 
 
@@ -63,31 +65,34 @@ def _json(path: Path, what: str) -> Any:
 
 
 def _stamped(place: Path, stem: str, suffix: str) -> dict[int, Path]:
-    """{ns: file} of `place`/`stem`NS`suffix`, sorted; raises DatasetError without any."""
+    """Files `place`/`stem`NS`suffix` as {NS: file}, sorted by NS [ns].
+
+    Raises DatasetError if there are none.
+    """
     what = f"{stem}NANOSECONDS{suffix}"
     files = folder(place, what).glob(f"{stem}*{suffix}")
     try:
         found = {int(file.stem[len(stem) :]): file for file in files}
     except ValueError:
-        raise DatasetError(f"{place}: its files should be named {what}") from None
+        raise DatasetError(f"{place}: a file name does not match {what}") from None
     if not found:
         raise DatasetError(f"{place}: empty; it should hold {what}")
     return dict(sorted(found.items()))
 
 
 def _pose(path: Path, rotation: Any, translation: Any) -> Float:
-    """(4, 4) from a scalar-first quaternion and a translation [m]; raises DatasetError."""
+    """Pose (4, 4) from a scalar-first quaternion and a translation [m]; raises DatasetError."""
     try:
         q, t = np.array(rotation, np.float64), np.array(translation, np.float64)
     except (TypeError, ValueError):
         q, t = np.zeros(0), np.zeros(0)
     if q.shape != (4,) or t.shape != (3,) or np.linalg.norm(q) < 1e-6:
-        raise DatasetError(f"{path}: not a quaternion of four and a translation of three numbers")
+        raise DatasetError(f"{path}: a pose needs a quaternion of 4 and a translation of 3 numbers")
     return se3.compose(se3.rotations(np.roll(q / np.linalg.norm(q), -1)), t)
 
 
 def _camera(path: Path, calibration: Any, name: str) -> tuple[Float, Float]:
-    """K (3, 3) px and T_vehicle_camera (4, 4)."""
+    """K (3, 3) px and T_vehicle_camera (4, 4) of the camera `name`; raises DatasetError."""
     try:
         (value,) = [
             c["value"] for c in calibration["camera_data_"] if c["key"] == f"image_raw_{name}"
@@ -103,10 +108,10 @@ def _camera(path: Path, calibration: Any, name: str) -> tuple[Float, Float]:
 
 
 def _trajectory(place: Path) -> tuple[Int, Float]:
-    """Stamps (P,) ns and T_city_vehicle (P, 4, 4)."""
+    """Read the stamps (P,) ns and T_city_vehicle (P, 4, 4) of a log; raises DatasetError."""
     files = _stamped(place, "city_SE3_egovehicle_", ".json")
     if len(files) < 2:
-        raise DatasetError(f"{place}: {len(files)} pose; at least two are needed")
+        raise DatasetError(f"{place}: {len(files)} pose file; at least 2 are needed")
     poses = []
     for path in files.values():
         pose = _json(path, "a rotation and a translation")
@@ -116,7 +121,10 @@ def _trajectory(place: Path) -> tuple[Int, Float]:
 
 
 def _cloud(place: Path, t_pose: Int, T_w_v: Float, last_ns: int) -> Float | None:
-    """Points (M, 3) of the sweeps until `last_ns` in the city frame, one per voxel."""
+    """Points (M, 3) in the city frame from the LiDAR sweeps until `last_ns`, one per voxel.
+
+    t_pose: (P,) ns. T_w_v: (P, 4, 4) poses of the vehicle. None without sweeps.
+    """
     if not place.is_dir():
         return None
     origin = T_w_v[0, :3, 3]
@@ -137,7 +145,10 @@ def _cloud(place: Path, t_pose: Int, T_w_v: Float, last_ns: int) -> Float | None
 
 
 def load(root: Path, name: str, frames: int | None = None) -> Drive:
-    """Load one log by its name or a unique prefix; raises DatasetError."""
+    """Load the log with this name, or with this unique beginning of its name.
+
+    frames: number of first frames to load, None for all. Raises DatasetError.
+    """
     log = _log(root, name)
     calibration = _json(log / CALIBRATION, "camera_data_")
     cameras = [_camera(log / CALIBRATION, calibration, eye) for eye in EYES]
@@ -145,7 +156,9 @@ def load(root: Path, name: str, frames: int | None = None) -> Drive:
     t_pose, T_w_v = _trajectory(log / "poses")
     inside = [[t for t in p if t_pose[0] <= t <= t_pose[-1]] for p in pictures]
     if not all(inside):
-        raise DatasetError(f"{log / 'poses'}: no picture of an eye lies between its poses")
+        raise DatasetError(
+            f"{log / 'poses'}: of one camera no picture lies between the first and the last pose"
+        )
     t_ns = (np.array(inside[0], np.int64), np.array(inside[1], np.int64))
     seconds = (t_pose - t_pose[0]) / 1e9
     T = se3.interpolate_at(seconds, T_w_v, (t_ns[0] - t_pose[0]) / 1e9) @ cameras[0][1]

@@ -1,4 +1,7 @@
-"""The paper's tables on a published dataset: record, map if asked, evaluate each sequence."""
+"""Compute the paper's tables on a published dataset.
+
+Each sequence is recorded, optionally mapped, and evaluated.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ NAMES = ("kitti-odom", "kitti-360", "argoverse")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("dataset", choices=NAMES)
     parser.add_argument("root", type=Path, metavar="ROOT", help="the folder it was unpacked into")
     parser.add_argument(
@@ -45,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print one row for each sequence, then the average; return 1 if a sequence failed."""
+    """Run each sequence, print a table row for each and the average; return 1 if one failed."""
     from bench.datasets import table
     from bench.datasets.drive import DatasetError
     from calm_edge.evaluation.table import json_text

@@ -1,4 +1,4 @@
-"""A drive of a dataset: pictures, stamps and ground truth; written as a sequence folder."""
+"""A drive of a dataset: pictures, stamps and ground truth, to be written as a sequence folder."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ class DatasetError(EvaluationError):
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Two picture streams and the ground truth of the primary.
+    """Two picture streams and the ground truth of the primary camera.
 
-    pictures, t_ns: one per eye, (N,). K: (2, 3, 3) px. T_w_c:
-    (N, 4, 4) of the primary's pictures, metres. spacing_m: as calibrated. cloud: (M, 3) in the
-    world of T_w_c. notes: assumptions and interpolations.
+    pictures, t_ns: (N,) files and stamps, one tuple entry per eye. K: (2, 3, 3) px. T_w_c: (N, 4,
+    4) of the primary's pictures, metres. spacing_m: camera spacing by the published calibration.
+    cloud: true points (M, 3) in the world of T_w_c, or None. notes: what was assumed or
+    interpolated.
     """
 
     pictures: tuple[tuple[Path, ...], tuple[Path, ...]]
@@ -40,11 +41,12 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """A reader of one dataset.
+    """Loader of one dataset.
 
     sequences: (root) -> names of sequences with ground truth. load: (root, name, frames) -> drive,
-    of the first `frames` pairs if given. Both raise DatasetError. frames: number in the paper.
-    settings: options of `record` for the paper's configuration. cloud: whether there is a true one.
+    of the first `frames` pairs if not None. Both raise DatasetError. frames: number of pairs used
+    in the paper. settings: options of `record` for the paper's configuration. cloud: whether the
+    dataset has a true point cloud.
     """
 
     title: str
@@ -56,14 +58,20 @@ class Dataset:
 
 
 def folder(path: Path, what: str) -> Path:
-    """Return `path` if it is a folder; raises DatasetError naming its expected content `what`."""
+    """Return `path` if it is a folder, else raise DatasetError.
+
+    what: description of the expected content, for the message.
+    """
     if not path.is_dir():
         raise DatasetError(f"{path}: no such folder; it should hold {what}")
     return path
 
 
 def lines(path: Path, what: str) -> list[str]:
-    """Non-blank lines; raises DatasetError naming the file and its expected content `what`."""
+    """Read the non-blank lines of a text file; raises DatasetError.
+
+    what: description of the expected content, for the message.
+    """
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError):
@@ -72,7 +80,10 @@ def lines(path: Path, what: str) -> list[str]:
 
 
 def numbers(path: Path, line: str, columns: Iterable[int]) -> Float:
-    """Numbers (C,) of a line, C one of `columns`; raises DatasetError."""
+    """Parse the numbers (C,) of one line of `path`.
+
+    columns: allowed values of C. Raises DatasetError.
+    """
     try:
         values = np.array([float(word) for word in line.split()])
     except ValueError:
@@ -80,29 +91,29 @@ def numbers(path: Path, line: str, columns: Iterable[int]) -> Float:
     allowed = tuple(columns)
     if len(values) not in allowed or not np.isfinite(values).all():
         wanted = " or ".join(map(str, allowed))
-        raise DatasetError(f"{path}: a row of {len(values)} numbers; {wanted} are expected")
+        raise DatasetError(f"{path}: a row has {len(values)} numbers; {wanted} are expected")
     return values
 
 
 def keyed(path: Path, what: str) -> dict[str, str]:
-    """Read `key: values` lines as {key: values}; raises DatasetError."""
+    """Read the lines `key: values` of a text file as {key: values}; raises DatasetError."""
     pairs = (line.partition(":") for line in lines(path, what))
     return {key.strip(): value.strip() for key, _, value in pairs}
 
 
 def projection(path: Path, rows: dict[str, str], key: str) -> tuple[Float, Float]:
-    """K (3, 3) px of a rectified camera and its centre (3,) m in the reference camera.
+    """K (3, 3) px of a rectified camera, and its centre (3,) [m] in the reference camera's frame.
 
-    From P = K [I | t], with centre -t. Raises DatasetError.
+    rows: {key: 12 numbers of P = K [I | t]}; the centre is -t. Raises DatasetError.
     """
     if key not in rows:
-        raise DatasetError(f"{path}: has no {key}")
+        raise DatasetError(f"{path}: no line `{key}:`")
     P = numbers(path, rows[key], (12,)).reshape(3, 4)
     return P[:, :3], np.asarray(-np.linalg.solve(P[:, :3], P[:, 3]))
 
 
 def pngs(path: Path, what: str) -> tuple[Path, ...]:
-    """PNG files of a folder by name; raises DatasetError without any."""
+    """PNG files of a folder, sorted by name; raises DatasetError if there are none."""
     found = tuple(sorted(p for p in folder(path, what).iterdir() if p.suffix.lower() == ".png"))
     if not found:
         raise DatasetError(f"{path}: empty; it should hold {what}")
@@ -110,7 +121,7 @@ def pngs(path: Path, what: str) -> tuple[Path, ...]:
 
 
 def first(drive: Drive, frames: int | None) -> Drive:
-    """Keep the first `frames` of both streams."""
+    """Keep the first `frames` frames of both streams; all if None."""
     if frames is None:
         return drive
     return replace(
@@ -122,7 +133,10 @@ def first(drive: Drive, frames: int | None) -> Drive:
 
 
 def odd_even(drive: Drive) -> Drive:
-    """The paper's asynchronous mode: odd frames (1, 3 ...) to the primary, even to the other."""
+    """Make the drive asynchronous as in the paper.
+
+    The primary keeps the odd frames, the assistant the even ones, counted from 0.
+    """
     return replace(
         drive,
         pictures=(drive.pictures[0][1::2], drive.pictures[1][::2]),
@@ -132,12 +146,13 @@ def odd_even(drive: Drive) -> Drive:
 
 
 def write(drive: Drive, out: Path) -> Path:
-    """Write the drive as the sequence folder `out`, which is replaced, with links to the pictures.
+    """Write a drive as the sequence folder `out` with links to the pictures; return `out`.
 
-    Its world is the camera of the first primary picture. Raises DatasetError for an empty stream.
+    An earlier folder is replaced. The world is the first primary camera. Raises DatasetError for an
+    empty stream.
     """
     if not (drive.pictures[0] and drive.pictures[1]):
-        raise DatasetError(f"{out.name}: an eye has no pictures")
+        raise DatasetError(f"{out.name}: one camera has no pictures")
     shutil.rmtree(out, ignore_errors=True)
     start = min(int(t[0]) for t in drive.t_ns)
     calibration = []

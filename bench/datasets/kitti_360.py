@@ -1,9 +1,9 @@
 """KITTI-360: `data_2d_raw/2013_05_28_drive_XXXX_sync/image_0{0,1}/{data_rect,timestamps.txt}`,
 `data_poses/2013_05_28_drive_XXXX_sync/cam0_to_world.txt`, `calibration/perspective.txt`.
 
-Rows of `cam0_to_world.txt` begin with a frame number and have gaps, mostly where the car hardly
-moved: there the truth is interpolated, with a note. Frames before the first and after the last
-pose are left out. Line k (from 0) of `timestamps.txt` belongs to frame k.
+Each row of `cam0_to_world.txt` begins with a frame number. Frames are missing there, mostly where
+the car hardly moved; their poses are interpolated, with a note. Frames before the first and after
+the last pose are left out. Line k (from 0) of `timestamps.txt` belongs to frame k.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SETTINGS = ("--set", "loops.enabled=false")
 
 
 def sequences(root: Path) -> list[str]:
-    """Numbers (0000, 0002 ...) of the drives with pictures and poses."""
+    """Numbers (0000, 0002 ...) of the drives that have both pictures and poses."""
     what = f"a folder a drive: {DRIVE.format('0000')} ..."
     raw, poses = folder(root / "data_2d_raw", what), folder(root / "data_poses", what)
     head, tail = DRIVE.split("{}")
@@ -45,12 +45,12 @@ def sequences(root: Path) -> list[str]:
         if p.name.startswith(head) and p.name.endswith(tail) and (poses / p.name).is_dir()
     )
     if not names:
-        raise DatasetError(f"{raw}: none of its drives has its poses in {poses}")
+        raise DatasetError(f"{raw}: no drive in it has poses in {poses}")
     return names
 
 
 def _stamps(path: Path) -> Int:
-    """Exact stamps (L,) ns of `YYYY-MM-DD HH:MM:SS.nnnnnnnnn` lines."""
+    """Read stamps (L,) ns from lines `YYYY-MM-DD HH:MM:SS.nnnnnnnnn`, without rounding."""
     out = []
     for line in lines(path, "a date and time a row"):
         whole, _, part = line.strip().partition(".")
@@ -68,11 +68,11 @@ def _numbered(files: tuple[Path, ...]) -> dict[int, Path]:
     try:
         return {int(file.stem): file for file in files}
     except ValueError:
-        raise DatasetError(f"{files[0].parent}: pictures are named by frame numbers") from None
+        raise DatasetError(f"{files[0].parent}: picture names should be frame numbers") from None
 
 
 def _poses(path: Path) -> tuple[Int, Float]:
-    """Frame numbers (P,), sorted, and T_w_c (P, 4, 4)."""
+    """Read the frame numbers (P,), sorted, and poses T_w_c (P, 4, 4)."""
     rows = [numbers(path, row, (13, 17)) for row in lines(path, "a frame's number and its pose")]
     if len(rows) < 2:
         raise DatasetError(f"{path}: {len(rows)} poses; at least two are needed")
@@ -83,7 +83,10 @@ def _poses(path: Path) -> tuple[Int, Float]:
 
 
 def load(root: Path, name: str, frames: int | None = None) -> Drive:
-    """Load one drive, by `0000`, `00`, `0` or its folder's name; raises DatasetError."""
+    """Load the drive named `0000`, `00`, `0` or by its folder; raises DatasetError.
+
+    frames: number of first frames to load, None for all.
+    """
     drive = name if name.startswith("2013") else DRIVE.format(name.zfill(4))
     raw = folder(root / "data_2d_raw" / drive, "image_00 and image_01")
     eyes = [raw / f"image_0{eye}" for eye in range(2)]
@@ -93,11 +96,13 @@ def load(root: Path, name: str, frames: int | None = None) -> Drive:
     both = np.array(sorted(set(pictures[0]) & set(pictures[1])), np.int64)
     chosen = both[(both >= numbered[0]) & (both <= numbered[-1])]
     if len(chosen) == 0:
-        raise DatasetError(f"{raw}: no frame has a picture of both eyes and lies between poses")
+        raise DatasetError(
+            f"{raw}: no frame with both pictures lies between the first and the last pose"
+        )
     for eye, t in zip(eyes, stamps, strict=True):
         if chosen[-1] >= len(t):
             raise DatasetError(
-                f"{eye / 'timestamps.txt'}: {len(t)} rows, but there is a frame {chosen[-1]}"
+                f"{eye / 'timestamps.txt'}: {len(t)} rows, too few for frame {chosen[-1]}"
             )
     t_ns = (stamps[0][chosen], stamps[1][chosen])
     known = numbered < len(stamps[0])

@@ -1,7 +1,7 @@
 """KITTI odometry: `sequences/XX/{image_2,image_3,calib.txt,times.txt}` and `poses/XX.txt`.
 
-Uses the colour cameras, or without them the grey ones (image_0, image_1). Both pictures of a pair
-have the stamp in `times.txt`. `poses` are those of the rectified camera 0.
+Uses the colour cameras if their pictures exist, else the grey ones (image_0, image_1). Both
+pictures of a pair have the stamp in `times.txt`. `poses` are those of the rectified camera 0.
 """
 
 from __future__ import annotations
@@ -34,12 +34,15 @@ def sequences(root: Path) -> list[str]:
     poses = folder(root / "poses", "the true poses: 00.txt, 01.txt ...")
     names = sorted(p.name for p in there.iterdir() if (poses / f"{p.name}.txt").is_file())
     if not names:
-        raise DatasetError(f"{there}: none of its sequences has its poses in {poses}")
+        raise DatasetError(f"{there}: no sequence in it has poses in {poses}")
     return names
 
 
 def load(root: Path, name: str, frames: int | None = None) -> Drive:
-    """Load one sequence; raises DatasetError."""
+    """Load one sequence; raises DatasetError.
+
+    frames: number of first frames to load, None for all.
+    """
     place = folder(root / "sequences" / name, "image_2, image_3, calib.txt and times.txt")
     cameras = COLOUR if (place / f"image_{COLOUR[0]}").is_dir() else GREY
     pictures = tuple(pngs(place / f"image_{c}", "pictures 000000.png ...") for c in cameras)

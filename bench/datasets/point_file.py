@@ -1,4 +1,4 @@
-"""Read vertex positions of a PLY file."""
+"""Reader of the vertex positions of a PLY file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 
 
 def _vertex_type(lines: list[str], order: str) -> tuple[int, np.dtype[np.void]] | None:
-    """(count, dtype) of the vertices if they are the first element and have x, y, z; else None."""
+    """Number and dtype of the vertices in a PLY header.
+
+    None unless they are the first element and have x, y, z. order: byte order, as in NumPy.
+    """
     count, fields, inside = -1, [], False
     for words in map(str.split, lines):
         if words[:1] == ["element"] and len(words) == 3:
@@ -52,7 +55,7 @@ def _vertex_type(lines: list[str], order: str) -> tuple[int, np.dtype[np.void]] 
 
 
 def read_points(path: Path) -> Float:
-    """Positions (M, 3) from ASCII or binary of either byte order; raises DatasetError."""
+    """Read positions (M, 3) from an ASCII or binary PLY file; raises DatasetError."""
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -78,5 +81,5 @@ def read_points(path: Path) -> Float:
     except (ValueError, IndexError):
         points = np.zeros((0, 3))
     if len(points) != count:
-        raise DatasetError(f"{path}: truncated; its header has {count} points")
+        raise DatasetError(f"{path}: truncated; its header promises {count} points")
     return points

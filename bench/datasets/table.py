@@ -1,4 +1,4 @@
-"""Run the sequences of a dataset in the paper's settings: record, map if asked, evaluate."""
+"""Record, optionally map, and evaluate the sequences of a dataset with the paper's settings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DATASETS: dict[str, Dataset] = {
     "argoverse": ARGOVERSE,
 }
 
-# Column title, and key of `eval --json`.
+# (column title, key of `eval --json`)
 COLUMNS = (
     ("frames", "frames"),
     ("path m", "path_m"),
@@ -45,10 +45,11 @@ _WIDTH = 14
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """Options of a run.
+    """Options of a run on a dataset.
 
-    asynchronous: odd and even frames, as in the paper. frames: None for the paper's number.
-    dense: also map. metric: give `record` the published spacing. settings: more options of it.
+    asynchronous: odd frames to the primary, even to the assistant, as in the paper. frames: number
+    of pairs, None for the paper's number. dense: also make a map. metric: pass the published camera
+    spacing to `record`. settings: further options of `record`.
     """
 
     asynchronous: bool = False
@@ -59,7 +60,7 @@ class Wanted:
 
 
 def prepare(dataset: Dataset, root: Path, name: str, wanted: Wanted, out: Path) -> Drive:
-    """Load the drive and write it as the sequence folder `out`; raises DatasetError."""
+    """Load a drive and write it as the sequence folder `out`; raises DatasetError."""
     drive = dataset.load(root, name, wanted.frames or dataset.frames)
     if wanted.asynchronous:
         drive = odd_even(drive)
@@ -68,7 +69,10 @@ def prepare(dataset: Dataset, root: Path, name: str, wanted: Wanted, out: Path) 
 
 
 def measure(dataset: Dataset, root: Path, name: str, wanted: Wanted, out: Path) -> dict[str, Any]:
-    """Figures of one sequence, with `notes` of its loader; raises CalmEdgeError."""
+    """Record and evaluate one sequence; return its figures, with the loader's `notes`.
+
+    Raises CalmEdgeError.
+    """
     drive = prepare(dataset, root, name, wanted, out / "sequence")
     options = [*dataset.settings, *wanted.settings]
     if wanted.metric:
@@ -86,7 +90,10 @@ def measure(dataset: Dataset, root: Path, name: str, wanted: Wanted, out: Path) 
 def measured(
     dataset: Dataset, root: Path, names: Sequence[str], wanted: Wanted, out: Path
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield (name, figures) after each run; figures may be the reason under `failed`."""
+    """Run the sequences `names` one by one and yield (name, figures).
+
+    After a failure the figures are only its reason, under `failed`.
+    """
     for name in names:
         try:
             yield name, measure(dataset, root, name, wanted, out / name)
@@ -95,12 +102,12 @@ def measured(
 
 
 def columns(dense: bool) -> tuple[tuple[str, str], ...]:
-    """Columns of the table."""
+    """(title, key of `eval --json`) of each column of the table. dense: with those of the map."""
     return (*COLUMNS, *MAP_COLUMNS) if dense else COLUMNS
 
 
 def row(name: str, figures: Mapping[str, Any], dense: bool) -> str:
-    """One line of the table."""
+    """Format one sequence as a line of the table."""
     if "failed" in figures:
         return f"{name:<{_WIDTH}}{figures['failed']}"
     cells = [pretty(figures.get(key)) for _, key in columns(dense)]
@@ -108,12 +115,15 @@ def row(name: str, figures: Mapping[str, Any], dense: bool) -> str:
 
 
 def heading(dense: bool) -> str:
-    """Title line of the table."""
+    """Format the line of column titles."""
     return f"{'sequence':<{_WIDTH}}" + "".join(f"{h:>{_WIDTH}}" for h, _ in columns(dense))
 
 
 def average(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Mean of each figure over the sequences that have it; of pairs, mean magnitude."""
+    """Mean of each figure over the sequences that have it.
+
+    Of a figure with one value per eye: mean of the absolute values.
+    """
     out: dict[str, Any] = {}
     for _, key in (*COLUMNS, *MAP_COLUMNS):
         values = []

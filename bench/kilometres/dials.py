@@ -1,4 +1,4 @@
-"""Error model of the kilometre runs, sized by the paper's figures for VGGT."""
+"""Error model of the scripted backbone in the kilometre runs, from the paper's figures for VGGT."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from bench.scripted import ScriptedErrors
 
 
 def sized(seed: int) -> ScriptedErrors:
-    """Errors sized by the paper's tables.
+    """Errors with the sizes that the paper's tables report.
 
-    Focal: table 6, mean absolute errors of 34.67 px raw and 25.5 px of the mean over a drive, at
-    KITTI's 718 px, are sigmas of 4.3 % per drive and 3.9 % per sub-map. Depth relative to poses:
-    drift of Sim(3) chaining in tables 2 and 5. Pose noise: the remaining error of the paper's
-    system.
+    Focal: table 6 gives mean absolute errors of 34.67 px for single sub-maps and of 25.5 px for the
+    mean over a drive, at KITTI's 718 px: sigmas of 4.3 % per drive and 3.9 % per sub-map. Depth
+    relative to poses: drift of Sim(3) chaining in tables 2 and 5. Pose noise: the remaining error
+    of the paper's system.
     """
     return ScriptedErrors(
         coupled=True,

@@ -1,4 +1,4 @@
-"""Scripted drives over known trajectories, with the windows that a front end would form."""
+"""Scripted drives along known trajectories, with the windows that a front end would form."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from device.frame import Eye, Frame
 
 TRAJECTORIES = DATA / "trajectories"
 SEQUENCES = tuple(f"{k:02d}" for k in range(11))
-# Left camera of KITTI odometry, with a centred principal point.
+# Left camera of KITTI odometry; the principal point is moved to the centre.
 KITTI_FOCAL_PX, KITTI_SIZE = 718.856, (1241, 376)
 KITTI_SPACING_M = 0.54
-# 25 px of 1241 px at 718 px focal, the selector's threshold: 2 degrees, or 1.2 m along a street.
+# Motion between keyframes: the selector's threshold of 25 px is 2 degrees at a focal of 718 px, and
+# on a street about 1.2 m.
 STEP_M, STEP_RAD = 1.2, np.radians(2.0)
-# Share of that motion that suffices after max_keyframe_gap_s: MOVING_SHARE of the selector.
+# After max_keyframe_gap_s this share of STEP_M suffices: MOVING_SHARE of the selector.
 _MOVING_SHARE = 0.2
 
 
@@ -56,13 +57,14 @@ class Drive:
 def kitti(
     name: str, config: Config, seed: int = 0, streams: Streams | None = None, frames: int = 0
 ) -> Drive:
-    """KITTI odometry `00` ... `10` with rig and assistant camera drawn by the seed.
+    """Scripted drive along the poses of KITTI odometry `00` ... `10`.
 
-    frames: number of first poses to use, 0 for all. Raises DriveError if it is missing.
+    The rig and the assistant's field of view are drawn by the seed. frames: number of first poses
+    to use, 0 for all. Raises DriveError if the poses are missing.
     """
     path = TRAJECTORIES / f"kitti_odom_{name}.txt"
     if not path.is_file():
-        raise DriveError(f"{path} is not here; KITTI odometry poses 00 to 10 are expected there")
+        raise DriveError(f"{path}: missing; put the poses of KITTI odometry there")
     T_w_p = _rigid(read_poses(path))
     times = path.with_name(f"{path.stem}_times.txt")
     if times.is_file():
@@ -90,11 +92,11 @@ def kitti(
 
 
 def rendered(folder: Path, config: Config, seed: int = 0, streams: Streams | None = None) -> Drive:
-    """Path, rig and cameras of a rendered drive's folder; raises DriveError."""
+    """Scripted drive with path, rig and cameras of a rendered drive's folder; raises DriveError."""
     if not (folder / "poses1.txt").is_file():
-        raise DriveError(f"{folder}: holds no poses1.txt; render it with drive_sim.py first")
+        raise DriveError(f"{folder}: no poses1.txt; render the drive with drive_sim.py first")
     T_w_p, T_w_a = read_poses(folder / "poses0.txt"), read_poses(folder / "poses1.txt")
-    # the street needs a world with y down, as in the first camera
+    # the street needs a world with y down, like the first camera's frame
     T_w_p, T_w_a = se3.inverse(T_w_p[0]) @ T_w_p, se3.inverse(T_w_p[0]) @ T_w_a
     t_ns, t_a = (sequence_folder.read_times(folder / f"times{eye}.txt") for eye in (0, 1))
     T_w_ref = se3.interpolate_at(t_ns - t_ns[0], T_w_p, (t_a - t_ns[0]).astype(np.float64))
@@ -109,7 +111,7 @@ def rendered(folder: Path, config: Config, seed: int = 0, streams: Streams | Non
 
 
 def rig(rng: np.random.Generator, spacing_m: float) -> Float:
-    """T_p_a (4, 4): to the right by the spacing, with mounting errors of a few degrees."""
+    """Draw T_p_a (4, 4): to the right by the spacing, with mounting errors of a few degrees."""
     side = np.array([1.0, *(0.05 * rng.standard_normal(2))])
     turn = np.radians(1.5) * rng.standard_normal(3)
     return se3.compose(se3.so3_exp(turn), spacing_m * side / np.linalg.norm(side))
@@ -140,31 +142,34 @@ def cut(name: str, scene: ScriptedScene, config: Config, streams: Streams, seed:
 
 
 def blank(size: Int) -> Bytes:
-    """Black picture of width, height (2,) that takes no memory."""
+    """Black picture of size (2,) (width, height): a broadcast array of one byte."""
     return np.broadcast_to(np.zeros((), np.uint8), (int(size[1]), int(size[0]), 3))
 
 
 def _arrivals(primary: Int, assistant: Int) -> list[tuple[int, int, int]]:
-    """(stamp, eye, index) of both streams in order of stamps."""
+    """Frames of both streams as (stamp, eye, index), in order of stamps."""
     stamps = [(int(t), 0, k) for k, t in enumerate(primary)]
     return sorted(stamps + [(int(t), 1, k) for k, t in enumerate(assistant)])
 
 
 def _keyframes(t_ns: Int, T_w_p: Float, max_gap_s: float) -> Int:
-    """Indices of the poses (N, 4, 4) at t_ns (N,) that become keyframes, the first included."""
+    """Indices of the poses (N, 4, 4) that become keyframes; the first always does.
+
+    t_ns: (N,) of the poses. max_gap_s: time after which a smaller motion suffices.
+    """
     chosen = [0]
     for k in range(1, len(t_ns)):
         step = se3.inverse(T_w_p[chosen[-1]]) @ T_w_p[k]
         turn = float(np.linalg.norm(se3.so3_log(step[:3, :3]))) / STEP_RAD
         moved = float(np.linalg.norm(step[:3, 3])) / STEP_M
         overdue = t_ns[k] - t_ns[chosen[-1]] > max_gap_s * 1e9
-        # a rotation without translation gives no keyframe
+        # a rotation without translation makes no keyframe
         if moved > _MOVING_SHARE and (moved + turn > 1 or overdue):
             chosen.append(k)
     return np.array(chosen)
 
 
 def _rigid(T: Float) -> Float:
-    """Orthonormalise rotations that were rounded by a text file."""
+    """Orthonormalise the rotations of poses (N, 4, 4), which a text file has rounded."""
     U, _, Vt = np.linalg.svd(T[:, :3, :3])
     return se3.compose(U @ Vt, T[:, :3, 3])

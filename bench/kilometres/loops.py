@@ -17,13 +17,16 @@ from device.frame import Eye
 
 NEAR_M = 4.0
 SAME_WAY_RAD = np.radians(45.0)
-# Minimum distance of a false candidate.
+# Minimum distance of a false candidate from the window, m.
 FALSE_M = 40.0
-# Number of matches that a candidate reports.
 
 
 def true_loops(T_w_p: Float, min_gap: int, near_m: float = NEAR_M) -> Int:
-    """Pairs (L, 2) (query, earlier match) of poses (N, 4, 4) with near position and heading."""
+    """Pairs (L, 2) of poses (N, 4, 4) that are near in position and heading.
+
+    A pair is (query, earlier match). min_gap: minimum difference of their indices. near_m: maximum
+    distance.
+    """
     p = T_w_p[:, :3, 3]
     pairs = cKDTree(p).query_pairs(near_m, output_type="ndarray").astype(np.int64)
     match, query = pairs.min(1), pairs.max(1)
@@ -35,11 +38,11 @@ def true_loops(T_w_p: Float, min_gap: int, near_m: float = NEAR_M) -> Int:
 
 
 class ScriptedLoops:
-    """Scripted `LoopFinder` of a drive; deterministic by the seed.
+    """Scripted `LoopFinder` of a drive; deterministic for a seed.
 
     detection: probability that a window with a true loop yields it. false_share: probability that
     any other window yields a keyframe of another place. aliased: the relative pose of a false
-    candidate agrees with the model's; off, it does not.
+    candidate agrees with the backbone's false pose of it, as for places that look alike.
     """
 
     def __init__(
@@ -60,7 +63,7 @@ class ScriptedLoops:
     def find(
         self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit | None
     ) -> LoopCandidate | None:
-        """Return at most one candidate among the keyframes remembered."""
+        """Return at most one candidate among the remembered keyframes."""
         ids = np.array([keyframe.id for keyframe in window.primary])
         rng = np.random.default_rng([self._seed, window.submap_id])
         chance = rng.uniform()
@@ -83,11 +86,11 @@ class ScriptedLoops:
         return None
 
     def remember(self, window: SubmapWindow) -> None:
-        """Add the keyframes of a placed window."""
+        """Add the keyframes of a placed window to the possible matches."""
         self._known.update(keyframe.id for keyframe in window.primary)
 
     def is_true(self, query_id: int, match_id: int) -> bool:
-        """Whether a closure joins two views of the same place."""
+        """Whether both keyframes of a closure are at the same place."""
         p = self._drive.T_w_p[[query_id, match_id], :3, 3]
         return bool(np.linalg.norm(p[0] - p[1]) < FALSE_M / 2)
 

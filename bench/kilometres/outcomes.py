@@ -1,7 +1,7 @@
-"""Outcomes of the runs behind the kilometre tables, one file each: a stop loses one run.
+"""Outcomes of the runs behind the kilometre tables, in one file for each run.
 
-A file is named by a hash of the code, the error model and the settings that made it. Outcomes of
-other code are not read unless asked for.
+So an interruption loses only one run. The file name has a hash of the code, the error model and the
+settings; outcomes of other code are read only on request.
 """
 
 from __future__ import annotations
@@ -30,17 +30,21 @@ from calm_edge.types import CalmEdgeError
 from device.atomic_file import replace_text
 
 OUTCOMES = CACHE / "outcomes"
-# Hashed when loaded: an edit during a long run must not change the key of its outcomes.
+# Computed at import, so that editing the code during a long run does not change the file names.
 _CODE = digest(("bench.kilometres.outcomes", "bench.kilometres.rivals"))
 
 
 class OutcomeError(CalmEdgeError):
-    """A kept outcome is not readable."""
+    """An outcome file cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """Conditions of a run. false_share: of false loops given to ours; baselines get none."""
+    """Conditions of a run.
+
+    loops: loop closing on. detection, false_share: see ScriptedLoops; the baselines get no false
+    loops.
+    """
 
     name: str
     streams: Streams = field(default_factory=Streams)
@@ -53,8 +57,9 @@ class Setting:
 class Focals:
     """Focal lengths of a run, one value per eye, px.
 
-    raw: mean absolute error of the backbone's over sub-maps. mean: their mean over the drive.
-    held: final estimate of the search, with log_sigma (None: not observed) and damping.
+    raw: mean absolute error of the backbone's focals over sub-maps. mean: their mean over the
+    drive. held: final estimate of the search. log_sigma: of its log, None if not observed. damping:
+    see CONVENTIONS.md.
     """
 
     true: tuple[float, ...]
@@ -67,10 +72,11 @@ class Focals:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One run: errors in m, None where it failed or the drive is too short.
+    """Figures of one run; errors in m, None after a failure or for a drive that is too short.
 
-    missing: keyframes without a pose, of n_keyframes. scale_error, scale_std: the paper's Scale
-    Consistency Analysis. failed: reason without a trajectory, else empty.
+    missing: number of keyframes without a pose, out of n_keyframes. ms: wall time per sub-map.
+    scale_error, scale_std: Scale Consistency Analysis of the paper. failed: reason why there is no
+    trajectory, else empty.
     """
 
     drive: str
@@ -96,9 +102,10 @@ class Measured:
 
 
 class Store:
-    """Folder of outcomes. stale: also use outcomes of earlier code without newer ones.
+    """Folder of outcomes.
 
-    earlier: number of those used.
+    stale: use the latest outcome of earlier code for a run that has none of this code. earlier:
+    number of outcomes of earlier code returned so far.
     """
 
     def __init__(self, folder: Path = OUTCOMES, stale: bool = False) -> None:
@@ -106,7 +113,7 @@ class Store:
         self.earlier = 0
 
     def get(self, name: str, seed: int, setting: Setting, variant: Variant) -> Measured | None:
-        """Return the kept outcome of a run or None; raises OutcomeError."""
+        """Return the stored outcome of a run, None if there is none; raises OutcomeError."""
         file = self._file(name, seed, setting, variant)
         if self._stale and not file.is_file():
             like = f"{file.stem.rsplit('_', 1)[0]}_*.json"
@@ -116,7 +123,7 @@ class Store:
         return _read(file) if file.is_file() else None
 
     def put(self, measured: Measured, name: str, setting: Setting, variant: Variant) -> None:
-        """Keep an outcome, written atomically."""
+        """Store an outcome; the file is replaced atomically."""
         self._folder.mkdir(parents=True, exist_ok=True)
         file = self._file(name, measured.seed, setting, variant)
         replace_text(file, json.dumps(asdict(measured), indent=1, allow_nan=False) + "\n")
@@ -137,7 +144,10 @@ def measure(
     loops: ScriptedLoops | None,
     config: Config,
 ) -> Measured:
-    """Runs one variant; whatever it raises is its failure, for the other runs go on."""
+    """Run one variant and compute its figures.
+
+    An exception of any kind becomes the text `failed`, so that the other runs go on.
+    """
     focals: list[Focals] = []
 
     def inspect(localizer: Localizer) -> None:
@@ -146,7 +156,7 @@ def measure(
 
     try:
         outcome = run(drive, backbone, variant, config, loops, inspect)
-    except Exception as error:  # a crash of one run is a row of the table
+    except Exception as error:  # a crash of one run fails this row only
         return _failed(drive, name, seed, setting, variant, f"{type(error).__name__}: {error}")
     if not math.isfinite(outcome.ate_sim3_m):
         return _failed(drive, name, seed, setting, variant, "no trajectory")
@@ -172,7 +182,7 @@ def measure(
 
 
 def focals_of(drive: Drive, localizer: Localizer) -> Focals | None:
-    """Raw and final focals of a finished run; None without a search."""
+    """Raw and final focals of a finished run; None if it estimated no focals."""
     held = localizer.intrinsics
     if held is None:
         return None

@@ -1,4 +1,4 @@
-"""Kilometre tables of synchronisation, scale, focal length and ablation."""
+"""Kilometre tables on synchronisation, scale, focal length and ablation."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ from device.frame import Eye
 
 FOCAL_PX = 8.0
 SYNC_RATIO = 1.1
-# Targets; the paper has 0.239 and 0.050 (table 7).
+# Targets; the paper reports 0.239 and 0.050 (table 7).
 SCALE_ERROR, SCALE_STD = 0.15, 0.03
 
 
 def synchronisation(results: Results, command: str) -> Table:
-    """Asynchronous against synchronous cameras, as in table 3 of the paper."""
+    """Table of asynchronous against synchronous cameras, as table 3 of the paper."""
     rows = []
     for name in results.names:
         runs = [results.runs(s, OURS, name) for s in (ASYNC, HALVED, OPEN)]
@@ -67,7 +67,7 @@ def synchronisation(results: Results, command: str) -> Table:
 
 
 def scales(results: Results, command: str) -> Table:
-    """Scale over windows of 100 frames, as in table 7 of the paper."""
+    """Table of the scale over windows of 100 keyframes, as table 7 of the paper."""
     rows: list[tuple[Any, ...]] = []
     for name in results.names:
         ours, theirs = results.runs(OPEN, OURS, name), results.runs(OPEN, SIM3, name)
@@ -105,13 +105,13 @@ def scales(results: Results, command: str) -> Table:
 
 
 def observed(focals: Focals) -> bool:
-    """Whether the primary's focal is observed, by the limit of the report."""
+    """Whether the focal of the primary is observed: its sigma within the limit of the report."""
     sigma = focals.log_sigma[Eye.PRIMARY]
     return sigma is not None and 100 * sigma <= MAX_FOCAL_SIGMA_PERCENT
 
 
 def focal_table(results: Results, command: str) -> Table:
-    """Focal errors of the primary in px, of the assistant in percent, as in table 6."""
+    """Table of focal errors, as table 6: of the primary in px, of the assistant in percent."""
     rows: list[tuple[Any, ...]] = []
     found: list[tuple[Measured, Focals]] = []
     for run in results.runs(OPEN, OURS):
@@ -176,7 +176,7 @@ def _focal_row(run: Measured, focals: Focals) -> tuple[Any, ...]:
 
 
 def _sigmas(focals: Focals) -> float:
-    """Error of the primary's focal in its own sigmas."""
+    """Error of the log focal of the primary over its sigma."""
     sigma = focals.log_sigma[0]
     off = math.log(focals.held[0] / focals.true[0])
     return off / sigma if sigma else math.nan
@@ -195,7 +195,7 @@ def _mean_of_drives(seen: Sequence[tuple[Measured, Focals]]) -> list[float | Non
 
 
 def ablation(results: Results, command: str) -> Table:
-    """Error of each variant over that of the full model, as in table 9 of the paper."""
+    """Table of the error of each variant over that of the full model, as table 9 of the paper."""
     rows: list[tuple[Any, ...]] = []
     remarks = []
     for part in ABLATIONS:
@@ -231,7 +231,7 @@ def ablation(results: Results, command: str) -> Table:
 
 
 def _searches(results: Results) -> str:
-    """Note on the primary's focal error of the paper's search and of ours, over common runs."""
+    """Note on the primary's focal error by the paper's search and by ours, on common runs."""
     off: dict[str, dict[tuple[str, int], float]] = {}
     for variant in (OURS, PAPER_SEARCH):
         runs = results.runs(OPEN, variant)

@@ -1,4 +1,4 @@
-"""Runs that the kilometre tables need, in order: those that all tables share come first."""
+"""Runs that the kilometre tables need, in the order of running."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ RIVALS = (SIM3, SL4)
 
 @dataclass(frozen=True, slots=True)
 class Ablation:
-    """A variant of ours with its title and the paper's ratio to the full model (table 9).
+    """A variant of our method with one part switched off.
 
-    why: explanation printed if the difference is not significant.
+    paper: error over that of the full model in the paper (table 9), None if not reported. why:
+    explanation printed if the difference is not significant.
     """
 
     variant: Variant
@@ -91,14 +92,14 @@ ABLATIONS = (
 )
 
 TABLES = ("ate", "loops", "sync", "scale", "focal", "ablation")
-# by length
+# in order of length
 SHORT = ("04", "03", "07", "06", "10", "09", "05")
 REVISITING = ("00", "02", "05", "06", "07", "09")
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Variants of one drive, seed and setting."""
+    """Variants to run on one drive, seed and setting."""
 
     name: str
     seed: int
@@ -109,10 +110,10 @@ class Batch:
 def batches(
     only: Sequence[str], names: Sequence[str], seeds: Sequence[int], repeated: Sequence[str] = ()
 ) -> list[Batch]:
-    """All batches of the tables `only`: first those that all drives need at the first seed.
+    """List the runs of the tables `only`, those that most tables need first.
 
-    Then, drive by drive, those of further tables and seeds, drives of SHORT before the others.
-    repeated: drives to run at seeds after the first; all if empty.
+    At the first seed all drives run loops off; then follow the other settings and seeds, first on
+    the drives in SHORT. repeated: drives to run at the seeds after the first; all if empty.
     """
     first, further, last = [], [], []
     ordered = [n for n in SHORT if n in names] + [n for n in names if n not in SHORT]

@@ -1,4 +1,4 @@
-"""Predictions of a drive kept on disk: all variants are measured on the same ones."""
+"""Cache of scripted predictions on disk, so that all variants use the same predictions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from calm_edge.types import Float32, Hints, Int, Landmarks, Prediction
 CACHE = ROOT / "build" / "kilometres"
 
 
-# Hashed when loaded: an edit during a long run must not change the key of its predictions.
+# Computed at import, so that editing the code during a long run does not change the file names.
 _CODE = digest(("bench.scripted",))
 
 
@@ -33,7 +33,7 @@ class CachedBackbone:
         folder.mkdir(parents=True, exist_ok=True)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """The scripted prediction, read from the cache if it is there."""
+        """Return the scripted prediction, from the cache if possible."""
         file = self._folder / f"{_key(hints)}.npz"
         if file.is_file():
             return _read(file)
@@ -53,7 +53,11 @@ class CachedBackbone:
 
 
 def cached(drive: Drive, dials: ScriptedErrors, folder: Path = CACHE) -> CachedBackbone:
-    """The drive seen through the dials. Predictions of other code, drives or dials are not read."""
+    """Backbone with the predictions of a drive under errors, cached below `folder`.
+
+    dials: sizes of the errors. The folder name has a hash of code, drive and errors, so that
+    predictions of others are not used.
+    """
     made_by = hashlib.sha256(f"{_CODE}{dials}".encode())
     scene = drive.scene
     made_by.update(repr(scene.cameras).encode())
@@ -70,7 +74,7 @@ def _key(hints: Hints) -> str:
 
 
 def _write(file: Path, prediction: Prediction) -> None:
-    """Write atomically: several processes may share the folder."""
+    """Write a prediction atomically, since several processes may share the folder."""
     optics = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in prediction.cameras]
     arrays: dict[str, Any] = {"optics": np.array(optics), "T_s_c": prediction.T_s_c}
     arrays["loop_found"] = np.array(prediction.loop_found)

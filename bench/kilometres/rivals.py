@@ -1,4 +1,4 @@
-"""Baselines on the same sub-maps as ours, aligned by depth in their common pictures."""
+"""Baselines on the sub-maps of our method, aligned by depth in their common pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from calm_edge.types import Float, Hints, Int, Prediction, Submap, SubmapWindow
 
 
 def rival(name: str, held: HeldViews | None = None) -> Variant:
-    """Variant `sim3` or `sl4`. held: cache to share, so that depth is computed once."""
+    """Variant that runs the baseline `name`, `sim3` or `sl4`.
+
+    held: cache to be shared by several baselines, so that depth is computed once.
+    """
     return Variant(name, aligner=_aligner(name, held or HeldViews()))
 
 
@@ -39,7 +42,7 @@ def _aligner(name: str, held: HeldViews) -> Aligner:
 
 
 class HeldViews:
-    """Cache of the views of one drive, the last one requested."""
+    """Cache of the raw sub-maps of one drive, the last one requested."""
 
     def __init__(self) -> None:
         self._of: tuple[Drive, ScriptedLoops | None] | None = None
@@ -52,7 +55,7 @@ class HeldViews:
         spacing: float,
         loops: ScriptedLoops | None,
     ) -> _Views:
-        """Cached views if drive and loops are identical objects, else new ones."""
+        """Return the cached sub-maps if drive and loops are the same objects, else new ones."""
         if (
             self._views is None
             or self._of is None
@@ -64,7 +67,7 @@ class HeldViews:
 
 
 class _Views:
-    """Raw sub-maps of a drive; depth of pictures that two of them share is computed on demand."""
+    """Raw sub-maps of a drive; depth is computed on demand, for common pictures only."""
 
     def __init__(
         self,
@@ -92,12 +95,12 @@ class _Views:
             self._add(window)
 
     def between(self, previous: int, new: int) -> Correspondences:
-        """Correspondences in all common keyframes of two sub-maps."""
+        """Correspondences in the common keyframes of two sub-maps, given by index."""
         pair = self.submaps[previous], self.submaps[new]
         return self._correspondences(previous, new, *overlap.common_views(*pair))
 
     def closures(self) -> Iterator[LoopOverlap]:
-        """Loop overlaps: of each loop keyframe with the first sub-map that contains it."""
+        """Yield the overlap of each loop keyframe with the first sub-map that contains it."""
         for query, match_id in self._matches:
             match = next(k for k, s in enumerate(self.submaps) if match_id in s.primary_ids)
             views = overlap.loop_views(self.submaps[match], self.submaps[query], match_id)
@@ -113,7 +116,7 @@ class _Views:
         prediction = replace(self._backbone.infer([], hints), landmarks=None)
         submap = window_submap.raw_submap(window, hints, prediction)
         if not self.submaps:
-            # metric scale by the spacing in the first sub-map
+            # scale the first sub-map by the camera spacing, which makes the chain metric
             n, m = submap.n_primary, len(submap.assistant_ids)
             rig = scale.rig_samples(
                 submap.t_ns[:n],
@@ -141,12 +144,12 @@ class _Views:
         return self._found[key]
 
     def _with_depth(self, k: int, views: Int) -> Prediction:
-        """Prediction k with depth of at least these views."""
+        """Prediction of sub-map k, with depth of these views and perhaps of others."""
         held = self._held.get(k)
         if held is not None and held.depth is not None and held.depth[views].any((1, 2)).all():
             return held
         if k + 1 < len(self.submaps):
-            # the next sub-map needs those it shares
+            # also compute the views that the next sub-map shares, since it needs them soon
             shared = overlap.common_views(self.submaps[k], self.submaps[k + 1])[0]
             views = np.union1d(views, shared)
         some, belief = self._backbone.depth(self._hints[k], views)

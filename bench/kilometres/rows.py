@@ -1,6 +1,6 @@
-"""Rows and checks of the kilometre tables of ATE, from measured runs.
+"""Kilometre tables of ATE, and figures and requirements that all kilometre tables use.
 
-Cells are means over seeds; failed runs are counted and not averaged.
+A cell is the mean over the seeds. Failed runs are counted, not averaged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from bench.paired import MIN_PAIRS, Errors, PairedRatio, compare
 from bench.tables import Check, Table
 
 HEADLINE = "ate_sim3_m"
-# Targets; the paper has 0.884 % on KITTI-360 without loops.
+# Targets; the paper reports 0.884 % on KITTI-360 without loops.
 AVERAGE_PERCENT, OPEN_RATIO, LOOP_RATIO = 0.6, 1 / 4, 1 / 2
 COMPARED = ("drive", "m", "seeds")
 SCRIPTED = (
@@ -45,12 +45,12 @@ class Results:
             self._of.setdefault((one.setting, one.variant, one.drive), []).append(one)
 
     def runs(self, setting: Setting, variant: Variant, name: str | None = None) -> list[Measured]:
-        """Runs of all drives or of one."""
+        """Runs of one variant in one setting, on all drives or on drive `name`."""
         names = self.names if name is None else [name]
         return [m for n in names for m in self._of.get((setting.name, variant.name, n), [])]
 
     def errors(self, setting: Setting, variant: Variant, field: str = HEADLINE) -> Errors:
-        """(drive, seed) -> error, None where the run failed."""
+        """Errors of a variant by (drive, seed), None after a failure. field: of Measured."""
         return {(m.drive, m.seed): getattr(m, field) for m in self.runs(setting, variant)}
 
     def against(
@@ -59,12 +59,12 @@ class Results:
         other: tuple[Setting, Variant],
         field: str = HEADLINE,
     ) -> PairedRatio | None:
-        """Error ratio of one to the other over their common runs; None without any."""
+        """Error ratio of `one` to `other` over their common runs; None if there are none."""
         a, b = self.errors(*one, field), self.errors(*other, field)
         return compare(a, b) if a.keys() & b.keys() else None
 
     def lacking(self, setting: Setting, variants: Sequence[Variant], names: Sequence[str]) -> str:
-        """Note on the drives where a variant has not been run, empty without any."""
+        """Note that lists the drives on which a variant has not run; empty if there are none."""
         missing = [n for n in names if not all(self.runs(setting, v, n) for v in variants)]
         return f"not run ({setting.name}): {', '.join(missing)}" if missing else ""
 
@@ -76,12 +76,12 @@ def mean(values: Iterable[float | None]) -> float | None:
 
 
 def over_drives(results: Results, of: Callable[[str], float | None]) -> float | None:
-    """Mean over the drives."""
+    """Mean over the drives of a figure, `of` a drive's name; drives without it are left out."""
     return mean(of(name) for name in results.names)
 
 
 def shown(ratio: PairedRatio | None) -> str:
-    """`0.21 (0.15 to 0.29), 11 drives, 25 pairs`, with the number of failures."""
+    """Format a ratio as `0.21 (0.15 to 0.29), 11 drives, 25 pairs`, with the number of failures."""
     if ratio is None:
         return "not run"
     parts = [f"{ratio.drives} drives", f"{ratio.pairs} pairs"]
@@ -93,18 +93,18 @@ def shown(ratio: PairedRatio | None) -> str:
 
 
 def within(what: str, ratio: PairedRatio | None, target: float) -> Check:
-    """Requirement on a ratio; not met with fewer than MIN_PAIRS."""
+    """Requirement that a ratio is at most `target`; not met with fewer than MIN_PAIRS pairs."""
     kept = ratio is not None and ratio.pairs >= MIN_PAIRS and ratio.within(target)
     return Check(what, f"<= {target:g}", shown(ratio), kept)
 
 
 def notes(*texts: str) -> tuple[str, ...]:
-    """The non-empty texts."""
+    """Drop the empty texts."""
     return tuple(text for text in texts if text)
 
 
 def open_drives(results: Results, command: str) -> Table:
-    """Errors without loop closure, as in tables 1 and 2 of the paper."""
+    """Table of errors without loop closing, as tables 1 and 2 of the paper."""
     average = over_drives(results, lambda n: mean(m.percent for m in results.runs(OPEN, OURS, n)))
     checks = (
         within("ours over Sim(3)", results.against((OPEN, OURS), (OPEN, SIM3)), OPEN_RATIO),
@@ -125,7 +125,7 @@ def open_drives(results: Results, command: str) -> Table:
 
 
 def looped_drives(results: Results, command: str) -> Table:
-    """Drives with loops, loops on."""
+    """Table of errors with loop closing, on the drives that revisit a place."""
     names = [name for name in results.names if name in REVISITING]
     checks = (
         within("ours over Sim(3)", results.against((LOOPS, OURS), (LOOPS, SIM3)), LOOP_RATIO),
@@ -164,7 +164,7 @@ def _accuracy(
             theirs = results.runs(setting, rival, drive)
             row += [*_cells(theirs), mean(m.ate_se3_m for m in theirs), _fails(theirs)]
         rows.append(row)
-    # means of the columns in which all drives have a figure
+    # average only the columns of figures, and of these those that every drive has
     figures = [k for k in range(3, len(rows[0])) if k not in (6, 10, 14)] if rows else []
     if rows:
         last: list[Any] = ["mean", None, None] + [None] * (len(rows[0]) - 3)

@@ -17,13 +17,16 @@ from calm_edge.estimator.localizer import Localizer
 from calm_edge.geometry.similarity import align
 from calm_edge.types import Float, Int
 
-# Alternative to the Localizer: returns keyframe ids (N,) and T_w_p (N, 4, 4), any unit.
+# Method to run instead of the Localizer; returns keyframe ids (N,) and T_w_p (N, 4, 4), any unit.
 Aligner = Callable[[Drive, CachedBackbone, Config, ScriptedLoops | None], tuple[Int, Float]]
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A variant: changes to the configuration of the Localizer, or another aligner."""
+    """A configuration of our method, or a baseline instead of it.
+
+    changes: {section: {key: value}} to the configuration. aligner: runs instead of the Localizer.
+    """
 
     name: str
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -32,10 +35,11 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Result of a run. keyframe_ids: (N,). T_w_p: (N, 4, 4).
+    """Result of a run.
 
-    ate_sim3_m, ate_se3_m: ATE [m] after similarity and after rigid alignment, the spacing being
-    given. ms: wall time per sub-map, with `finish`. missing: keyframes without a pose.
+    keyframe_ids: (N,). T_w_p: (N, 4, 4), any unit. ate_sim3_m, ate_se3_m: ATE [m] after similarity
+    and after rigid alignment; the latter is meaningful since the spacing is given. ms: wall time
+    per sub-map, `finish` included. missing: number of keyframes without a pose.
     """
 
     keyframe_ids: Int
@@ -61,7 +65,7 @@ def run(
     loops: ScriptedLoops | None = None,
     inspect: Callable[[Localizer], None] | None = None,
 ) -> Outcome:
-    """Run the windows of a drive through a variant.
+    """Run the windows of a drive through a variant and compute the errors.
 
     inspect: called with the finished Localizer, unless the variant has an aligner.
     """
@@ -95,7 +99,7 @@ def _localized(
     loops: ScriptedLoops | None,
     inspect: Callable[[Localizer], None] | None,
 ) -> tuple[Int, Float]:
-    """Run the Localizer over the windows and take its final optimum."""
+    """Run the Localizer over all windows; return final keyframe ids (N,) and T_w_p (N, 4, 4)."""
     localizer = Localizer(config, backbone, loops)
     for window in drive.windows:
         localizer.process(window)
@@ -108,7 +112,7 @@ def _localized(
 
 
 def aligned_error(T_w_p: Float, truth: Float, *, with_scale: bool) -> float:
-    """Root mean square distance [m] of positions after alignment; inf for fewer than two."""
+    """Root mean square distance [m] of positions after alignment; inf for fewer than two poses."""
     if len(T_w_p) < 2:
         return float("inf")
     p, p_true = T_w_p[:, :3, 3], truth[:, :3, 3]

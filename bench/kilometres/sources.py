@@ -1,4 +1,4 @@
-"""Source files that a module imports, directly or not, and a hash of them."""
+"""Source files that a module imports, directly or indirectly, and a hash of them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from bench.drives import ROOT
 
 
 def imported(roots: Iterable[str], folder: Path = ROOT) -> dict[str, Path]:
-    """{module: file} of the modules below `folder` that `roots` import, and the roots.
+    """Find the modules below `folder` that `roots` import, with the roots: {module: file}.
 
     Read from the source, so it does not depend on what the process has imported: imports inside
-    functions and for type checking count as well. A module brings its packages' `__init__` along.
+    functions and for type checking count as well. The `__init__` of a module's packages is
+    included.
     """
     found: dict[str, Path] = {}
     pending = list(roots)
@@ -43,7 +44,7 @@ def _file(name: str, folder: Path) -> Path | None:
 
 
 def _names(tree: ast.Module) -> Iterator[str]:
-    """Absolute names that may be modules: `from a import b` names both a and a.b."""
+    """Names of modules that a file may import: `from a import b` yields both a and a.b."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

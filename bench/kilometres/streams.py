@@ -16,9 +16,10 @@ class Streams:
     """Timing of the two picture streams, with errors of their stamps.
 
     alternate: odd frames to one eye and even ones to the other, the paper's asynchronous mode.
-    halved: every other frame to both eyes, the synchronous mode of the same rate. offset_s: delay
-    of the assistant's exposures. late_s: delay of stamps after exposure, one per eye. jitter_s:
-    sigma of all stamps. drift_ppm: of the assistant's clock. drop_share: of frames per eye.
+    halved: every other frame to both eyes, synchronous at the same rate. offset_s: delay of the
+    assistant's exposures. late_s: delay of stamps after the exposure, per eye. jitter_s: sigma of
+    all stamps. drift_ppm: rate error of the assistant's clock. drop_share: share of frames dropped,
+    per eye.
     """
 
     alternate: bool = False
@@ -30,7 +31,7 @@ class Streams:
     drop_share: float = 0.0
 
     def exposures(self, t_ns: Int, seed: int) -> tuple[Exposures, Exposures]:
-        """Frames of both eyes on a path sampled at t_ns (N,)."""
+        """Exposure times and stamps of both eyes on a path sampled at t_ns (N,)."""
         rng = np.random.default_rng(seed)
         first = t_ns[::2] if self.alternate or self.halved else t_ns
         second = t_ns[1::2] if self.alternate else first
@@ -46,6 +47,6 @@ class Streams:
             kept = kept[kept <= t_ns[-1]]
             off_ns = off_ns[: len(kept)]
         stamps = kept + np.round(off_ns).astype(np.int64)
-        # a driver delivers frames in order
+        # keep the stamps increasing, as a driver delivers frames in order
         stamps = np.maximum.accumulate(stamps - np.arange(len(kept))) + np.arange(len(kept))
         return Exposures(stamp_ns=stamps, t_ns=kept)

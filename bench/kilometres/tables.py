@@ -1,7 +1,7 @@
 """The paper's tables on scripted kilometres.
 
-Makes the runs that are not kept yet and publishes each table from those there are; rows that were
-not run are listed below it.
+Makes the runs that have no stored outcome yet and prints each table from all outcomes. Notes below
+a table list the drives that were not run.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ TABLES: dict[str, Callable[[Results, str], Table]] = {
     "focal": part_rows.focal_table,
     "ablation": part_rows.ablation,
 }
-# Seed 0 was used in development.
+# Seed 0 was used for development.
 FIRST_SEED = 1
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--sequences", default=",".join(SEQUENCES), help="00,05,...")
     parser.add_argument("--seeds", type=int, default=1, help=f"number, from {FIRST_SEED} on")
     parser.add_argument("--repeated", default="", help="drives run at later seeds; default all")
@@ -81,9 +81,12 @@ def run(asked: argparse.Namespace) -> int:
 def _measured(
     batch: Batch, store: Store, asked: argparse.Namespace, until: float
 ) -> list[Measured]:
-    """Kept outcomes of a batch and, while there is time, new ones for the rest."""
+    """Read the stored outcomes of a batch, and make the missing runs while time allows.
+
+    until: monotonic time after which no run is started, s.
+    """
     name, seed, setting = batch.name, batch.seed, batch.setting
-    # a shortened drive has its own key
+    # a shortened drive is stored under another name
     key = f"{name}-{asked.frames}" if asked.frames else name
     found, to_run = [], []
     for variant in batch.variants:
@@ -101,7 +104,8 @@ def _measured(
     for variant in to_run:
         if monotonic() > until:
             break
-        # baselines cannot reject false loops: they get true ones, by one finder to share its views
+        # Baselines cannot reject false loops, so they get true ones only. One finder for all of
+        # them lets them share the cached sub-maps.
         ours = variant.aligner is None
         loops = _finder(batch, drive, config, setting.false_share) if ours else truths
         one = measure(drive, name, seed, backbone, setting, variant, loops, config)

@@ -1,4 +1,4 @@
-"""Variants of ours and baselines on scripted kilometres: one row a variant, drive and seed."""
+"""Errors of calm-edge and baselines on scripted kilometres: a row for each variant and seed."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _COLUMNS = ("variant", "seq", "seed", "m", "sub-maps", "Sim(3) m", "SE(3) m", "%
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument(
         "--sequences", default=",".join(SEQUENCES), help="00,05,... or folders of rendered drives"
     )
@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print a row a variant, sequence and seed, then the means."""
+    """Print a row for each variant, drive and seed, then the means."""
     rows: list[tuple[str, str, int, Outcome]] = []
     config = load(None, options.assignments)
     variants = [_variant(name) for name in options.variants.split(",")]

@@ -1,1 +1,4 @@
-"""Map quality, paired: ours, each part of VI off, and the baselines, all on the same depth."""
+"""Map quality of calm-edge with and without each part of section VI, and of the baselines.
+
+All variants use the same depth.
+"""

@@ -1,4 +1,4 @@
-"""Sub-maps of a recording with depth and anchors, input of all rows of the mapping tables."""
+"""Sub-maps of a recording with depth and anchors, the common input of the mapping tables."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from calm_edge.mapping.spool import Spool
 from calm_edge.mapping.views import prepare
 from calm_edge.types import Float32, Prediction, Submap
 
-# wavelength of the distortion, map units: about the range of most points of a sub-map
+# wavelength of the distortion, map units: most points of a sub-map are about so far away
 WAVE = 40.0
 
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """Sub-maps of a drive with anchors, and the overlaps that baselines align by.
+    """Sub-maps of a drive with anchors, and the correspondences that the baselines align.
 
-    overlaps: between sub-maps k - 1 and k. skipped: reasons of windows without depth.
+    overlaps: between sub-maps k - 1 and k. skipped: reasons why windows have no depth.
     """
 
     mapper: Mapper
@@ -38,7 +38,7 @@ class Built:
 def build(recorded: Recorded, folder: Path, warp: float) -> Built:
     """Compute depth, anchors and overlaps of all windows.
 
-    folder: scratch. warp: amplitude of a distortion added to the depth, see `warped`.
+    folder: for temporary files. warp: amplitude of a distortion added to the depth, see `warped`.
     """
     config = recorded.config
     spacing = config.scale.spacing
@@ -67,11 +67,11 @@ def build(recorded: Recorded, folder: Path, warp: float) -> Built:
 def warped(
     submap: Submap, depth: Float32, size: tuple[int, int], amplitude: float, spacing: float
 ) -> Float32:
-    """Depth (N, h, w), raw unit, with a smooth distortion as section VI corrects it.
+    """Add to a depth (N, h, w), raw unit, a smooth distortion, as section VI corrects.
 
-    The relative error is a wave over the sub-map's space, at most `amplitude`, WAVE spacings long,
-    equal in all views and different in each sub-map. size: (2,) width and height of the images,
-    px. spacing: world units per map unit.
+    The relative error is a wave in the space of the sub-map, with the given amplitude and a
+    wavelength of WAVE spacings. It is equal in all views and different in each sub-map. size: (2,)
+    width and height of the pictures, px. spacing: world units per map unit.
     """
     if not amplitude:
         return depth
@@ -91,7 +91,7 @@ def warped(
 def raw_points(built: Built, k: int, config: MappingConfig, spacing: float) -> Float32:
     """Points (P, 3) of the k-th sub-map before any correction, in its own frame and raw unit.
 
-    Range and voxel size are those of our map in that unit.
+    Range and voxel size are those of our map, converted to that unit.
     """
     submap = built.submaps[k]
     spooled = built.spool.depth(submap.id)

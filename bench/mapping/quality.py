@@ -1,6 +1,7 @@
-"""Map accuracy, completeness and seams of a recording: ours, each part of VI off, baselines.
+"""Map accuracy, completeness and seams on a recording, of calm-edge and of the baselines.
 
-All rows share one depth; `--warp` adds a smooth distortion to it.
+Calm-edge is also measured without each part of section VI. All rows use the same depth; `--warp`
+adds a smooth distortion to it.
 """
 
 from __future__ import annotations
@@ -45,9 +46,11 @@ COLUMNS = (
 def measure(
     path: Path, truth: Truth, assignments: Sequence[str], align: str, warp: float
 ) -> list[Quality]:
-    """Compute all rows of a recording; raises CalmEdgeError where it cannot be mapped or compared.
+    """Compute all rows for a recording.
 
-    align: `se3` or `sim3`, of map and truth. warp: distortion added to the depth.
+    assignments: SECTION.KEY=VALUE over its configuration. align: `se3` or `sim3`, of map to truth.
+    warp: amplitude of the distortion added to the depth. Raises CalmEdgeError where the recording
+    cannot be mapped or compared.
     """
     recorded = read(path, assignments)
     config, drive = recorded.config, recorded.drive
@@ -82,7 +85,7 @@ def measure(
 
 
 def against(rows: Sequence[Quality]) -> tuple[Check, ...]:
-    """Requirement: all three errors of our map are smaller than those of each baseline."""
+    """Requirement that all three errors of our map are smaller than those of each baseline."""
     found = {row.name: row for row in rows}
     checks = []
     for alignment in (ALIGNMENTS[kind] for kind in BASELINES):
@@ -98,7 +101,7 @@ def against(rows: Sequence[Quality]) -> tuple[Check, ...]:
 
 
 def table(rows: Sequence[Quality], name: str, command: str) -> Table:
-    """The rows as a table."""
+    """Make the table of the rows."""
     cells = [
         (
             row.name if not row.failed else f"{row.name}: {row.failed}",
@@ -129,7 +132,7 @@ def table(rows: Sequence[Quality], name: str, command: str) -> Table:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("recording", type=Path)
     parser.add_argument("--truth", type=Path, required=True, metavar="FOLDER")
     parser.add_argument("--align", choices=("sim3", "se3"), default="sim3")
@@ -145,7 +148,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure a recording against its sequence folder, print and save the table."""
+    """Map a recording, compare it with its sequence folder, print and save the table."""
     truth = read_truth(options.truth)
     rows = measure(options.recording, truth, options.set, options.align, options.warp)
     name = options.truth.resolve().name + (f"_warp{options.warp:g}" if options.warp else "")

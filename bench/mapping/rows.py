@@ -20,7 +20,7 @@ from calm_edge.geometry.similarity import align
 from calm_edge.mapping.seams import SeamSummary, summary
 from calm_edge.types import Float, Float32, Int, Submap
 
-# each without one part of section VI; infinite stiffness leaves a rigid motion by the anchors
+# Each without one part of section VI. Infinite stiffness leaves only a rigid motion by the anchors.
 VARIANTS: tuple[tuple[str, dict[str, float | bool]], ...] = (
     ("full", {}),
     ("without suppression", {"suppress": False}),
@@ -32,7 +32,11 @@ VARIANTS: tuple[tuple[str, dict[str, float | bool]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """A row. error: None when no point lies near the path. failed: why there is no map."""
+    """Map quality of one variant or baseline.
+
+    error: None if no point lies near the path. seams: distances of common anchors, None for a
+    baseline. failed: reason why there is no map, else empty.
+    """
 
     name: str
     error: cloud.CloudError | None
@@ -42,9 +46,10 @@ class Quality:
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
-    """Primary camera centres that align a map with the truth.
+    """Primary camera centres by which a map is aligned with the truth.
 
-    t_ns: (N,) on the truth's clock. centres_w: (N, 3), metres, or any unit if `scale`.
+    t_ns: (N,) on the truth's clock. centres_w: (N, 3) m, or any unit if `scale`. scale: also
+    estimate the scale.
     """
 
     t_ns: Int
@@ -55,15 +60,16 @@ class Cameras:
 def judged(
     points_w: Iterable[Float32 | Float], cameras: Cameras, truth: Truth
 ) -> cloud.CloudError | None:
-    """Compare a cloud, in pieces (P, 3), with the truth after alignment by its cameras.
+    """Compare a point cloud with the truth after alignment by the camera centres.
 
-    Raises EvaluationError if fewer than MIN_POSES cameras have a true pose.
+    points_w: parts (P, 3) of the cloud. None if no point lies near the path. Raises EvaluationError
+    if fewer than MIN_POSES cameras have a true pose.
     """
     if truth.cloud is None:
         raise EvaluationError("the truth has no cloud.npy to compare the map with")
     i, j = trajectory.associate(cameras.t_ns, truth.t_ns)
     if len(i) < MIN_POSES:
-        raise EvaluationError(f"{len(i)} cameras have a true pose, {MIN_POSES} are needed")
+        raise EvaluationError(f"only {len(i)} cameras have a true pose; {MIN_POSES} are needed")
     path = truth.T_w_c[:, :3, 3]
     motion = align(cameras.centres_w[i], path[j], with_scale=cameras.scale)
     points = motion.points(np.concatenate([np.empty((0, 3)), *points_w]))
@@ -71,9 +77,10 @@ def judged(
 
 
 def on_true_poses(submaps: Sequence[Submap], t_ns: Int, truth: Truth) -> list[Submap]:
-    """Sub-maps placed by the true pose of their central keyframe, without drift.
+    """Place sub-maps by the true pose of their central keyframe, so without drift.
 
-    t_ns: (S,) stamp of that keyframe on the truth's clock. Raises EvaluationError without a pose.
+    t_ns: (S,) stamps of these keyframes on the truth's clock. Raises EvaluationError if one has no
+    true pose.
     """
     i, j = trajectory.associate(t_ns, truth.t_ns)
     if len(i) < len(submaps):
@@ -91,7 +98,10 @@ def ours(
     truth: Truth,
     folder: Path,
 ) -> Iterator[Quality]:
-    """One row for each variant. placed: the sub-maps with their poses. folder: scratch."""
+    """Yield the map quality of calm-edge for each of VARIANTS.
+
+    placed: the sub-maps with their poses. folder: for temporary files.
+    """
     for name, switches in VARIANTS:
         mapper = built.mapper.variant(replace(config, **switches), folder / name)  # type: ignore[arg-type]
         tiles = [tile.points_w for tile in mapper.finish(placed)]
@@ -106,7 +116,7 @@ def baseline(
     t_ns: Int,
     truth: Truth,
 ) -> Quality:
-    """The row of a chaining baseline; t_ns: (N,) of its keyframes on the truth's clock."""
+    """Map quality of a chaining baseline. t_ns: (N,) of its keyframes on the truth's clock."""
     if result.T_w_c is None:
         return Quality(result.name, None, failed=result.failed)
     pieces = [

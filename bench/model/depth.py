@@ -150,7 +150,7 @@ def _errors(
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     add_arguments(parser, "depth")
 
 

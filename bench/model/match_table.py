@@ -102,7 +102,7 @@ def ratio_check(what: str, ratio: PairedRatio | None, most: float) -> list[Check
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     add_arguments(parser, "matcher")
     parser.add_argument("--matcher", action="append", choices=list(BASELINES))
 

@@ -169,7 +169,7 @@ PARTS = {
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--part", action="append", choices=list(PARTS))
     drives = parser.add_mutually_exclusive_group()
     drives.add_argument("--only", action="append", metavar="DRIVE", choices=list(runs.DRIVES))

@@ -83,7 +83,7 @@ def requirements(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     add_arguments(parser, "descriptor")
 
 

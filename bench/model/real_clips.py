@@ -198,7 +198,7 @@ def table(scores: Sequence[LineScore], notes: Sequence[str]) -> Table:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add its arguments."""
+    """Add the arguments of this command to `parser`."""
     parser.add_argument("--ours", metavar="MODULE:FACTORY", help="another learned matcher")
     parser.add_argument("--only", action="append", choices=[clip.name for clip in CLIPS])
     parser.add_argument("--data", type=Path, default=DATA, help="where the clips lie")

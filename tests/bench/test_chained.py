@@ -100,5 +100,5 @@ def test_a_broken_chain_says_why(recording: type[Recording]) -> None:
 
 def test_nothing_to_chain_is_named(recording: type[Recording]) -> None:
     recording.kept = []
-    with pytest.raises(EvaluationError, match=r"^r: holds no sub-maps"):
+    with pytest.raises(EvaluationError, match=r"^r: no sub-map with landmarks"):
         chained(Path("r"), "sim3")

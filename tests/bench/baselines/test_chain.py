@@ -126,7 +126,9 @@ def test_points_beyond_all_floats_are_a_row(name: str) -> None:
 def test_no_common_picture_is_a_row_of_the_spacing_too() -> None:
     apart = [DRIVE.submaps[0], replace(DRIVE.submaps[1], primary_ids=tuple(range(100, 115)))]
     result = chain(ALIGNMENTS["spacing"], apart, DRIVE.overlaps())
-    assert result.failed == "sub-map 1 by 0: no common picture"
+    assert (
+        result.failed == "sub-map 1 cannot be aligned with 0: the sub-maps have no common picture"
+    )
 
 
 @LINEAR
@@ -143,6 +145,6 @@ def test_an_overlap_that_cannot_be_computed_is_a_row(name: str) -> None:
 @EVERY
 def test_nothing_is_a_row(name: str) -> None:
     result = chain(ALIGNMENTS[name], [], [])
-    assert result.T_w_c is None and result.failed == "there is no sub-map"
+    assert result.T_w_c is None and result.failed == "no sub-map to chain"
     alone = chain(ALIGNMENTS[name], DRIVE.submaps[:1], [])
     assert np.allclose(alone.T_w_c, DRIVE.T_w_p[:15], atol=1e-9)

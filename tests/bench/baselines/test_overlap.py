@@ -98,7 +98,7 @@ def test_unknown_and_distrusted_pixels_are_left_out() -> None:
 
 
 def test_depth_without_confidence_is_a_reason() -> None:
-    with pytest.raises(BaselineError, match="depth or confidence missing"):
+    with pytest.raises(BaselineError, match="lacks depth or confidence"):
         found(replace(PREDICTION_A, confidence=None))
 
 

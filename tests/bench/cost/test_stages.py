@@ -100,7 +100,7 @@ def test_the_landmarks_are_thinned_but_remain_matches():
 def test_too_short_a_drive_is_one_clear_line(capsys):
     assert main(["cost", "--submaps", "3"]) == 1
     said = capsys.readouterr().err.strip()
-    assert said == "bench: --submaps 3: at least 10 are needed to fit a line"
+    assert said == "bench: --submaps 3: give at least 10"
 
 
 def test_growth_is_over_the_whole_drive_and_ignores_its_start():

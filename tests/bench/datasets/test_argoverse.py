@@ -78,7 +78,7 @@ def test_a_log_that_two_names_begin_with_is_refused(root: Path) -> None:
     [
         ("stereo_front_right", r"stereo_front_right: no such folder"),
         ("poses", r"poses: no such folder"),
-        ("vehicle_calibration_info.json", r"no LOG/vehicle_calibration_info\.json"),
+        ("vehicle_calibration_info.json", r"vehicle_calibration_info\.json is in no folder LOG"),
     ],
 )
 def test_faults_are_named_as_reasons(root: Path, path: str, names: str) -> None:

@@ -82,12 +82,12 @@ def test_only_drives_with_poses_are_listed(root: Path) -> None:
         (
             f"data_2d_raw/{DRIVE}/image_01/timestamps.txt",
             f"{trees.START_360}.1\n",
-            r"image_01/timestamps\.txt: 1 rows, but there is a frame 12",
+            r"image_01/timestamps\.txt: 1 rows, too few for frame 12",
         ),
         (f"data_poses/{DRIVE}/cam0_to_world.txt", None, r"cam0_to_world\.txt: cannot be read"),
         (f"data_poses/{DRIVE}/cam0_to_world.txt", "1 2\n", r"2 numbers; 13 or 17"),
         ("calibration/perspective.txt", None, r"perspective\.txt: cannot be read"),
-        ("calibration/perspective.txt", "S_rect_00: 1\n", r"has no P_rect_00"),
+        ("calibration/perspective.txt", "S_rect_00: 1\n", r"no line `P_rect_00:`"),
     ],
 )
 def test_damage_names_the_file(root: Path, path: str, text: str | None, names: str) -> None:

@@ -91,8 +91,8 @@ def test_a_wrong_root_names_what_is_missing(root: Path, harm: str, names: str) -
     [
         ("sequences/00/image_3", None, r"image_3: no such folder"),
         ("sequences/00/calib.txt", None, r"calib\.txt: cannot be read"),
-        ("sequences/00/calib.txt", "P0: 1 2\n", r"calib\.txt: has no P2"),
-        ("sequences/00/calib.txt", "P2: 1 2\nP3: 1 2\n", r"a row of 2 numbers; 12 are"),
+        ("sequences/00/calib.txt", "P0: 1 2\n", r"calib\.txt: no line `P2:`"),
+        ("sequences/00/calib.txt", "P2: 1 2\nP3: 1 2\n", r"a row has 2 numbers; 12 are"),
         ("sequences/00/times.txt", "0\n1\n", r"12 and 12 pictures, 2 times, 12 poses"),
         ("sequences/00/times.txt", "zero\n", r"times\.txt: not a row of numbers"),
         ("poses/00.txt", None, r"poses/00\.txt: missing"),

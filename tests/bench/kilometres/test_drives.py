@@ -72,7 +72,7 @@ def test_kitti_is_read_in_metres():
 
 def test_a_drive_that_is_not_here_is_said(monkeypatch, tmp_path):
     monkeypatch.setattr(drives, "TRAJECTORIES", tmp_path)
-    with pytest.raises(drives.DriveError, match=r"kitti_odom_00\.txt is not here"):
+    with pytest.raises(drives.DriveError, match=r"kitti_odom_00\.txt: missing"):
         drives.kitti("00", Config())
     with pytest.raises(drives.DriveError, match=r"drive_sim\.py"):
         drives.rendered(tmp_path, Config())
