@@ -1,4 +1,4 @@
-"""Camera settings for the recording; remarks of the cameras for the user."""
+"""Report changes of the camera settings, and the warnings of the cameras, once each."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from device.camera import Camera
 
 
 class CameraNotes:
-    """Owner of the settings and remarks passed on so far.
+    """Owner of the settings and warnings reported so far.
 
-    describe: takes the settings of both cameras, as JSON by eye, and since_ns. say: takes a remark.
+    describe: called with changed settings: one JSON text each under `primary` and `assistant`, and
+    the time of the change under `since_ns`. say: called with a warning for the user.
     """
 
     def __init__(
@@ -25,13 +26,13 @@ class CameraNotes:
         self._remarks: set[str] = set()
 
     def update(self, now_ns: int) -> None:
-        """Pass on what is new since the last call."""
+        """Report settings and warnings that are new since the last call."""
         settings = {
             camera.spec.eye.name.lower(): json.dumps(dict(camera.settings), sort_keys=True)
             for camera in self._cameras
             if camera.settings
         }
-        # a camera that is gone has no settings; its last ones still hold for its pictures
+        # a disconnected camera reports no settings: keep the last ones, with which it recorded
         settings = self._settings | settings
         if settings != self._settings:
             self._settings = settings

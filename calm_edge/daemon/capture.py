@@ -1,6 +1,6 @@
-"""The capture process: reads the cameras and drives the hub, at a fixed rate and without waiting.
+"""Main loop of the capture process: passes frames from the cameras to the hub, at a fixed rate.
 
-It never imports gtsam and never runs a solver: tracker and estimator are processes of their own.
+It never waits for a solver and does not import gtsam: tracker and estimator are child processes.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from device.errors import DeviceError
 from device.frame import Frame
 from device.service import Notifier
 
-# On average a pose waits half a tick on its way in and half a tick on its way out.
+# Rate of the capture loop. On average it delays a pose by one period: half of it until the frame is
+# read, and half until the pose is passed on.
 TICK_HZ = 100.0
-# The interpreter's switch interval; its default, 5 ms, is half a tick.
+# Switch interval of the interpreter (sys.setswitchinterval); the default is half a loop period.
 SWITCH_S = 0.0005
 
 
@@ -43,7 +44,7 @@ class Capture:
         self._monitor = Monitor(hub.config, notifier, hub.outputs)
 
     def request_stop(self) -> None:
-        """Stop capturing and finish the run; at the second call, end without finishing.
+        """Stop capturing and solve the remaining windows; at a second call, end at once.
 
         Called from a signal handler.
         """
@@ -51,7 +52,7 @@ class Capture:
         self._hub.impatient = self._stop_requests > 1
 
     def run(self) -> RecordResult:
-        """Run until the frames end or a stop is requested, then close everything.
+        """Run until the frames end or a stop is requested, then close everything; return counts.
 
         Raises CalmEdgeError, DeviceError.
         """
@@ -95,7 +96,7 @@ class Capture:
         threads = [CameraThread(camera, realtime_priority=priority) for camera in self._cameras]
         for thread in threads:
             thread.start()
-        # the threads queue the frames that arrive meanwhile
+        # takes a while; frames that arrive meanwhile are queued by the camera threads
         hub.recording.open()
         monitor.watch(threads)
         notes = CameraNotes(
@@ -104,7 +105,7 @@ class Capture:
             hub.say,
         )
         notes.update(self._source.clock.now_ns())
-        # starts the watchdog: opening a camera may take longer than its interval
+        # only now, since this starts systemd's watchdog: opening a camera may exceed its interval
         self._notifier.ready()
         refused = realtime.request(priority)
         if refused:
@@ -112,7 +113,7 @@ class Capture:
         errors: set[str] = set()
         keeper = RateKeeper(SystemClock(), TICK_HZ)
         while not self._stop_requests:
-            # before draining: what a finished thread left behind is drained below
+            # read before draining, so that the last frames of a thread that ends now are not missed
             running = [t.state is CameraState.RUNNING for t in threads]
             with monitor.timed("frames"):
                 frames = self._drain(threads)
@@ -142,14 +143,14 @@ class Capture:
         hub.result.tick = monitor.latency.overall()
 
     def _drain(self, threads: list[CameraThread]) -> int:
-        """Pass the frames since the last call on, by stamp; return their number."""
+        """Pass the frames queued by the camera threads on, by stamp; return their number."""
         frames = sorted((f for t in threads for f in t.drain()), key=lambda f: (f.t_ns, f.eye))
         for frame in frames:
             self._hub.frame(frame)
         return len(frames)
 
     def _finish(self) -> None:
-        """Wait for the last windows, the backlog and the joint optimum."""
+        """Wait for the last windows, until all windows are solved, and for the joint optimum."""
         hub = self._hub
         hub.capturing = False
         if self._lockstep:
@@ -158,7 +159,7 @@ class Capture:
             limit_s = finish.REPLAY_LIMIT_S
         else:
             limit_s = finish.LIVE_LIMIT_S
-        # one limit for all waits below: a service manager kills a process that stops too slowly
+        # one limit for all waits below: systemd kills a service that stops too slowly
         end_s = time.monotonic() + limit_s
         tracker, estimator = hub.tracker, hub.estimator
         hub.until(lambda: not tracker.in_flight, end_s)
@@ -177,8 +178,10 @@ class Capture:
 
 @contextmanager
 def low_latency() -> Iterator[None]:
-    """Shorten the waits of the capture loop: for the interpreter lock to SWITCH_S, and for the
-    garbage collector by exempting all existing objects, which take a tenth of a second to traverse.
+    """Context in which Python's interpreter lock and garbage collector delay a thread less.
+
+    The lock is passed on after SWITCH_S. The collector ignores all objects that exist already
+    (gc.freeze), since traversing them takes a tenth of a second.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
@@ -192,7 +195,7 @@ def low_latency() -> Iterator[None]:
 
 
 def merged(cameras: tuple[Camera, ...]) -> Iterator[Frame]:
-    """Frames of both unpaced cameras in the order of their stamps, the primary first."""
+    """Yield the stored frames of both cameras by stamp; at equal stamps the primary's first."""
     heads = [camera.read(0.0) for camera in cameras]
     while any(head is not None for head in heads):
         eye = min(

@@ -1,4 +1,4 @@
-"""A child process with a thread for each direction of its pipe: sending never blocks."""
+"""Child processes that exchange messages with the capture process through a pipe."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ Target = Callable[..., None]
 class Child:
     """A spawned daemonic process running `target(connection, *arguments)`.
 
-    Its messages are put into `inbox` as (child, message), so that those of a process that has been
-    replaced can be discarded.
+    Two threads serve its pipe, so that sending never blocks. Received messages are put into `inbox`
+    as (child, message): after a restart, messages of the former process can be discarded.
     """
 
     def __init__(
@@ -90,9 +90,10 @@ def serve(
     handle: Callable[[Any], Any],
     on_arrival: Callable[[Any], None] = lambda _: None,
 ) -> None:
-    """Main loop of a child: answer each message until one of type `stop` or the end of the parent.
+    """Main loop of a child: answer messages until one of type `stop`, or until the parent exits.
 
-    on_arrival: called with each message as it arrives, before earlier ones have been handled.
+    handle: returns the answer to a message, None for none. on_arrival: called with each message as
+    it is received, possibly before earlier ones have been handled.
     """
     arrived: deque[Any] = deque()
     while True:

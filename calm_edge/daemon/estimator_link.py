@@ -1,4 +1,4 @@
-"""Capture's end of the estimator: a bounded queue of windows before a process that may die."""
+"""Interface of the capture process to the estimator process: window queue, restart after death."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from calm_edge.recording.window_record import FrameKey, frame_key, of_window
 from calm_edge.types import SubmapWindow
 from device.frame import Frame
 
-# Each window adds some 4 MB of JPEG to what is held. Further ones are left to `map`.
+# Length of the window queue, about 4 MB of JPEG each. Further windows are left for `calm-edge map`.
 INBOX_WINDOWS = 32
 LAGGING_WINDOWS = 2
 MAX_DEATHS_IN_A_ROW = 3
-# The slowest models take a minute or two for a window.
+# The process is killed after this time without an answer; the slowest models take two minutes.
 HUNG_S = 300.0
-# The tracker cannot localise against a sub-map older than the frames it remembers; a quarter of
-# that time is left for tracking from the sub-map to the newest frame.
+# Oldest age of a sub-map for live poses: the tracker must still hold the sub-map's frames
+# (REMEMBERED_NS), and needs a quarter of that time to track from them to the newest frame.
 IN_TIME_S = 0.75 * REMEMBERED_NS / 1e9
 
 
 def run_estimator(connection: Connection, config: Config, lockstep: bool) -> None:
-    """Main function of the process; here, so that capture does not import a solver."""
+    """Main function of the process; imports it only there, so that capture imports no solver."""
     from calm_edge.daemon import estimator_process
 
     estimator_process.run(connection, config, lockstep)
 
 
 class EstimatorLink:
-    """Owner of the estimator process, of the windows waiting for it and of the counts of lost ones.
+    """Owner of the estimator process, of the windows queued for it and of the counts of lost ones.
 
     now_ns: the clock of the frames' stamps.
     """
@@ -70,7 +70,7 @@ class EstimatorLink:
         self._inbox: deque[SubmapWindow] = deque()
         # the id of the window being processed
         self._in_hand: int | None = None
-        # frames the present process has
+        # frames that have been sent to the current process
         self._sent: set[FrameKey] = set()
         self._left_out: list[LeftOut] = []
         self._took_s = 0.0
@@ -81,9 +81,9 @@ class EstimatorLink:
         self._handed_s = 0.0
         self._died_finishing = False
         self.refusal = ""
-        # for _catch_up: whether frames still come, and whether the live pose is lost
+        # for _catch_up, set by the hub: frames are still captured; the live pose is lost
         self.capturing, self.pose_lost = True, False
-        # how many windows were left to map in favour of newer ones
+        # number of windows skipped in favour of newer ones
         self.overtaken = 0
         self.lost: list[int] = []
         self.left_to_map: list[int] = []
@@ -98,13 +98,13 @@ class EstimatorLink:
 
     @property
     def given_up(self) -> bool:
-        """It will not be restarted."""
+        """Whether the process has ended and will not be restarted."""
         hopeless = self._deaths_in_a_row >= MAX_DEATHS_IN_A_ROW
         return bool(self.refusal) or hopeless or self._died_finishing
 
     @property
     def waiting(self) -> int:
-        """Windows not yet processed."""
+        """Number of windows not yet processed."""
         return 0 if self.given_up else len(self._inbox) + (self._in_hand is not None)
 
     @property
@@ -112,7 +112,7 @@ class EstimatorLink:
         return self.given_up or self.waiting > LAGGING_WINDOWS
 
     def offer(self, window: SubmapWindow) -> bool:
-        """Queue a window; False if the queue is full and it is left to `map`."""
+        """Queue a window; False if the queue is full: it is left for `calm-edge map`."""
         if self.given_up or len(self._inbox) >= INBOX_WINDOWS:
             self.leave_to_map(window)
             return False
@@ -121,32 +121,32 @@ class EstimatorLink:
         return True
 
     def expect(self, keyframe: Frame) -> None:
-        """Send a primary keyframe of a later window ahead, unless windows are waiting."""
+        """Send a keyframe before its window, to compute features early, if no window waits."""
         wanted = self._ready and self._expects_pictures
         if wanted and not self.given_up and not self._inbox:
             self._sent.add(frame_key(keyframe))
             self.child.send(Expect(keyframe))
 
     def leave_to_map(self, window: SubmapWindow) -> None:
-        """Leave a window to `map`."""
+        """Do not process a window: `calm-edge map` will, after the drive."""
         self.left_to_map.append(window.submap_id)
         if not self.given_up:
             stamps = tuple(keyframe.frame.t_ns for keyframe in window.primary)
             self._left_out.append(LeftOut(window.submap_id, stamps))
 
     def make_depth(self, on: bool) -> None:
-        """Compute the depth that the configuration asks for, or leave it to `map`."""
+        """Turn on or off the computation of dense depth; if off, `calm-edge map` computes it."""
         if on != self._make_depth:
             self._make_depth = on
             self.child.send(MakeDepth(on))
 
     def pump(self) -> None:
-        """Restart a dead process, kill a hung one, hand the next window to an idle one."""
+        """Restart the process if it died, kill it if it hangs, send a window if it is idle."""
         if self.given_up:
             return
         hung = self._in_hand is not None and time.monotonic() - self._handed_s > HUNG_S
         if hung and not self._lockstep:
-            self._say(f"estimator has not answered for {HUNG_S:.0f} s; ended")
+            self._say(f"estimator has not answered for {HUNG_S:.0f} s; killed")
             self.child.kill()
         if not self.child.alive:
             self._replace()
@@ -156,7 +156,7 @@ class EstimatorLink:
             self._hand_over(self._inbox.popleft())
 
     def accept(self, message: Any) -> None:
-        """Handle a message of the current process."""
+        """Handle a message from the current process."""
         match message:
             case Ready():
                 self._ready, self._expects_pictures = True, message.expects_pictures
@@ -173,7 +173,7 @@ class EstimatorLink:
         self.pump()
 
     def finish(self) -> None:
-        """Request the joint optimum; afterwards `finished` is set, or it has `given_up`."""
+        """Request the joint optimum; later `finished` holds it, or `given_up` becomes true."""
         self._finishing = True
         self.child.send(Finish())
 
@@ -195,10 +195,11 @@ class EstimatorLink:
         self._left_out.clear()
 
     def _catch_up(self) -> None:
-        """Leave all but the newest window to `map` if the next would be too late to give a pose.
+        """Skip all queued windows but the newest if the oldest is too old to give a live pose.
 
-        Processed in order they would all be too late, for others arrive meanwhile. A lost pose was
-        lost while tracking from an earlier window, and would be lost again.
+        Otherwise the queue would never get shorter, and every sub-map would be too old. They are
+        also skipped while the live pose is lost: the tracker could not track from an old window to
+        the newest frame. `calm-edge map` processes the skipped windows after the drive.
         """
         if not self.capturing or len(self._inbox) < 2:
             return
@@ -207,8 +208,8 @@ class EstimatorLink:
             return
         *late, newest = self._inbox
         if not self.overtaken:
-            # only once: the status counts them
-            self._say("windows come too late to give a pose: late ones are left to map")
+            # reported once; the status has their number
+            self._say("too slow for live poses: windows are skipped, run calm-edge map later")
         self.overtaken += len(late)
         for window in late:
             self.leave_to_map(window)
@@ -218,7 +219,7 @@ class EstimatorLink:
         return Child("estimator", run_estimator, (self._config, self._lockstep), self._events)
 
     def _replace(self) -> None:
-        """Account for a dead process, and start the next one unless too many died in a row."""
+        """Count what was lost with a dead process; restart it unless it died too often in a row."""
         self._deaths_in_a_row += 1
         self._ready = False
         self._sent.clear()
@@ -229,7 +230,7 @@ class EstimatorLink:
             what += f", window {self._in_hand} lost with it"
             self._in_hand = None
         if self.given_up:
-            self._say(f"{what}; not restarted, recording continues: run map later")
+            self._say(f"{what}; not restarted, recording continues: run calm-edge map later")
             self.lost += [w.submap_id for w in self._inbox]
             self._inbox.clear()
             return

@@ -1,4 +1,4 @@
-"""The estimator process: the Localizer, and depth where the configuration asks for it."""
+"""Program of the estimator process: computes sub-maps, with dense depth if configured."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ from calm_edge.recording.window_record import of_window, window_hints
 from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
 from device.frame import UnreadableImage
 
-# -1000 (never) to 1000 (first), see proc(5); the capture process keeps its unit's, as a rule 0
+# Value for /proc/self/oom_score_adj, see proc(5): above 0, the default of the capture process.
 OOM_SCORE_ADJ = "500"
-# The interpreter's switch interval: at its default of 5 ms the network's threads and the solver
-# would wait for each other.
+# Switch interval of the interpreter (sys.setswitchinterval): with the default of 5 ms the threads
+# of network and solver would wait for the interpreter lock.
 SWITCH_S = 3e-4
 
 
 class EstimatorWork:
-    """A Localizer driven by messages in order."""
+    """Localizer and backbone; handles the messages of the capture process in order."""
 
     def __init__(self, config: Config, optimiser: Optimiser) -> None:
         self._config = config
@@ -58,11 +58,11 @@ class EstimatorWork:
 
     @property
     def expects_pictures(self) -> bool:
-        """Whether the backbone makes use of Expect."""
+        """Whether the backbone computes features early, from keyframes sent in Expect."""
         return isinstance(self._backbone, ExpectsPictures) and self._backbone.expects_pictures
 
     def handle(self, message: Any) -> Any:
-        """The answer to one message."""
+        """Handle one message; return the answer, or None if it needs none."""
         if isinstance(message, Process):
             for left_out in message.left_out:
                 self._localizer.leave_out(left_out.submap_id, np.array(left_out.t_ns, np.int64))
@@ -72,7 +72,7 @@ class EstimatorWork:
             return Finished(self._localizer.submaps, trajectory)
         if isinstance(message, Expect) and isinstance(self._backbone, ExpectsPictures):
             self._received.add(message.keyframe)
-            # an unreadable picture is reported with its window
+            # an unreadable image is reported later, when its window is processed
             with suppress(UnreadableImage):
                 self._backbone.expect(message.keyframe.bgr())
         if isinstance(message, MakeDepth):
@@ -85,19 +85,19 @@ class EstimatorWork:
         except CalmEdgeError as error:
             return Processed(window.submap_id, None, str(error))
         except Exception as error:
-            # a defect of the solver must cost one window only; the trace is for a developer
+            # a programming error must not end the process: report this window as unsolved
             traceback.print_exc()
             return Processed(window.submap_id, None, f"{type(error).__name__}: {error}")
         if update is None:
             return Processed(window.submap_id, None, self._localizer.skipped[-1].reason)
         joined = update.loop_keyframe
-        # the batch that was solved: a loop keyframe may have been added or dropped
+        # the localizer may have added a loop keyframe to the window
         window = dataclasses.replace(window, loop_keyframe=joined)
         update = dataclasses.replace(update, loop_keyframe=None)
         if self._make_depth:
             update = self._densified(window, update)
         elif update.prediction.landmarks is not None:
-            # depth that is not recorded need not cross the pipe
+            # do not send depth through the pipe that will not be recorded
             light = dataclasses.replace(update.prediction, depth=None, confidence=None)
             update = dataclasses.replace(update, prediction=light)
         record = of_window(window) if joined is not None else None
@@ -113,21 +113,22 @@ class EstimatorWork:
 
 
 def _prefer_oom_kill() -> None:
-    """Make the kernel kill this process first when memory runs out: it is restarted, while the
-    capture process would lose what it has not written. Children inherit it.
+    """Make the kernel kill this process and its children first when memory runs out.
+
+    This process is restarted, whereas the capture process would lose data not yet written.
     """
-    # the file is specific to Linux, and read-only in some containers
+    # the file exists on Linux only, and is read-only in some containers
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(OOM_SCORE_ADJ, encoding="ascii")
 
 
 def run(connection: Connection, config: Config, lockstep: bool) -> None:
-    """Main function of the process; in lockstep every window waits for the joint optimum."""
+    """Main function of the process. lockstep: compute the joint optimum after every window."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # frames and poses come before windows
+    # lower priority than capture and tracker, whose results are needed at once
     os.nice(10)
     _prefer_oom_kill()
-    # capture reports skipped windows
+    # no warnings: the capture process reports skipped windows
     logging.basicConfig(level=logging.ERROR)
     # all cores, at low priority; OpenCV's results do not depend on the number of threads
     cv2.setNumThreads(len(os.sched_getaffinity(0)))

@@ -1,4 +1,4 @@
-"""Hand live results to every output; a slow or failing one loses its own messages only."""
+"""Distribute live results to all outputs, isolated from each other: a slow one delays no other."""
 
 from __future__ import annotations
 
@@ -19,24 +19,25 @@ from device.frame import Frame
 
 log = logging.getLogger(__name__)
 
-# size of a message other than a frame or an update, in a queue
+# size in an output's queue of a message that is neither a frame nor an update
 MESSAGE_BYTES = 1024
-# for an output to take what is left in its queue
+# time for an output to process its queue at the end of a run
 CLOSE_S = 1.0
-# how long an exception is reported as a fault
+# an exception is reported as a fault for this time
 FAULT_S = 10.0
 
 Call = Callable[["Output"], object]
 
 
 class Output:
-    """A consumer of live results; it overrides the methods it has use for.
+    """Base class of a consumer of live results; a subclass overrides the methods it needs.
 
-    They are called on a thread of the output's own, behind a queue of `queue_bytes` from which the
-    oldest message is dropped when it is full. An exception costs the message and is counted.
+    They are called from a separate thread with a queue of `queue_bytes`; when it is full the oldest
+    message is dropped. If a method raises, that message is lost and counted. Arguments must not be
+    modified.
 
-    immediate: they return at once, and are called by the capture loop itself. required: an
-    exception ends the run. What is handed over must not be changed.
+    immediate: the methods do not block and are called by the capture loop, without a queue.
+    required: an exception ends the run.
     """
 
     name = "output"
@@ -45,79 +46,79 @@ class Output:
 
     @property
     def lost(self) -> int:
-        """Messages lost in a queue of its own."""
+        """Number of messages that the output itself has dropped."""
         return 0
 
     @property
     def fault(self) -> str:
-        """Why it does not work at present, or empty."""
+        """Reason why the output does not work at present; empty if it does."""
         return ""
 
     def frame(self, frame: Frame) -> None:
-        """A frame of either camera, as JPEG bytes."""
+        """Take a frame of either camera, as JPEG bytes."""
 
     def window(self, window: WindowRecord) -> None:
-        """A completed window; of two records of one sub-map the later one holds."""
+        """Take the record of a completed window; replaces an earlier one of the same sub-map."""
 
     def pose(self, sample: PoseSample, now_ns: int) -> None:
-        """A live pose; now_ns is on the clock of its stamp."""
+        """Take a live pose. now_ns: the present, on the clock of the pose's stamp."""
 
     def update(self, update: LocalizerUpdate) -> None:
-        """A sub-map, and the poses that changed with it."""
+        """Take a new or moved sub-map, and the poses that changed with it."""
 
     def attached(self, attached: Attached) -> None:
-        """The tracker has tried to localise against a sub-map."""
+        """Take the result of the tracker's attempt to localise against a sub-map."""
 
     def cameras(self, settings: Mapping[str, str]) -> None:
-        """Camera settings as JSON by eye, and since_ns; again when they change."""
+        """Take the settings of the cameras, when known or changed; keys as in `CameraNotes`."""
 
     def status(self, standing: Standing, health: Health | None) -> None:
-        """State of the daemon: every second with its figures, and without when it stops."""
+        """Take the state of the daemon, every second; health is None when the daemon stops."""
 
     def say(self, level: int, text: str, name: str) -> None:
-        """A line of the log; level as in Python's logging."""
+        """Take a line of the log. level: as in Python's logging."""
 
     def tick(self, now_ns: int) -> None:
-        """A cycle of the capture loop without a pose; called for immediate outputs only."""
+        """Note a cycle of the capture loop without a pose; called for immediate outputs only."""
 
     def close(self, result: RecordResult) -> None:
-        """The run has ended; result.error is the reason if it failed."""
+        """End the output with the run; result.error is the reason if the run failed."""
 
 
 class FanOut:
-    """Owner of the outputs of one run, in the order they are served."""
+    """Owner of the outputs of one run, which are called in the given order."""
 
     def __init__(self, outputs: Sequence[Output]) -> None:
         self._guards = [Guard(o) if o.immediate else QueuedGuard(o) for o in outputs]
 
     def give(self, call: Call, size: int = MESSAGE_BYTES) -> None:
-        """Call every output, at once or from its queue; size [bytes] of what is handed over."""
+        """Call every output, at once or from its thread. size: of the message, bytes."""
         for guard in self._guards:
             guard.give(call, size)
 
     def tick(self, now_ns: int) -> None:
-        """To be called in each cycle of the capture loop without a pose."""
+        """Notify immediate outputs of a cycle of the capture loop without a pose."""
         for guard in self._guards:
             if guard.output.immediate:
                 guard.give(lambda output: output.tick(now_ns), 0)
 
     def lost(self) -> dict[str, int]:
-        """Messages lost so far by each output but the required ones, which count their own."""
+        """Number of messages lost so far by each output that is not `required`, by name."""
         return {g.output.name: g.lost for g in self._guards if not g.output.required}
 
     def faults(self) -> Iterator[str]:
-        """A line for each output that does not work at present."""
+        """Yield one line of text for each output that does not work at present."""
         yield from filter(None, (guard.fault for guard in self._guards))
 
     def close(self, result: RecordResult) -> None:
-        """Close the outputs, the first one last, when result has the losses of all others."""
+        """Close the outputs, the first one last: `result` then holds the losses of the others."""
         for guard in reversed(self._guards):
             guard.close(result)
             result.output_losses = self.lost()
 
 
 class Guard:
-    """An immediate output, and how often it failed."""
+    """An immediate output, with the number of its exceptions and the latest one."""
 
     def __init__(self, output: Output) -> None:
         self.output = output
@@ -134,7 +135,7 @@ class Guard:
         return self._error if recent else self.output.fault
 
     def give(self, call: Call, size: int) -> None:
-        """Make the call."""
+        """Call the output now."""
         self._make(call)
 
     def close(self, result: RecordResult) -> None:
@@ -155,7 +156,7 @@ class Guard:
 
 
 class QueuedGuard(Guard):
-    """An output that may be slow, with its queue and thread."""
+    """An output that may block, with a queue and a thread that calls it."""
 
     def __init__(self, output: Output) -> None:
         super().__init__(output)
@@ -168,16 +169,16 @@ class QueuedGuard(Guard):
         return super().lost + sum(self._mailbox.dropped)
 
     def give(self, call: Call, size: int) -> None:
-        """Queue the call."""
+        """Queue the call for the thread."""
         self._mailbox.put(call, size, False)
 
     def close(self, result: RecordResult) -> None:
-        """Close the output after what is queued; drop that after CLOSE_S."""
+        """Close the output after its queued calls; calls not made within CLOSE_S are dropped."""
         self._mailbox.put(lambda output: output.close(result), 0, False)
         self._mailbox.close()
         self._thread.join(CLOSE_S)
         self._mailbox.clear()
-        # what it is still busy with
+        # a call that has not returned counts as failed
         self._failed += self._thread.is_alive()
 
     def _run(self) -> None:

@@ -1,4 +1,4 @@
-"""End of a run: how long it may take, and the sub-maps in their final places."""
+"""End of a run: its time limits, and the updates that hold the final poses of all sub-maps."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ LIVE_LIMIT_S = 20.0
 
 
 def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[LocalizerUpdate]:
-    """One update for each sub-map after the joint optimum, with poses only.
+    """Yield an update per sub-map with its poses of the joint optimum; without depth and landmarks.
 
-    Only the last one has the whole trajectory: in each, it would take more room than the images of
-    a long drive. `map` takes the landmarks from the sub-map's first update.
+    Only the last update holds the whole trajectory, since the recording would grow quadratically
+    with the length of the drive; the others hold the keyframes of their sub-map. `calm-edge map`
+    takes the landmarks from the first update of a sub-map.
     """
     trajectory = finished.trajectory
     if trajectory is None:

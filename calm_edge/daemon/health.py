@@ -1,4 +1,4 @@
-"""The daemon's status of one second: a message for programs and a line for people."""
+"""Status of the daemon, once a second: as JSON message and as line of text."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from device.thermal import Thermal
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """shed: what is left out, in words. tick: latency of the capture loop. late_ticks: deadlines
-    passed since the start. counts, drops: since the start, drops by cause. queues: lengths by name.
-    stage_ms: stages of the newest window and of the capture loop. pose_age_ms: the oldest pose of
-    this second.
+    """Status of one second.
+
+    shed: work that is left out to reduce the load, as text. tick: latency of the capture loop.
+    late_ticks: deadlines it has missed since the start. counts, drops: since the start; drops by
+    cause. queues: lengths by name. stage_ms: durations of the stages of the newest window and of
+    the capture loop. pose_age_ms: largest age of a pose in this second, exposure to publishing.
     """
 
     standing: Standing
@@ -33,7 +35,7 @@ class Health:
     thermal: Thermal
 
     def message(self) -> dict[str, Any]:
-        """The JSON object on /health."""
+        """JSON object for the topic /health of the recording."""
         return {
             "state": self.standing.state.value,
             "reasons": list(self.standing.reasons),
@@ -58,7 +60,7 @@ class Health:
         }
 
     def line(self) -> str:
-        """The line for people."""
+        """One line of text for the user."""
         frames = f"{self.counts['primary_frames']}+{self.counts['assistant_frames']} frames"
         lost = {cause: n for cause, n in self.drops.items() if n}
         losses = ", ".join(f"{n} {cause.replace('_', ' ')}" for cause, n in lost.items())
@@ -75,13 +77,13 @@ class Health:
 
 
 def time_left(writer: WriterHealth) -> str:
-    """`3 h 05 min left` to record at the present rate; empty where that is unknown."""
+    """Recording time left on the disk, e.g. `3 h 05 min left`; empty if unknown."""
     left_s = writer.space.left_s
     if writer.error or left_s is None:
         return ""
     hours, minutes = divmod(int(left_s // 60), 60)
     room = f"{hours} h {minutes:02} min left" if hours < 1000 else "weeks left"
-    return f"{room}, then the oldest drives go" if writer.space.removes_old else room
+    return f"{room}, then the oldest drives are removed" if writer.space.removes_old else room
 
 
 def _rounded(values: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Frames to the tracker, windows to the estimator, and the results of both to the outputs."""
+"""Pass frames to the tracker, windows to the estimator, and the results of both to the outputs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from calm_edge.types import (
 )
 from device.frame import Frame
 
-# a cold start from a slow card takes its time; the unit allows 120 s in all
+# Loading all modules from a slow SD card takes long; systemd allows 120 s (TimeoutStartSec).
 START_LIMIT_S = 100.0
 
 
@@ -41,11 +41,11 @@ class DaemonError(CalmEdgeError):
 
 
 class Hub:
-    """Owner of the links to both children, and of the outputs, the recording first.
+    """Owner of the links to tracker and estimator, and of the outputs, the recording first.
 
-    The recording is opened once both children are ready and the cameras are open, so that neither a
-    refused configuration nor an absent camera leaves an empty one behind. Only `start` and `until`
-    wait. say: prints a line for the user.
+    `Capture` opens the recording once both processes are ready and the cameras are open, so that an
+    invalid configuration or a missing camera leaves no empty recording. Only `start` and `until`
+    block. say: prints a line for the user.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Hub:
         self._shed = Shed.NOTHING
         self._stage_ms: dict[str, float] = {}
         now_ns = source.clock.now_ns()
-        # when each eye last gave a frame, and the tracker a live pose
+        # time of the last frame of each camera, and of the last live pose
         self._frame_ns, self._pose_ns = [now_ns, now_ns], now_ns
         self._say_to_user = say
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
@@ -78,7 +78,7 @@ class Hub:
         )
 
     def start(self) -> None:
-        """Wait for both children; raises CalmEdgeError."""
+        """Wait until tracker and estimator are ready; raises CalmEdgeError after START_LIMIT_S."""
         self.until(
             lambda: (
                 (self.tracker.ready and self.estimator.ready)
@@ -91,7 +91,7 @@ class Hub:
             raise DaemonError("the tracker or the estimator did not start; see the lines above")
 
     def stop(self) -> None:
-        """End both children, count what was lost and close the outputs."""
+        """End tracker and estimator, count the losses in `result` and close the outputs."""
         self.estimator.stop()
         self.tracker.stop()
         result, estimator = self.result, self.estimator
@@ -104,7 +104,7 @@ class Hub:
         self.outputs.close(result)
 
     def frame(self, frame: Frame) -> None:
-        """Pass one frame to the outputs and to the tracker, as the same bytes."""
+        """Encode one frame as JPEG and pass it to the outputs and to the tracker."""
         frame = frame.encoded(self.config.recording.jpeg_quality)
         self.outputs.give(lambda output: output.frame(frame), len(frame.image))
         self.result.frames[frame.eye] += 1
@@ -113,7 +113,7 @@ class Hub:
             self.result.untracked += 1
 
     def leave_out(self, shed: Shed, why: str) -> None:
-        """Leave out the work that this step of the ladder sheds; why: the reason, for the user."""
+        """Leave out the work of a load-shedding step. why: the reason, for the user."""
         if shed is self._shed:
             return
         self._shed = shed
@@ -122,7 +122,7 @@ class Hub:
         self.say(f"{shed.words}: {why}; every frame is recorded")
 
     def pump(self, wait_s: float = 0.0) -> int:
-        """Handle the pending messages of both children; return the number of poses among them.
+        """Handle all messages of tracker and estimator; return the number of poses among them.
 
         wait_s: how long to wait for the first message.
         """
@@ -142,7 +142,7 @@ class Hub:
         silent_ms = (self.source.clock.now_ns() - self._pose_ns) / 1e6
         self.estimator.capturing = self.capturing
         self.estimator.pose_lost = silent_ms > self.config.frontend.lost_after_ms
-        # after their messages: a capture process that was suspended must not take them for hung
+        # after handling their messages: if this process was suspended, they must not appear to hang
         self.estimator.pump()
         self.tracker.pump()
         if self.estimator.lagging != self._lagging:
@@ -153,14 +153,14 @@ class Hub:
         return poses
 
     def quiet(self) -> bool:
-        """Whether neither child has work left."""
+        """Whether tracker and estimator have no work left."""
         return not (self.tracker.in_flight or self.tracker.attaching or self.estimator.waiting)
 
     def until(self, done: Callable[[], bool], end_s: float, progress: str = "") -> bool:
         """Handle messages until done() holds; return whether it does.
 
-        False after end_s [s] of time.monotonic, or once `impatient` is set, because the user has
-        asked twice to stop. progress: text to print every 5 s, with the windows left.
+        False at end_s [s] on time.monotonic, or once `impatient` is set: the user has requested
+        the stop twice. progress: text to print every 5 s, with the number of waiting windows.
         """
         reported_s = time.monotonic()
         while not done():
@@ -170,7 +170,7 @@ class Hub:
                 return False
             if progress and now_s - reported_s > 5.0:
                 reported_s = now_s
-                self._say_to_user(f"{progress}: {self.estimator.waiting} windows to go")
+                self._say_to_user(f"{progress}: {self.estimator.waiting} windows left to solve")
         return True
 
     def say(self, text: str) -> None:
@@ -179,11 +179,11 @@ class Hub:
         self.outputs.give(lambda output: output.say(logging.WARNING, text, "daemon"))
 
     def give_update(self, update: LocalizerUpdate) -> None:
-        """Pass a sub-map to the outputs."""
+        """Pass a new or moved sub-map to the outputs."""
         self.outputs.give(lambda output: output.update(update), array_bytes(update))
 
     def take_status(self) -> HubStatus:
-        """Return the counters so far, and the greatest pose age since the last call."""
+        """Return the counters so far, and the largest pose age since the last call."""
         return take_status(
             self.result,
             self.tracker,
@@ -252,7 +252,7 @@ class Hub:
         if self._shed >= Shed.ALL_WINDOWS:
             self.estimator.leave_to_map(window)
         elif not self.estimator.offer(window):
-            self.say(f"window {window.submap_id}: estimator too far behind; left to map")
+            self.say(f"window {window.submap_id}: the queue is full; left for calm-edge map")
 
     def _unreadable(self, problem: str) -> None:
         if self.source.is_replay:

@@ -1,4 +1,4 @@
-"""Figures of the hub, as the monitor reads them once a second."""
+"""Counters and queue lengths of the hub, which the monitor reads once a second."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from calm_edge.recording.health import WriterHealth
 
 @dataclass(frozen=True, slots=True)
 class HubStatus:
-    """now_ns, and when each eye gave its last frame and the tracker its last live pose, all on the
-    clock of the frames.
+    """Status of the hub at now_ns, on the clock of the frames' stamps.
 
-    pose_lost: the newest pose is a lost one. pose_age_ms: the oldest pose of this second.
-    faults: what does not work. counts, drops, queues, stage_ms: see `Health`.
+    frame_ns: time of the last frame of each camera. pose_ns: time of the last live pose.
+    pose_lost: the newest pose has the status LOST. pose_age_ms: largest age of a pose in this
+    second. windows_overtaken: number skipped in favour of newer ones. faults: one line for each
+    part that does not work. counts, drops, queues, stage_ms: see `Health`.
     """
 
     now_ns: int
@@ -47,7 +48,7 @@ def take_status(
     pose_ns: int,
     stage_ms: dict[str, float],
 ) -> HubStatus:
-    """Return the status at now_ns, and reset the greatest pose age in `result`."""
+    """Return the status at now_ns, and reset the largest pose age in `result`."""
     links = {"estimator": estimator.given_up, "tracker": tracker.given_up}
     given_up = [f"{name} failed, not restarted" for name, gone in links.items() if gone]
     return HubStatus(

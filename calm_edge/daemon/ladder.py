@@ -1,4 +1,4 @@
-"""Load shedding when the computer is hot or behind: what is left out, and in which order."""
+"""Load shedding in steps when the computer is too hot or the estimator too slow."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from enum import IntEnum
 from calm_edge.config import ConfigError, DegradeConfig
 from device.thermal import Thermal
 
-# hysteresis: steps of calm before work is resumed, or shedding and resuming would alternate
+# hysteresis: work is resumed only after this many times the period after which it is shed
 CALM_STEPS = 3
 
 
 class Shed(IntEnum):
-    """Steps of the ladder; each includes those before it. Frames are always recorded."""
+    """Work that is left out; each step includes those before it. Frames are always recorded."""
 
     NOTHING = 0
     DEPTH = 1
@@ -23,22 +23,24 @@ class Shed(IntEnum):
 
     @property
     def words(self) -> str:
-        """For the user."""
+        """Description for the user."""
         return _WORDS[self]
 
 
 _WORDS = {
     Shed.NOTHING: "nothing left out",
-    Shed.DEPTH: "depth left to map",
+    Shed.DEPTH: "depth left for calm-edge map",
     Shed.HALF_THE_WINDOWS: "half the keyframes left out",
-    Shed.ALL_WINDOWS: "windows left to map",
+    Shed.ALL_WINDOWS: "windows left for calm-edge map",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """waiting: windows not yet processed. overtaken: how many were left to `map` so far, newer ones
-    being there.
+    """Load of the computer.
+
+    waiting: number of windows not yet processed. overtaken: number of windows skipped so far in
+    favour of newer ones.
     """
 
     thermal: Thermal
@@ -47,7 +49,7 @@ class Load:
 
 
 def check(config: DegradeConfig) -> None:
-    """Raises ConfigError for limits that would never let work resume."""
+    """Check the limits; raises ConfigError for those with which work would never be resumed."""
     if not config.cool_c < config.hot_c:
         raise ConfigError(
             f"degrade.cool_c = {config.cool_c:g}: must be below degrade.hot_c = {config.hot_c:g}"
@@ -60,12 +62,12 @@ def check(config: DegradeConfig) -> None:
 
 
 class Ladder:
-    """Owner of the current step.
+    """Owner of the current load-shedding step.
 
-    One step further after each `step_s` of being constantly too hot or too far behind, one step
-    back after CALM_STEPS times as long of being constantly cool and caught up; between the two
-    limits it stays. A backlog alone never sheds all windows: a late pose is better than none.
-    depth: False skips DEPTH, where depth is not computed anyway.
+    After each `step_s` during which the computer was too hot or too many windows waited, work of
+    one more step is left out; after each CALM_STEPS * `step_s` during which it was cool and at
+    most one window waited, work of one step is resumed. Waiting windows alone never lead to the
+    last step: without windows there are no live poses. depth: False if no depth is computed anyway.
     """
 
     def __init__(self, config: DegradeConfig, *, depth: bool) -> None:
@@ -79,11 +81,11 @@ class Ladder:
 
     @property
     def shed(self) -> Shed:
-        """The current step."""
+        """Current step."""
         return self._steps[self._at]
 
     def update(self, now_s: float, load: Load) -> Shed:
-        """The step from now on; `reasons` then holds what is too hot or behind."""
+        """Return the step from now on; sets `reasons`, texts of what is too hot or too slow."""
         if load.overtaken > self._overtaken:
             self._overtaken, self._overtaken_s = load.overtaken, now_s
         hot, behind = self._heat(load.thermal), self._backlog(now_s, load.waiting)
@@ -95,7 +97,7 @@ class Ladder:
             elif now_s - self._pressed_since >= self._config.step_s:
                 self._pressed_since = now_s
                 last = len(self._steps) - (1 if hot else 2)
-                # heat may have led further before than the backlog would now
+                # max: a step reached because of heat is kept while windows wait
                 self._at = max(self._at, min(self._at + 1, last))
         elif self._cool(load.thermal) and load.waiting <= 1:
             self._pressed_since = None
@@ -118,8 +120,8 @@ class Ladder:
 
     def _backlog(self, now_s: float, waiting: int) -> tuple[str, ...]:
         if waiting > self._config.behind_windows:
-            return (f"{waiting} windows wait",)
-        # few wait because others were left to map
+            return (f"{waiting} windows wait to be solved",)
+        # few windows wait, but only because others were skipped
         late = now_s - self._overtaken_s < self._config.step_s
         return ("windows come faster than they are solved",) if late else ()
 

@@ -1,7 +1,7 @@
-"""Messages between the processes of `record`, frozen.
+"""Messages between the processes of `calm-edge record`.
 
-Pictures reach the tracker in shared memory (`ring`), the estimator with Expect or Process, once
-each; windows name them by key.
+The tracker gets images in shared memory (`ring`), the estimator in Expect or Process, each image
+once. Window records refer to frames by key.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from device.frame import Eye, Frame
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The child is set up and waits for work. expects_pictures: it makes use of Expect."""
+    """The child process waits for work. expects_pictures: send it keyframes early, as Expect."""
 
     expects_pictures: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """The child cannot be set up; reason is one line for the user."""
+    """The child process cannot start. reason: one line for the user."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """Where a tracker starts counting: the next ids, and the epoch of its poses."""
+    """Next ids that a tracker assigns, and the epoch of its poses."""
 
     keyframe_id: int = 0
     assistant_id: int = 0
@@ -37,24 +37,24 @@ class Counters:
     epoch: int = 0
 
     def after_window(self, window: WindowRecord) -> Counters:
-        """The next ids after a completed window."""
+        """Return the counters after a completed window."""
         primary, assistant = window.ids[: window.n_primary], window.ids[window.n_primary :]
         keyframe_id = max(self.keyframe_id, int(primary.max()) + 1)
         assistant_id = max(self.assistant_id, int(assistant.max(initial=-1)) + 1)
         return Counters(keyframe_id, assistant_id, window.submap_id + 1, self.epoch)
 
     def after_epoch(self, epoch: int) -> Counters:
-        """The counters after a pose of `epoch`."""
+        """Return the counters after a pose of `epoch`."""
         return replace(self, epoch=epoch)
 
     def after_death(self) -> Counters:
-        """The counters of the next process, whose poses are in a new coordinate frame."""
+        """Return the counters for a restarted tracker: a new epoch, as its map frame is new."""
         return replace(self, epoch=self.epoch + 1)
 
 
 @dataclass(frozen=True, slots=True)
 class FrameIn:
-    """A frame for the tracker; its bytes are the first `size` of `slot` of the ring."""
+    """A frame for the tracker; its JPEG is in the first `size` bytes of the ring's slot `slot`."""
 
     eye: Eye
     sequence: int
@@ -65,18 +65,18 @@ class FrameIn:
 
 @dataclass(frozen=True, slots=True)
 class Posed:
-    """The pose of a primary frame; sent before the frame's Tracked."""
+    """Pose of a primary frame; sent before the Tracked message of that frame."""
 
     sample: PoseSample
 
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """A frame was handled and its slot is free.
+    """The tracker is done with a frame, and its slot is free.
 
-    windows: those it completed. released: frames that no later window contains. is_keyframe: it is
-    a primary keyframe. problem: why it could not be used, or empty. late: it waited too long for a
-    pose.
+    windows: completed by this frame. released: frames that no later window contains. is_keyframe:
+    the frame is a primary keyframe. problem: why the frame could not be decoded, or empty. late:
+    no pose was computed, since newer frames were waiting.
     """
 
     slot: int
@@ -96,9 +96,9 @@ class Attach:
 
 @dataclass(frozen=True, slots=True)
 class Attached:
-    """Answer to Attach. taken: the sub-map's points were tracked to the newest frame.
+    """Answer to Attach. taken: the tracker uses the sub-map, having tracked its points until now.
 
-    T_map_odom: (4, 4), the tracker's odometry in the map.
+    T_map_odom: (4, 4) from the tracker's odometry frame to the map.
     """
 
     submap_id: int
@@ -108,21 +108,21 @@ class Attached:
 
 @dataclass(frozen=True, slots=True)
 class Lagging:
-    """Whether the estimator is behind."""
+    """Whether the estimator is behind; poses of the tracker then get the status LAGGING."""
 
     lagging: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Sparse:
-    """Whether to choose half as many keyframes."""
+    """Whether to select only half as many keyframes, to reduce the load."""
 
     sparse: bool
 
 
 @dataclass(frozen=True, slots=True)
 class MakeDepth:
-    """Whether to compute the depth that the configuration asks for, or to leave it to `map`."""
+    """Whether to compute dense depth, if configured, or leave it for `calm-edge map`."""
 
     on: bool
 
@@ -134,14 +134,14 @@ class Flush:
 
 @dataclass(frozen=True, slots=True)
 class Flushed:
-    """The remaining windows."""
+    """Answer to Flush: the remaining windows."""
 
     windows: tuple[WindowRecord, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A window left to `map`. t_ns: stamps of its primary keyframes."""
+    """A window left for `calm-edge map`. t_ns: stamps of its primary keyframes."""
 
     submap_id: int
     t_ns: tuple[int, ...]
@@ -149,15 +149,17 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Expect:
-    """A primary keyframe of a later window, so that its features can be computed early."""
+    """A primary keyframe, sent before its window so that its features can be computed early."""
 
     keyframe: Frame
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A window for the estimator. frames: those of its frames that the process does not have yet.
-    left_out: windows since the last one that it does not get.
+    """A window for the estimator.
+
+    frames: the frames of the window that have not been sent before. left_out: windows since the
+    last Process message that are left for `calm-edge map`.
     """
 
     window: WindowRecord
@@ -169,8 +171,8 @@ class Process:
 class Processed:
     """Result of a window.
 
-    update: None if the window could not be solved. problem: why not, else empty. window: the
-    window's record with the loop keyframe that was added to it, None without one.
+    update: None if the window could not be solved. problem: the reason, otherwise empty. window:
+    record of the window with the loop keyframe that the estimator added, None without one.
     """
 
     submap_id: int
@@ -186,7 +188,7 @@ class Finish:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """All sub-maps in their final places; trajectory: None without any sub-map."""
+    """Answer to Finish: all sub-maps with their final poses. trajectory: None without a sub-map."""
 
     submaps: tuple[Submap, ...]
     trajectory: Trajectory | None
@@ -194,4 +196,4 @@ class Finished:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """End the process."""
+    """Request to exit."""

@@ -1,4 +1,4 @@
-"""Once a second: determine the state and what to leave out, and report both."""
+"""Determine the state of the daemon and the load shedding once a second, and report both."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ PERIOD_S = 1.0
 
 
 class Monitor:
-    """Owner of the state, of the ladder and of the capture loop's figures.
+    """Owner of the daemon's state, of the load shedding and of the timing of the capture loop.
 
-    Not used in lockstep, where the same input has to give the same bytes.
+    Not updated in lockstep, where the results must not depend on time or load.
     """
 
     def __init__(self, config: Config, notifier: Notifier, outputs: FanOut) -> None:
@@ -41,18 +41,18 @@ class Monitor:
         notifier.status(str(self.standing), self.standing.state.value)
 
     def watch(self, threads: Sequence[CameraThread]) -> None:
-        """Watch the cameras of this run, the primary first, and the temperature."""
+        """Start to monitor the cameras of this run, the primary first, and the temperature."""
         self._threads = threads
         reader = ThermalReader(Path(self._config.degrade.thermal_root))
         self._thermal = ThermalWatch(reader, PERIOD_S)
 
     def stop(self, now_ns: int) -> None:
-        """No more frames: the last windows and the joint optimum remain."""
+        """Report STOPPING: capturing has ended, the last windows and the joint optimum remain."""
         if self._thermal is not None:
             self._thermal.stop()
         self.standing = standing = advance(self.standing.state, Conditions(stopping=True))
         self._outputs.give(lambda output: output.status(standing, None))
-        # at once: the next cycle may be a whole window away
+        # report at once: the capture loop, which sends it otherwise, has ended
         self._outputs.tick(now_ns)
         self._notifier.stopping()
         self._notifier.status(str(standing), standing.state.value)
@@ -60,13 +60,13 @@ class Monitor:
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Add to the time of a stage of the capture loop."""
+        """Context that adds its duration to that of a stage of the capture loop."""
         start = time.perf_counter()
         yield
         self._loop_ms[stage] += 1e3 * (time.perf_counter() - start)
 
     def due(self) -> bool:
-        """Whether a second has passed since this was last true."""
+        """Whether PERIOD_S has passed since the call that last returned True."""
         now_s = time.monotonic()
         if now_s - self._looked_s < PERIOD_S:
             return False
@@ -74,9 +74,9 @@ class Monitor:
         return True
 
     def update(self, status: HubStatus, ticks_late: bool, skipped: int) -> tuple[Shed, str]:
-        """Determine and report the state; return what to leave out from now on, and why.
+        """Determine and report the state; return the load-shedding step from now on and its reason.
 
-        ticks_late: ticks take longer than their period. skipped: deadlines passed so far.
+        ticks_late: the capture loop takes longer than its period. skipped: deadlines missed so far.
         """
         thermal = self._thermal.latest if self._thermal is not None else Thermal()
         load = Load(thermal, status.windows_waiting, status.windows_overtaken)
@@ -97,7 +97,7 @@ class Monitor:
 
     def _conditions(self, status: HubStatus, shed: Shed, ticks_late: bool) -> Conditions:
         waiting = status.windows_waiting
-        late = [f"{waiting} windows wait"] if waiting > LAGGING_WINDOWS else []
+        late = [f"{waiting} windows wait to be solved"] if waiting > LAGGING_WINDOWS else []
         if ticks_late:
             late.append("capture loop is late")
         faults = [*self._camera_faults(status), *status.faults]
@@ -107,11 +107,11 @@ class Monitor:
         return Conditions(False, self._pose(status), tuple(faults), tuple(late))
 
     def _pose(self, status: HubStatus) -> str:
-        """Why there is no live pose, or empty."""
+        """Reason why there is no live pose; empty if there is one."""
         if self.standing.state is State.STARTING and not status.counts["poses"]:
             if status.counts["submaps"]:
                 return "waiting for the first pose"
-            return "no sub-map yet: it needs the car to move"
+            return "no sub-map yet: the car has to move"
         silent_s = (status.now_ns - status.pose_ns) / 1e9
         if status.pose_lost or silent_s > self._config.frontend.lost_after_ms / 1e3:
             return f"no pose for {silent_s:.0f} s"

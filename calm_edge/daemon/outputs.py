@@ -1,4 +1,4 @@
-"""The consumers of live results: the recording, the serial line, and what else is added here."""
+"""The outputs of live results: the recording and the serial port. Add further ones here."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from device.serial_port import SerialPort
 
 
 class RecordingOutput(Output):
-    """The recording; its writer has a queue and a thread."""
+    """Output to the recording; RecordingWriter queues the data and writes it from a thread."""
 
     name = "recording"
     immediate = required = True
@@ -31,12 +31,12 @@ class RecordingOutput(Output):
         self._writer: RecordingWriter | None = None
 
     def open(self) -> None:
-        """Open the files; lines of the log before that are not recorded. Raises RecordingError."""
+        """Open the files; earlier log lines are not recorded. Raises RecordingError."""
         self._writer = self._open_writer()
 
     @property
     def health(self) -> WriterHealth:
-        """What was written and dropped."""
+        """Status of the writer: disk space, and numbers of items written and dropped."""
         return self.writer.health
 
     @property
@@ -91,7 +91,7 @@ class RecordingOutput(Output):
 
 
 class SerialOutput(Output):
-    """Poses and state as MAVLink on a serial port, which has a queue and a thread."""
+    """Output of poses and state as MAVLink on a serial port, from a thread of SerialPort."""
 
     name = "serial"
     immediate = True
@@ -126,7 +126,7 @@ class SerialOutput(Output):
 
 
 def configured(config: Config, now_ns: Callable[[], int]) -> list[Output]:
-    """The outputs that the configuration asks for besides the recording; raises ConfigError.
+    """Create the outputs that are configured besides the recording; raises ConfigError.
 
     now_ns: the clock of the frames' stamps.
     """

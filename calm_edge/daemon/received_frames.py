@@ -1,4 +1,4 @@
-"""The frames that the estimator process has received, so that each is sent once."""
+"""Frames held by the estimator process, so that each frame is sent to it only once."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from device.frame import Frame
 
 
 def kept_frames(keys: Iterable[FrameKey], window: WindowRecord) -> set[FrameKey]:
-    """The frames among `keys` that the estimator keeps after `window`: those of the window, and
-    keyframes of later ones. Both ends of the pipe apply it.
+    """Select the frames among `keys` that the estimator keeps after processing `window`.
+
+    These are the frames of the window and newer ones. Both processes call this, so that the sender
+    has the same list as the receiver.
     """
     own, newest_ns = set(window.frame_keys), window.t_ns[window.n_primary - 1]
     return {key for key in keys if key in own or key[2] > newest_ns}
 
 
 class ReceivedFrames:
-    """Owner of the frames; windows are put together from them."""
+    """Owner of the received frames; assembles windows from them."""
 
     def __init__(self) -> None:
         self._frames: dict[FrameKey, Frame] = {}
@@ -28,11 +30,11 @@ class ReceivedFrames:
         return len(self._frames)
 
     def add(self, frame: Frame) -> None:
-        """Keep a frame."""
+        """Add a frame."""
         self._frames[frame_key(frame)] = frame
 
     def window(self, message: Process) -> SubmapWindow:
-        """The window of a message."""
+        """Assemble the window of a message, and drop frames that no later window needs."""
         for frame in message.frames:
             self.add(frame)
         window = rebuild(message.window, lambda *key: self._frames[key])

@@ -17,11 +17,13 @@ AGES = 36_000
 
 @dataclass(slots=True)
 class RecordResult:
-    """Counts, and the final trajectory.
+    """Counts of one run, and the final trajectory.
 
-    A window is lost when the estimator died or was stopped with it, left to map when the
-    estimator was too far behind, unsolved when it cannot be solved. late_poses: frames passed over
-    for newer ones, without a pose. output_losses: messages lost by each output but the recording.
+    lost_windows: ids of windows that the estimator had not finished when it died or was stopped.
+    windows_left_to_map: ids of windows not processed for lack of time; `calm-edge map` does it.
+    unsolved_windows: ids of windows from which no sub-map could be computed. late_poses: number of
+    frames without a pose, because newer ones were waiting. clamped_stamps: number of
+    frames with a corrected stamp. output_losses: lost messages by output, without the recording.
     """
 
     frames: list[int] = field(default_factory=lambda: [0, 0])
@@ -52,7 +54,7 @@ class RecordResult:
     _ages_ms: deque[float] = field(default_factory=lambda: deque(maxlen=AGES))
 
     def note_pose(self, lost: bool, age_ms: float | None) -> None:
-        """Count a pose; age_ms since its exposure, None in lockstep."""
+        """Count a pose. age_ms: time from exposure to publishing, None in lockstep."""
         self.pose_lost = lost
         if lost:
             self.lost_poses += 1
@@ -63,19 +65,19 @@ class RecordResult:
                 self._worst_age_ms = max(age_ms, self._worst_age_ms or 0.0)
 
     def take_worst_age_ms(self) -> float | None:
-        """Return and reset the greatest pose age since the last call; None without a pose."""
+        """Return the largest pose age since the last call; None without a pose."""
         worst, self._worst_age_ms = self._worst_age_ms, None
         return worst
 
     def pose_age_ms(self) -> dict[str, float] | None:
-        """{p50, p99} of the milliseconds from exposure to publishing; None without a pose."""
+        """Percentiles {p50, p99} of the pose age [ms] (see `note_pose`); None without a pose."""
         if not self._ages_ms:
             return None
         p50, p99 = np.percentile(self._ages_ms, [50, 99])
         return {"p50": float(p50), "p99": float(p99)}
 
     def counts(self) -> dict[str, int]:
-        """Counts of what was done."""
+        """Numbers of frames, keyframes, windows, sub-maps and poses."""
         return {
             "primary_frames": self.frames[0],
             "assistant_frames": self.frames[1],
@@ -88,22 +90,20 @@ class RecordResult:
         }
 
     def losses(self) -> list[str]:
-        """A line for each kind of loss in the recording or the trajectory."""
+        """One line of text for each kind of loss in the recording or the trajectory."""
         lines = []
         if self.estimator_restarts:
             lines.append(
-                "the estimator was restarted, its trajectory is incomplete; map computes it all"
+                "the estimator was restarted, the trajectory is incomplete; run calm-edge map"
             )
         if self.tracker_restarts:
-            lines.append("the tracker was restarted, and a window or less lost with it")
+            lines.append("the tracker was restarted; at most one window was lost each time")
         if self.lost_windows:
             lines.append(
-                f"windows {self.lost_windows} were lost with the estimator; map computes them again"
+                f"windows {self.lost_windows} were lost with the estimator; run calm-edge map"
             )
         if self.windows_left_to_map:
-            lines.append(
-                f"{len(self.windows_left_to_map)} windows came too fast and are left to map"
-            )
+            lines.append(f"{len(self.windows_left_to_map)} windows were skipped; run calm-edge map")
         if self.unrecorded:
             lines.append(f"{self.unrecorded} items could not be recorded")
         if self.untracked:
@@ -111,11 +111,11 @@ class RecordResult:
         if self.unreadable:
             lines.append(f"{self.unreadable} frames were not readable")
         if self.overflowed:
-            lines.append(f"{self.overflowed} frames came faster than they could be taken")
+            lines.append(f"{self.overflowed} frames came faster than they could be read")
         return lines
 
     def summary(self) -> dict[str, Any]:
-        """The message on /status at the end of a run."""
+        """JSON object for the topic /status of the recording at the end of a run."""
         return {
             "frames": list(self.frames),
             **self.counts(),

@@ -1,4 +1,4 @@
-"""Shared-memory slots for frames from capture to the tracker; neither end waits for the other."""
+"""Shared memory through which the capture process passes frames to the tracker, without locks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from multiprocessing.shared_memory import SharedMemory
 
 
 class FrameRing:
-    """The writer's end: owner of the memory and of the list of free slots."""
+    """Writing side: owner of the shared memory and of the list of free slots."""
 
     def __init__(self, n_slots: int, slot_bytes: int) -> None:
         self.slot_bytes = slot_bytes
@@ -28,7 +28,7 @@ class FrameRing:
         return slot
 
     def release(self, slot: int) -> None:
-        """The reader is done with the slot."""
+        """Mark a slot as free, once the reader is done with it."""
         self._free.append(slot)
 
     def close(self) -> None:
@@ -43,14 +43,14 @@ class FrameRing:
 
 
 class RingReader:
-    """The reader's end."""
+    """Reading side: maps the shared memory of a FrameRing."""
 
     def __init__(self, name: str, slot_bytes: int) -> None:
         self._memory = SharedMemory(name=name)
         self._slot_bytes = slot_bytes
 
     def read(self, slot: int, size: int) -> bytes:
-        """A copy of the first `size` bytes of a slot."""
+        """Return a copy of the first `size` bytes of a slot."""
         buffer = self._memory.buf
         assert buffer is not None
         start = slot * self._slot_bytes

@@ -1,4 +1,4 @@
-"""One run of `record`, from the check of its target to the trajectory file."""
+"""One run of `calm-edge record`, from the check of the output folder to the trajectory file."""
 
 from __future__ import annotations
 
@@ -27,8 +27,10 @@ from device.service import Notifier
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """The folder to record into; or, with is_root, the folder of all drives: a new one is made in
-    it, and the oldest are removed when the disk is full.
+    """Output folder of a recording.
+
+    is_root: `folder` contains a folder per drive: a new one is created in it, and the oldest drives
+    are removed when the disk is full.
     """
 
     folder: Path
@@ -36,11 +38,11 @@ class Target:
 
     @property
     def root(self) -> Path | None:
-        """The folder of all drives."""
+        """Folder that contains all drives; None for a single recording."""
         return self.folder if self.is_root else None
 
     def check(self, config: Config) -> None:
-        """Raises ConfigError or RecordingError if nothing could be recorded there."""
+        """Check that a recording can be made there; raises ConfigError or RecordingError."""
         used = self.folder.exists() and (not self.folder.is_dir() or segment_files(self.folder))
         if used and not self.is_root:
             raise RecordingError(
@@ -59,7 +61,7 @@ def record(
     lockstep: bool,
     say: Callable[[str], None],
 ) -> tuple[Path, RecordResult]:
-    """Record until the frames end or SIGINT or SIGTERM; return the folder and the result.
+    """Record until the frames end or SIGINT or SIGTERM arrives; return the folder and the result.
 
     say: prints a line for the user. Raises CalmEdgeError, DeviceError.
     """
@@ -90,7 +92,7 @@ def record(
         result = capture.run()
     except (CalmEdgeError, DeviceError):
         if folder is not None and target.is_root and not any(hub.result.frames):
-            # the service is restarted every few seconds without cameras: no empty drive each time
+            # without cameras systemd restarts the service every few seconds: leave no empty drives
             shutil.rmtree(folder, ignore_errors=True)
         raise
     finally:
@@ -102,6 +104,6 @@ def record(
         try:
             write_tum(file, result.trajectory.t_ns, result.trajectory.T_w_c)
         except OSError as error:
-            # a full disk; the recording has the trajectory too, as far as it was written
+            # e.g. the disk is full; not fatal, since the recording contains the trajectory as well
             say(f"{file}: cannot be written ({error.strerror})")
     return folder, result

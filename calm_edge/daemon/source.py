@@ -16,12 +16,12 @@ from device.clock import Clock, SystemClock
 from device.errors import CameraError
 from device.frame import Eye, Frame
 
-# from opening a replay to its first frame, so that none is late from the start
+# delay of the first frame after the start of a replay, so that no frame is late from the start
 LEAD_NS = 50_000_000
 
 
 class TimelineClock:
-    """Real time, shifted so that a replay keeps its original stamps."""
+    """System clock with an offset, for replays: now_ns is epoch_ns when the first frame is due."""
 
     def __init__(self, epoch_ns: int) -> None:
         self._system = SystemClock()
@@ -29,7 +29,7 @@ class TimelineClock:
         self.restart()
 
     def restart(self) -> None:
-        """Set the time to LEAD_NS before the epoch."""
+        """Set the time to LEAD_NS before the stamp of the first frame."""
         self._origin_ns = self._system.now_ns() + LEAD_NS
 
     def now_ns(self) -> int:
@@ -41,8 +41,10 @@ class TimelineClock:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """open: returns the primary and the assistant camera, not yet started; called once, when all
-    else is ready. is_replay: the frames end.
+    """Source of frames of both cameras.
+
+    open: returns the primary and the assistant camera, not yet started; called once, when both
+    child processes are ready. clock: of the frames' stamps. is_replay: stored frames, which end.
     """
 
     open: Callable[[], tuple[Camera, Camera]]
@@ -54,9 +56,10 @@ class Source:
 def replayed(
     frames: Callable[[Eye], Iterable[Frame]], epoch_ns: int, paced: bool, description: str
 ) -> Source:
-    """Stored frames of both eyes with their stamps, the first of which is epoch_ns.
+    """Source that replays stored frames of both cameras with their original stamps.
 
-    paced: in real time; else as fast as they are read.
+    epoch_ns: stamp of the first frame. paced: True for real time, False for as fast as they are
+    read.
     """
     clock = TimelineClock(epoch_ns)
 
@@ -77,7 +80,7 @@ def replayed(
 
 
 def _as_camera(frames: Iterable[Frame]) -> Iterator[Frame]:
-    """The frames; an unreadable file raises CameraError."""
+    """Yield the frames; an unreadable file raises CameraError, as a camera does."""
     try:
         yield from frames
     except CalmEdgeError as error:
@@ -85,24 +88,24 @@ def _as_camera(frames: Iterable[Frame]) -> Iterator[Frame]:
 
 
 def of_sequence(folder: Path, paced: bool) -> Source:
-    """The images of a sequence folder; raises CalmEdgeError."""
+    """Source that replays the images of a sequence folder; raises CalmEdgeError."""
     sequence = SequenceFolder(folder)
     epoch_ns = min(int(sequence.t_ns(eye)[0]) for eye in Eye)
     return replayed(sequence.frames, epoch_ns, paced, str(folder))
 
 
 def of_recording(path: Path, paced: bool) -> Source:
-    """The frames of a recording; raises RecordingError."""
+    """Source that replays the frames of a recording; raises RecordingError."""
     recording = Recording(path)
     stamps = [recording.frame_times(eye) for eye in Eye]
     if not all(len(t) for t in stamps):
-        raise RecordingError(f"{path}: has no frames of both eyes; choose another recording")
+        raise RecordingError(f"{path}: lacks frames of one camera; choose another recording")
     epoch_ns = min(int(t.min()) for t in stamps)
     return replayed(recording.frames, epoch_ns, paced, str(path))
 
 
 def live(config: Config) -> Source:
-    """The configured cameras; raises CameraError for an unknown driver or control."""
+    """Source of the configured cameras; raises CameraError for an unknown driver or control."""
     clock, capture = SystemClock(), config.capture
 
     controls = CameraControls(

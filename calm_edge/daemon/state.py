@@ -1,4 +1,4 @@
-"""State of the daemon, with reasons: a pure state machine."""
+"""State machine of the daemon: its state and the reasons for it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from enum import StrEnum
 
 
 class State(StrEnum):
-    """STARTING: no pose yet. LOST: no pose any more. DEGRADED: something is missing or left out.
+    """State of the daemon; the first that applies in the order STOPPING ... RUNNING.
 
-    LAGGING: nothing is missing, but something is late. The worst condition that holds is the state.
+    STOPPING: capturing has ended. STARTING: no live pose yet. LOST: the live pose is lost.
+    DEGRADED: a part has failed or work is left out. LAGGING: windows or the capture loop are late.
+    RUNNING: none of these.
     """
 
     STARTING = "STARTING"
@@ -22,9 +24,9 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Observations of one second, each empty when all is well.
+    """Problems observed in one second as texts, empty if there are none.
 
-    pose: why there is no live pose. faults: what is missing or left out. delays: what is behind.
+    pose: why there is no live pose. faults: failed parts and work left out. delays: late parts.
     """
 
     stopping: bool = False
@@ -35,7 +37,7 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A state with all reasons that hold, not only those of the state."""
+    """A state, and the texts of all current problems, also of those that imply a milder state."""
 
     state: State
     reasons: tuple[str, ...] = ()
@@ -45,10 +47,10 @@ class Standing:
 
 
 def advance(before: State, seen: Conditions) -> Standing:
-    """The state that follows `before` under the conditions `seen`.
+    """Return the state after `before`, given the problems `seen`.
 
-    STOPPING is final. STARTING lasts until the first live pose and does not return: a user must be
-    able to distinguish a lost pose from one that never was.
+    STOPPING is final. STARTING lasts until the first live pose and does not return, so that a user
+    can distinguish a drive without any pose from a lost pose.
     """
     reasons = (*filter(None, [seen.pose]), *seen.faults, *seen.delays)
     if seen.stopping or before is State.STOPPING:

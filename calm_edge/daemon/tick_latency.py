@@ -1,4 +1,4 @@
-"""Wake-up latency of the capture loop's ticks: of a second, and of the whole run."""
+"""Wake-up latency of the capture loop, statistics of one second and of the whole run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _BINS = 40_000
 
 @dataclass(frozen=True, slots=True)
 class TickLatency:
-    """Statistics of the delay [ms] of ticks after their deadlines; zeros without a tick."""
+    """Statistics of the delay [ms] of loop cycles (ticks) after their deadlines; default: none."""
 
     ticks: int = 0
     p50_ms: float = 0.0
@@ -21,7 +21,7 @@ class TickLatency:
 
 
 class TickLatencyMeter:
-    """Owner of the latencies since the last `take`, and of a histogram of earlier ones, to 2 s."""
+    """Owner of the latencies since the last `take`, and of a histogram of all earlier ones."""
 
     def __init__(self) -> None:
         self._recent: list[float] = []
@@ -29,7 +29,7 @@ class TickLatencyMeter:
         self._max_ms = 0.0
 
     def add(self, latency_ns: int) -> None:
-        """Add a tick; a negative latency counts as zero."""
+        """Add the latency of one tick; a negative one counts as zero."""
         self._recent.append(max(latency_ns, 0) / 1e6)
 
     def take(self) -> TickLatency:

@@ -1,4 +1,4 @@
-"""Capture's end of the tracker: frames go out by shared memory, windows and poses come back."""
+"""Interface of the capture process to the tracker process: sends frames, gets windows and poses."""
 
 from __future__ import annotations
 
@@ -30,32 +30,31 @@ from calm_edge.recording.window_record import FrameKey, WindowRecord, frame_key,
 from calm_edge.types import LocalizerUpdate, SubmapWindow
 from device.frame import Frame
 
-# most of a second of two cameras at 30 Hz: as long as a new sub-map may hold the tracker up
+# 0.8 s of two cameras at 30 Hz: the tracker may take that long to attach a new sub-map
 RING_SLOTS = 48
 SLOT_BYTES = 4 << 20
 MAX_DEATHS_IN_A_ROW = 3
-# A frame takes tens of milliseconds.
+# The process is killed after this time without an answer; a frame takes tens of milliseconds.
 HUNG_S = 20.0
 
 
 def run_tracker(
     connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig, start: Counters
 ) -> None:
-    """Main function of the process; here, so that capture does not import the tracker."""
+    """Main function of the process; imports it only there, so that capture does not import it."""
     from calm_edge.daemon import tracker_process
 
     tracker_process.run(connection, ring_name, slot_bytes, config, start)
 
 
 class TrackerLink:
-    """Owner of the tracker process, of the ring in front of it and of the frames it may still need.
+    """Owner of the tracker process, of its input ring and of the frames it has not released.
 
-    The tracker names the frames of a window; their bytes wait here, from the moment a frame is
-    handed over until the tracker releases it or dies. So at most RING_SLOTS frames and those of the
-    window under construction are held.
+    The tracker returns only the keys of the frames of a window. Their bytes are kept here until the
+    tracker releases them or dies: at most RING_SLOTS frames and those of the current window.
 
-    A new process continues the numbering of the old one; its first window shares no keyframe with
-    the previous window, and its poses start a new epoch.
+    A restarted process continues the ids. Its first window shares no keyframe with the previous
+    window, and its poses start a new epoch.
     """
 
     def __init__(
@@ -66,7 +65,7 @@ class TrackerLink:
         self._deaths_in_a_row = 0
         self._flushing = self._lagging = self._sparse = False
         self._answered_s = time.monotonic()
-        # in the ring, by slot; and handled, but not yet released
+        # frames in the ring, by slot, and frames that were handled but are not yet released
         self._in_ring: dict[int, Frame] = {}
         self._held: dict[FrameKey, Frame] = {}
         self.ready = self.flushed = False
@@ -78,21 +77,21 @@ class TrackerLink:
 
     @property
     def given_up(self) -> bool:
-        """It will not be restarted."""
+        """Whether the process has ended and will not be restarted."""
         return bool(self.refusal) or self._deaths_in_a_row >= MAX_DEATHS_IN_A_ROW
 
     @property
     def in_flight(self) -> int:
-        """Frames handed over and not yet handled."""
+        """Number of frames sent and not yet handled."""
         return len(self._in_ring)
 
     @property
     def frames_held(self) -> int:
-        """Frames whose bytes are kept for the tracker."""
+        """Number of frames kept for later windows, those in the ring included."""
         return len(self._in_ring) + len(self._held)
 
     def offer(self, frame: Frame) -> bool:
-        """Hand over a frame of JPEG bytes; False if it is too large or the tracker is behind."""
+        """Send a frame (JPEG); False if it is too large or no slot of the ring is free."""
         assert isinstance(frame.image, bytes)
         slot = self._ring.put(frame.image) if self.child.alive else None
         if slot is None:
@@ -105,39 +104,39 @@ class TrackerLink:
         return True
 
     def attach(self, update: LocalizerUpdate) -> None:
-        """Hand over a sub-map."""
+        """Send a sub-map to localise against."""
         if not self.given_up:
             self.attaching += 1
             self.child.send(Attach(update))
 
     def set_lagging(self, lagging: bool) -> None:
-        """Tell the tracker whether the estimator is behind."""
+        """Send whether the estimator is behind."""
         self._lagging = lagging
         self.child.send(Lagging(lagging))
 
     def set_sparse(self, sparse: bool) -> None:
-        """Choose half as many keyframes from now on, or all again."""
+        """Select half as many keyframes from now on (True), or the normal number (False)."""
         if sparse != self._sparse:
             self._sparse = sparse
             self.child.send(Sparse(sparse))
 
     def flush(self) -> None:
-        """No more frames; `flushed` is set after the last windows."""
+        """Request the last windows, after the last frame; `flushed` is set once they arrive."""
         self._flushing = True
         self.child.send(Flush())
         self.flushed |= self.given_up
 
     def pump(self) -> None:
-        """Restart a dead process, kill a hung one."""
+        """Restart the process if it died, kill it if it hangs."""
         if self._in_ring and time.monotonic() - self._answered_s > HUNG_S:
-            self._say(f"tracker has not answered for {HUNG_S:.0f} s; ended")
+            self._say(f"tracker has not answered for {HUNG_S:.0f} s; killed")
             self._answered_s = time.monotonic()
             self.child.kill()
         if not self.given_up and not self.child.alive:
             self._replace()
 
     def accept(self, message: Any) -> tuple[tuple[SubmapWindow, ...], Frame | None]:
-        """Handle a message of the current process; return the windows and the keyframe in it."""
+        """Handle a message from the current process; return its windows and its keyframe."""
         self._answered_s = time.monotonic()
         match message:
             case Ready():
@@ -178,13 +177,13 @@ class TrackerLink:
         return ring, Child("tracker", run_tracker, arguments, self._events)
 
     def _replace(self) -> None:
-        """Account for a dead process, and start the next one unless too many died in a row."""
+        """Count what was lost with a dead process; restart it unless it died too often in a row."""
         self._deaths_in_a_row += 1
         self.frames_lost += len(self._in_ring)
         self._in_ring.clear()
         self._held.clear()
         self.attaching = 0
-        # windows it had not sent yet are lost
+        # do not wait for windows that it had not sent: they are lost
         self.flushed |= self._flushing
         what = f"tracker died (exit {self.child.exit_code})"
         if self.given_up:

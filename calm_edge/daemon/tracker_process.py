@@ -1,4 +1,4 @@
-"""The tracker process: keyframes, windows, and a pose for every primary frame (paper IV-A)."""
+"""Program of the tracker process: keyframes, windows and live poses (paper IV-A)."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ from calm_edge.recording.window_record import FrameKey, frame_key, of_window
 from calm_edge.types import Bytes, SubmapWindow
 from device.frame import Eye, Frame, UnreadableImage
 
-# A frame older than the newest one by more than this gets no pose: at ten frames a second it is
-# passed over as soon as one newer frame has come.
+# A primary frame that is older than the newest one by more than this gets no pose. At ten frames a
+# second it is skipped as soon as a newer one has arrived.
 LATE_NS = 80_000_000
 
 
 class TrackerWork:
-    """Keyframe selector, window builder and tracker, driven by messages in order.
+    """Keyframe selector, window builder and tracker; handles messages of capture in order.
 
-    Keyframes and windows are built of frames without their bytes: capture holds these.
+    Frames in keyframes and windows have no image data, which the capture process keeps.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class TrackerWork:
         self._held: set[FrameKey] = set()
 
     def on_arrival(self, message: Any) -> None:
-        """Note a message that has arrived; earlier ones may be handled before it."""
+        """Note the stamp of the newest primary frame, which earlier messages are still ahead of."""
         if isinstance(message, FrameIn) and message.eye is Eye.PRIMARY:
             self._newest_ns = message.t_ns
 
@@ -103,7 +103,7 @@ class TrackerWork:
         return Tracked(message.slot, records, self._released(frame), is_keyframe, problem, late)
 
     def _released(self, frame: Frame) -> tuple[FrameKey, ...]:
-        """The frames up to this one that the builder has dropped since the last call."""
+        """Frames that no later window contains, since the last call; `frame` is the newest one."""
         self._held.add(frame_key(frame))
         still = {frame_key(f) for f in self._builder.held()}
         released = self._held - still
@@ -114,12 +114,12 @@ class TrackerWork:
         return message.eye is Eye.PRIMARY and self._newest_ns - message.t_ns > LATE_NS
 
     def _can_wait(self, t_ns: int) -> bool:
-        """Whether the track survives without the frame of t_ns, continuing with a newer one."""
+        """Whether tracking still succeeds if the frame at t_ns is skipped for a newer one."""
         near = self._newest_ns - self._tracked_ns <= self._lost_after_ns
         return near or t_ns - self._tracked_ns < CATCH_UP_NS
 
     def _gray(self, frame: Frame) -> Bytes:
-        """The picture at the size it is tracked at; large ones are halved."""
+        """Decode the image to grey, at half size if it is large."""
         gray = frame.gray(self._reduction)
         reduction = 2 if gray.size * self._reduction**2 > MOST_PIXELS else 1
         if reduction != self._reduction:
@@ -130,20 +130,20 @@ class TrackerWork:
     def _track(
         self, frame: Frame, image: bytes, late: bool
     ) -> tuple[tuple[SubmapWindow, ...], bool]:
-        """The windows that a frame completes, and whether it is a primary keyframe.
+        """Process a frame; return the windows it completes and whether it is a primary keyframe.
 
         Raises UnreadableImage.
         """
         picture = dataclasses.replace(frame, image=image)
         if frame.eye is Eye.ASSISTANT:
-            # its pixels are not used here: only check that they can be decoded
+            # the tracker does not use it: decode at 1/8 only to check that it is readable
             picture.gray(8)
             return self._builder.add_assistant(frame), False
         gray = self._gray(picture)
         self._tracked_ns = frame.t_ns
         sample = self._tracker.track(frame.t_ns, gray)
         if not late:
-            # first of all: a controller waits for it
+            # before keyframe selection, which takes time: latency of the pose matters
             self._send(Posed(sample))
         keyframe = self._selector.consider(frame, gray)
         self._tracker.prepare(keyframe.id if keyframe else None, in_haste=late)
@@ -156,10 +156,10 @@ class TrackerWork:
 def run(
     connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig, start: Counters
 ) -> None:
-    """Main function of the process."""
+    """Main function of the process; serves messages until Stop."""
     # Ctrl-C reaches every process of the terminal; only capture acts on it
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # a late pose is better than a late frame
+    # lower priority than capture: recording of frames is more important than poses
     os.nice(2)
     cv2.setNumThreads(1)
     ring = RingReader(ring_name, slot_bytes)

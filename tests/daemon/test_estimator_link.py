@@ -96,7 +96,7 @@ def test_the_newest_window_is_solved_first_if_the_next_would_be_late(
     assert bench.link.overtaken == 5
     bench.windows(7)
     assert bench.answer() == 13 and bench.link.overtaken == 11
-    assert bench.lines == ["windows come too late to give a pose: late ones are left to map"]
+    assert bench.lines == ["too slow for live poses: windows are skipped, run calm-edge map later"]
 
 
 def test_while_lost_the_newest_window_is_solved_first(make_bench: MakeBench) -> None:

@@ -52,7 +52,11 @@ def test_the_status_line() -> None:
     ("space", "error", "text"),
     [
         (Space(2 * GIB, 2 * GIB, 6e6), "", "0 h 00 min left"),
-        (Space(12 * GIB, 2 * GIB, 6e6, True), "", "0 h 29 min left, then the oldest drives go"),
+        (
+            Space(12 * GIB, 2 * GIB, 6e6, True),
+            "",
+            "0 h 29 min left, then the oldest drives are removed",
+        ),
         (Space(62 * GIB, 2 * GIB, 10.0), "", "weeks left"),
         (Space(62 * GIB, 2 * GIB, 0.0), "", ""),
         (Space(None, 2 * GIB, 6e6), "", ""),

@@ -42,7 +42,7 @@ def test_a_short_peak_of_temperature_changes_nothing() -> None:
 def test_a_backlog_alone_does_not_stop_all_windows() -> None:
     ladder = Ladder(CONFIG, depth=True)
     assert steps(ladder, BEHIND, 0, 500)[-1] is Shed.HALF_THE_WINDOWS
-    assert ladder.reasons == ("5 windows wait",)
+    assert ladder.reasons == ("5 windows wait to be solved",)
 
 
 def test_overtaken_windows_count_like_waiting_ones() -> None:

@@ -121,7 +121,7 @@ def test_the_states_of_a_drive(scene: Scene) -> None:
     assert scene.update(WELL) == "RUNNING"
     assert scene.update(replace(WELL, pose_ns=98 * S)) == "LOST (no pose for 2 s)"
     assert scene.update(replace(WELL, pose_lost=True)) == "LOST (no pose for 0 s)"
-    assert scene.update(replace(WELL, windows_waiting=3)) == "LAGGING (3 windows wait)"
+    assert scene.update(replace(WELL, windows_waiting=3)) == "LAGGING (3 windows wait to be solved)"
     assert scene.update(WELL, ticks_late=True) == "LAGGING (capture loop is late)"
     scene.monitor.stop(100 * S)
     assert scene.journal.lines[-2:] == ["stopping", "STOPPING"]
@@ -178,8 +178,8 @@ def test_a_backlog_reduces_work_and_is_a_reason(monkeypatch: pytest.MonkeyPatch)
         clock.advance(30 * S)
         assert scene.monitor.due()
         decisions.append(scene.monitor.update(replace(WELL, windows_waiting=9), False, 0))
-    half = (Shed.HALF_THE_WINDOWS, "9 windows wait")
-    assert decisions == [(Shed.NOTHING, "9 windows wait"), half, half]
+    half = (Shed.HALF_THE_WINDOWS, "9 windows wait to be solved")
+    assert decisions == [(Shed.NOTHING, "9 windows wait to be solved"), half, half]
     last = scene.kept.messages[-1]
-    assert f"{last['shed']}: 9 windows wait" in last["reasons"]
+    assert f"{last['shed']}: 9 windows wait to be solved" in last["reasons"]
     assert last["shed"] == Shed.HALF_THE_WINDOWS.words

@@ -13,9 +13,9 @@ LOST, DEGRADED, STOPPING = State.LOST, State.DEGRADED, State.STOPPING
 GOOD = Conditions()
 NO_POSE = Conditions(pose="no pose")
 FAULT = Conditions(faults=("disk full",))
-LATE = Conditions(delays=("3 windows wait",))
-BOTH = Conditions(faults=("disk full",), delays=("3 windows wait",))
-ALL = Conditions(False, "no pose", ("disk full",), ("3 windows wait",))
+LATE = Conditions(delays=("3 windows wait to be solved",))
+BOTH = Conditions(faults=("disk full",), delays=("3 windows wait to be solved",))
+ALL = Conditions(False, "no pose", ("disk full",), ("3 windows wait to be solved",))
 STOP = Conditions(stopping=True, pose="no pose")
 AFTER_A_POSE = (RUNNING, LAGGING, LOST, DEGRADED)
 SEEN = (GOOD, NO_POSE, FAULT, LATE, BOTH, ALL, STOP)
@@ -50,6 +50,6 @@ def test_starting_is_not_reentered_and_stopping_is_final() -> None:
 
 
 def test_all_reasons_are_given_in_every_state() -> None:
-    assert advance(RUNNING, ALL).reasons == ("no pose", "disk full", "3 windows wait")
-    assert str(advance(RUNNING, BOTH)) == "DEGRADED (disk full; 3 windows wait)"
+    assert advance(RUNNING, ALL).reasons == ("no pose", "disk full", "3 windows wait to be solved")
+    assert str(advance(RUNNING, BOTH)) == "DEGRADED (disk full; 3 windows wait to be solved)"
     assert str(Standing(RUNNING)) == "RUNNING"
