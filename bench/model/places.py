@@ -60,7 +60,7 @@ def found_again(
 class SiftVlad:
     """Vector of locally aggregated SIFT descriptors; words are clustered from other pictures."""
 
-    worth_a_look = 0.0
+    min_similarity = 0.0
 
     def __init__(self, pictures: list[Bytes], words: int = WORDS, seed: int = 0) -> None:
         """pictures: (H, W, 3) BGR of other drives, with at least `words` features in all."""

@@ -1,9 +1,9 @@
-"""What a place looks like, as a unit vector: what loop closure looks places up by (paper IV-D).
+"""Global image descriptors for place recognition (paper IV-D).
 
-The paper takes SALAD. This one has nothing to learn or to load: which way the brightness changes,
-cell by cell over a small picture. It ignores exposure, not viewpoint: a return in the same lane is
-found, one from the other direction is not. A learned descriptor takes its place by the protocol,
-as that of bundle's network does (`bundle/place`).
+The paper uses SALAD. The default here needs no weights: histograms of gradient orientations on a
+lattice of cells, as in HOG (Dalal and Triggs, 2005). It is invariant to exposure but not to
+viewpoint: returns in the same direction are found, others are not. Learned descriptors implement
+the same protocol, e.g. that of bundle's network (`bundle/place`).
 """
 
 from __future__ import annotations
@@ -19,46 +19,46 @@ from calm_edge.types import Bytes, Float32
 
 COLUMNS, ROWS, BINS = 20, 6, 8
 CELL_PX = 8
-# Sensor noise turns weak gradients any way: what is below this, of 255 a pixel, hardly counts.
-WEAKEST = 4.0
-# A return is seldom in the same line and heading: columns a picture is moved by to fit.
+# Gradients (of 255 per pixel) below this are dominated by sensor noise and damped.
+NOISE_FLOOR = 4.0
+# Sideways shifts [columns] that are tried, since lane and heading of a return differ a little.
 SHIFTS = (-2, -1, 0, 1, 2)
 
 
 class PlaceDescriptor(Protocol):
-    """A picture as a vector, and how alike two are.
+    """A global image descriptor and its similarity.
 
-    worth_a_look: the similarity below which a place is not even checked by geometry.
+    min_similarity: below it a place is not verified by geometry.
     """
 
-    worth_a_look: float
+    min_similarity: float
 
     def describe(self, image: Bytes) -> Float32:
-        """(H, W, 3) uint8 BGR -> (D,) of unit length; from several threads at a time."""
+        """Descriptor (D,) of unit length of an image (H, W, 3) uint8 BGR; thread-safe."""
         ...
 
     def similarity(self, queries: Float32, places: Float32) -> Float32:
-        """(Q, D) and (P, D) descriptors -> (Q, P), larger is more alike."""
+        """Similarities (Q, P) of descriptors (Q, D) and (P, D); larger is more similar."""
         ...
 
 
 @runtime_checkable
-class KnowsPlaces(Protocol):
-    """A backbone that may have a network of its own which knows places."""
+class DescribesPlaces(Protocol):
+    """A backbone that may have a learned descriptor."""
 
     @property
     def places(self) -> PlaceDescriptor | None:
-        """None where there is no such network."""
+        """The descriptor, or None."""
         ...
 
 
 class GradientLayout:
-    """Histograms of gradient orientation over a lattice of cells, each cell of unit weight."""
+    """Histograms of gradient orientation over a lattice of cells, normalised per cell."""
 
-    worth_a_look = 0.5
+    min_similarity = 0.5
 
     def describe(self, image: Bytes) -> Float32:
-        """(H, W, 3) uint8 BGR -> (ROWS * COLUMNS * BINS,) of unit length, rows first."""
+        """Descriptor (ROWS * COLUMNS * BINS,) of unit length, row-major, of (H, W, 3) uint8 BGR."""
         small = cv2.resize(
             cv2.cvtColor(image, cv2.COLOR_BGR2GRAY),
             (COLUMNS * CELL_PX, ROWS * CELL_PX),
@@ -67,7 +67,7 @@ class GradientLayout:
         x = cv2.Sobel(small, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
         y = cv2.Sobel(small, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
         size, angle = cv2.cartToPolar(x, y)
-        # a pixel votes for the two orientations beside its own, signs apart
+        # a pixel votes for the two nearest signed orientations (linear interpolation)
         place = np.asarray(angle, np.float32) * np.float32(BINS / (2 * np.pi))
         lower = np.floor(place).astype(np.int64)
         upper_share = place - lower
@@ -78,7 +78,7 @@ class GradientLayout:
             index = cell * BINS + orientation % BINS
             votes += np.bincount(index.ravel(), (size * share).ravel(), len(votes))
         cells = np.sqrt(votes.reshape(-1, BINS))
-        floor = np.sqrt(WEAKEST * CELL_PX**2)
+        floor = np.sqrt(NOISE_FLOOR * CELL_PX**2)
         cells /= np.hypot(np.linalg.norm(cells, axis=1, keepdims=True), floor)
         flat = cells.ravel()
         length = np.linalg.norm(flat)
@@ -86,17 +86,17 @@ class GradientLayout:
         return np.asarray(unit, np.float32)
 
     def similarity(self, queries: Float32, places: Float32) -> Float32:
-        """(Q, D) and (P, D) -> (Q, P): the cosine at the best of a few shifts sideways.
-
-        What all the places share says nothing of which of them it is, and is taken out first.
-        """
+        """Largest cosine (Q, P) over a few sideways shifts, of (Q, D) and (P, D)."""
         a, b = (each.reshape(len(each), ROWS, COLUMNS, BINS) for each in (queries, places))
         return layout_likeness(a, b, SHIFTS)
 
 
 def layout_likeness(queries: Float32, places: Float32, shifts: Sequence[int]) -> Float32:
-    """(Q, rows, columns, D) and (P, rows, columns, D) -> (Q, P): the cosine of what all places do
-    not share, at the best of the shifts [columns] sideways."""
+    """Largest cosine (Q, P) over sideways shifts [columns] of two sets of lattices.
+
+    queries: (Q, rows, columns, D). places: (P, rows, columns, D). The mean over all places is
+    subtracted first, since it does not distinguish them.
+    """
     common = places.mean(0) if len(places) > 1 else np.zeros(places.shape[1:], np.float32)
     a, b, columns = queries - common, places - common, places.shape[2]
     best = np.full((len(queries), len(places)), -np.inf, np.float32)
@@ -110,15 +110,15 @@ def layout_likeness(queries: Float32, places: Float32, shifts: Sequence[int]) ->
 def descriptor_of(
     backbone: object, asked: Literal["auto", "gradients", "learned"]
 ) -> PlaceDescriptor:
-    """What the loops of a drive look places up by; auto: the backbone's own where it has one.
+    """Select the descriptor of a drive; auto: the learned one of the backbone if it has one.
 
-    Raises ConfigError where a learned one is asked for and there is none.
+    Raises ConfigError if a learned one is requested and there is none.
     """
-    own = backbone.places if isinstance(backbone, KnowsPlaces) else None
+    own = backbone.places if isinstance(backbone, DescribesPlaces) else None
     if asked == "learned" and own is None:
         raise ConfigError(
-            "loops.descriptor=learned: this backbone has no network that knows places; "
-            "take auto, or backbone.name=bundle:calm-geo"
+            "loops.descriptor=learned: this backbone has no learned descriptor; "
+            "set auto, or backbone.name=bundle:calm-geo"
         )
     return GradientLayout() if own is None or asked == "gradients" else own
 

@@ -1,7 +1,8 @@
-"""Places seen before: looked up by descriptor, believed only after geometry (paper IV-D).
+"""Find loop closure candidates: retrieval by descriptor, verification by geometry (paper IV-D).
 
-The backbone measures T_loop, as in the paper: here it is only decided which picture of the past
-joins its batch. Cost and memory are capped: the look-up by `max_places`, geometry by `top_k`.
+The backbone measures T_loop, as in the paper; the finder only chooses the earlier image that is
+appended to its batch. Cost and memory are bounded: retrieval by `max_places`, verification by
+`top_k`.
 """
 
 from __future__ import annotations
@@ -21,16 +22,17 @@ from calm_edge.loops.same_place import KnownKit, SamePlace, same_place
 from calm_edge.types import Bytes, Float, Float32, Keyframe, SubmapWindow
 
 MAX_FEATURES = 800
-# Keyframes: between queries and places, as far as places are beside each other, between two
-# closures, and how near to each other two candidates are one.
+# In keyframes: distance of queries and of places, largest distance of neighbouring places,
+# smallest distance of two closures, and of two candidates.
 EVERY = 2
-BESIDE = 3
+NEIGHBOUR = 3
 CLOSURE_GAP = 15
 SUPPRESSION = 10
 MAX_PICTURE_BYTES = 96 << 20
-# Pictures described at a time: a network waits for none of the others.
+# images described in parallel
 DESCRIBERS = 2
-# What two rough answers to the same question may differ by.
+# Tolerance between the candidate's approximate pose and the backbone's: share of the distance
+# plus a distance in spacings, and an angle.
 AGREE_DISTANCE_SHARE, AGREE_DISTANCE, AGREE_RAD = 0.5, 3.0, np.radians(8.0)
 
 
@@ -47,7 +49,7 @@ class LoopCandidate:
     T_query_match: Float
 
     def agrees(self, T_query_match: Float, spacing: float) -> bool:
-        """Whether another measurement (4, 4), `spacing` of its units a spacing, says the same."""
+        """Whether a measured pose (4, 4) agrees; `spacing` of its units are one camera spacing."""
         own = np.array(self.T_query_match)
         own[:3, 3] *= spacing
         off = se3.inverse(own) @ T_query_match
@@ -57,23 +59,23 @@ class LoopCandidate:
 
 
 class LoopFinder(Protocol):
-    """Finds the window's place in the past; told afterwards which windows got a pose."""
+    """Finds an earlier view of a window's place among the windows remembered."""
 
     def find(
         self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit | None
     ) -> LoopCandidate | None:
-        """At most one candidate. images: (H, W, 3) uint8 BGR of the window, batch order."""
+        """Find at most one candidate. images: (H, W, 3) uint8 BGR, in batch order."""
         ...
 
     def remember(self, window: SubmapWindow) -> None:
-        """The window's keyframes have poses now: they can be returned to."""
+        """Add the keyframes of a window, which now have poses, to the places."""
         ...
 
 
 class PlaceMemory:
-    """Owns the places: pairs of pictures EVERY keyframes apart, thinned evenly when too many.
+    """Owner of the places: pairs of images EVERY keyframes apart, thinned evenly at the limits.
 
-    A place is believed only together with one beside it, so a pair is kept or dropped as one.
+    A place is confirmed by a neighbouring one, so the two of a pair are kept or dropped together.
     """
 
     def __init__(self, max_places: int, max_bytes: int = MAX_PICTURE_BYTES) -> None:
@@ -86,10 +88,10 @@ class PlaceMemory:
         return sum(len(pair) for pair in self._pairs)
 
     def add(self, keyframe: Keyframe, vector: Float32) -> None:
-        """One more, if its turn has come. A decoded picture is kept as a JPEG of it."""
+        """Add a keyframe if it is far enough from the last one. Images are kept as JPEG."""
         newest = self._pairs[-1] if self._pairs else []
         begins = not newest or keyframe.id >= newest[0][0].id + self.every
-        joins = len(newest) == 1 and EVERY <= keyframe.id - newest[0][0].id <= BESIDE
+        joins = len(newest) == 1 and EVERY <= keyframe.id - newest[0][0].id <= NEIGHBOUR
         if not (begins or joins):
             return
         if begins:
@@ -104,23 +106,23 @@ class PlaceMemory:
 
     @property
     def n_bytes(self) -> int:
-        """Of all pictures."""
+        """Size of all images."""
         return sum(len(keyframe.frame.image) for pair in self._pairs for keyframe, _ in pair)
 
-    def beside(self, place: Keyframe) -> list[Keyframe]:
-        """The places next to one, on either side, where none was dropped between."""
+    def neighbours(self, place: Keyframe) -> list[Keyframe]:
+        """Places at most NEIGHBOUR keyframes from one."""
         every = [keyframe for pair in self._pairs for keyframe, _ in pair]
-        return [other for other in every if 0 < abs(other.id - place.id) <= BESIDE]
+        return [other for other in every if 0 < abs(other.id - place.id) <= NEIGHBOUR]
 
     def before(self, keyframe_id: int) -> tuple[list[Keyframe], Float32]:
-        """Places up to that id, oldest first, and their descriptors (P, D)."""
+        """Places up to a keyframe id, oldest first, and their descriptors (P, D)."""
         known = [place for pair in self._pairs for place in pair if place[0].id <= keyframe_id]
         vectors = [vector for _, vector in known]
         return [k for k, _ in known], np.stack(vectors) if vectors else np.zeros((0, 0), np.float32)
 
 
 class PlaceLoops:
-    """Owns the places of the drive; a deterministic function of its windows."""
+    """Owner of the places of a drive; deterministic in its windows."""
 
     def __init__(self, config: LoopConfig, descriptor: PlaceDescriptor | None = None) -> None:
         self._config = config
@@ -132,30 +134,30 @@ class PlaceLoops:
     def find(
         self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit | None
     ) -> LoopCandidate | None:
-        """The first of the `top_k` most alike places that geometry confirms.
+        """Return the first of the `top_k` most similar places that geometry confirms.
 
-        images: (H, W, 3) uint8 BGR, batch order. kit: None where nothing was solved yet, and then
+        images: (H, W, 3) uint8 BGR, in batch order. kit: None before the first sub-map; then
         nothing is found.
         """
         new = range(min(window.n_overlap, len(window.primary)), len(window.primary))
-        looked_at = new[::EVERY]
+        queried = new[::EVERY]
         with ThreadPoolExecutor(DESCRIBERS) as pool:
-            vectors = pool.map(self._descriptor.describe, [images[view] for view in looked_at])
-        ids = [window.primary[view].id for view in looked_at]
+            vectors = pool.map(self._descriptor.describe, [images[view] for view in queried])
+        ids = [window.primary[view].id for view in queried]
         self._described = dict(zip(ids, vectors, strict=True))
         if kit is None or not window.assistant:
             return None
-        views = [view for view in looked_at if self._may_close(window.primary[view].id)]
-        look = _Look(window, images, kit, self._config.min_matches)
-        for view, place in self._alike(window, views):
-            found = look.same_place(view, place)
-            if found is not None and found.is_same and self._confirmed(look, view, place):
+        views = [view for view in queried if self._may_close(window.primary[view].id)]
+        verifier = _Verifier(window, images, kit, self._config.min_matches)
+        for view, place in self._most_similar(window, views):
+            found = verifier.same_place(view, place)
+            if found is not None and found.is_same and self._confirmed(verifier, view, place):
                 self._last_found = window.primary[view].id
                 return LoopCandidate(view, place, found.T_query_match)
         return None
 
     def remember(self, window: SubmapWindow) -> None:
-        """Keeps places of a window that `find` has just looked at."""
+        """Add the places of the window that `find` was last called with."""
         for keyframe in window.primary:
             if keyframe.id in self._described:
                 self._memory.add(keyframe, self._described[keyframe.id])
@@ -164,8 +166,8 @@ class PlaceLoops:
     def _may_close(self, query_id: int) -> bool:
         return self._last_found is None or query_id - self._last_found >= CLOSURE_GAP
 
-    def _alike(self, window: SubmapWindow, views: list[int]) -> list[tuple[int, Keyframe]]:
-        """The `top_k` most alike pairs of a view and a place, best first, no place twice."""
+    def _most_similar(self, window: SubmapWindow, views: list[int]) -> list[tuple[int, Keyframe]]:
+        """The `top_k` most similar pairs of a view and a place, best first, no place twice."""
         if not views:
             return []
         ids = np.array([window.primary[view].id for view in views])
@@ -179,39 +181,39 @@ class PlaceLoops:
         pairs: list[tuple[int, Keyframe]] = []
         while len(pairs) < self._config.top_k:
             query, place = np.unravel_index(int(score.argmax()), score.shape)
-            if score[query, place] < self._descriptor.worth_a_look:
+            if score[query, place] < self._descriptor.min_similarity:
                 break
             pairs.append((views[query], places[place]))
             score[:, np.abs(place_ids - place_ids[place]) < SUPPRESSION] = -np.inf
         return pairs
 
-    def _confirmed(self, look: _Look, view: int, place: Keyframe) -> bool:
-        """Whether a place beside it is seen again too, as far along, and none proves another one.
+    def _confirmed(self, verifier: _Verifier, view: int, place: Keyframe) -> bool:
+        """Whether neighbouring places are confirmed too, at least one, and none is contradicted.
 
-        One look-alike is not rare; where a look cannot tell, it does not count.
+        Single look-alikes are common. A neighbour that cannot be decided does not count.
         """
-        last = len(look.window.primary) - 1
-        said: list[bool] = []
-        for other in self._memory.beside(place):
+        last = len(verifier.window.primary) - 1
+        decided: list[bool] = []
+        for other in self._memory.neighbours(place):
             there = min(max(view + other.id - place.id, 0), last)
-            found = look.same_place(there, other) if there != view else None
+            found = verifier.same_place(there, other) if there != view else None
             if found is not None:
-                said.append(found.is_same)
-        return bool(said) and all(said)
+                decided.append(found.is_same)
+        return bool(decided) and all(decided)
 
 
-class _Look:
-    """Owns the features of one window's pictures, each detected when first asked for."""
+class _Verifier:
+    """Geometric verification for one window; features are detected on first use."""
 
     def __init__(
         self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit, min_matches: int
     ) -> None:
         self.window = window
         self._images, self._kit, self._min_matches = images, kit, min_matches
-        self._seen: dict[int, sift.Features] = {}
+        self._detected: dict[int, sift.Features] = {}
 
     def same_place(self, view: int, place: Keyframe) -> SamePlace | None:
-        """What geometry says of a primary view, with its nearest assistant view, and a place."""
+        """Compare a place with a primary view and the assistant view nearest in time."""
         t_ns = self.window.primary[view].frame.t_ns
         gaps = [abs(keyframe.frame.t_ns - t_ns) for keyframe in self.window.assistant]
         partner = len(self.window.primary) + int(np.argmin(gaps))
@@ -222,7 +224,7 @@ class _Look:
         )
 
     def _features(self, index: int) -> sift.Features:
-        if index not in self._seen:
+        if index not in self._detected:
             gray = np.asarray(cv2.cvtColor(self._images[index], cv2.COLOR_BGR2GRAY), np.uint8)
-            self._seen[index] = sift.detect(gray, MAX_FEATURES)
-        return self._seen[index]
+            self._detected[index] = sift.detect(gray, MAX_FEATURES)
+        return self._detected[index]

@@ -1,9 +1,9 @@
-"""Whether a picture of the past shows the place that both eyes see now (paper IV-D).
+"""Verify that an earlier image shows the place that both cameras see now (paper IV-D).
 
-Two pictures with enough matches on one epipolar geometry are not yet one place: a far ridge or a
-wall like another give that too. So the two eyes' own geometry gives points in depth; one pose of
-the past picture has to explain the near ones and the rest of its matches; and then most of what
-both eyes see, matched or not, has to be in the past picture where that pose puts it.
+Enough matches on one epipolar geometry are not sufficient: a far ridge or repeated facades have
+them too. So points are triangulated between the two cameras; one pose of the earlier image has to
+explain the near ones and the remaining matches; and most of the points, matched or not, must be
+found in the earlier image where that pose projects them.
 """
 
 from __future__ import annotations
@@ -19,28 +19,29 @@ from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.sift import Features, cells, consistent, well_spread
 from calm_edge.types import Float, Float32, Int
 
-REFERENCE_WIDTH_PX = 640  # thresholds below are for such a picture; they grow with its width
+REFERENCE_WIDTH_PX = 640  # thresholds in px are for this width and scale with it
 EPIPOLAR_PX = 1.0
 POSE_PX = 3.0
-# What the eyes' pictures say of the rig at their two instants, against what the rig is at one.
-# Tens of milliseconds at speed: mostly a step ahead, and a little of a turn.
-RIG_SIGMA = np.array([0.1, 0.1, 0.5, 0.01, 0.01, 0.01])  # spacings x, y, z, then rad
-# A point is near when its parallax between the eyes is so much more than that of the farthest.
+# Sigma of the motion between the exposures of the two cameras, tens of milliseconds apart:
+# mostly forward, with little rotation. Spacings (x, y, z), then rad.
+RIG_SIGMA = np.array([0.1, 0.1, 0.5, 0.01, 0.01, 0.01])
+# A point is near if its parallax exceeds that of the farthest points by this.
 NEAR_PX = 2.0
 FAR_PERCENT = 10.0
-SOME_DEPTH = 10.0  # spacings: any will do to say which way parallax goes
+SOME_DEPTH = 10.0  # spacings; for the direction of the parallax any depth will do
 MIN_AGREEING = 0.6
-# What is looked for under the pose: so near its predicted pixel and so like it (cosine).
+# A point is found again within this distance of its projection, at this cosine of descriptors.
 SEEN_AGAIN_PX = 8.0
-SEEN_AGAIN_LIKENESS = 0.8
+SEEN_AGAIN_SIMILARITY = 0.8
 MIN_SEEN_AGAIN = 0.5
-FARTHEST = 40.0  # spacings between the two pictures
-WIDEST_RAD = np.radians(60.0)
+# largest relative pose of the two images: spacings, and rad
+MAX_DISTANCE = 40.0
+MAX_ANGLE_RAD = np.radians(60.0)
 
 
 @dataclass(frozen=True, slots=True)
 class KnownKit:
-    """cameras: one an eye. T_p_a: (4, 4), any unit: only its direction is used."""
+    """Current estimate of the kit. T_p_a: (4, 4), of which only the direction is used."""
 
     cameras: tuple[Camera, Camera]
     T_p_a: Float
@@ -48,10 +49,10 @@ class KnownKit:
 
 @dataclass(frozen=True, slots=True)
 class SamePlace:
-    """One pose explains what both pictures show of it.
+    """An earlier image with a pose that explains its matches.
 
-    T_query_match: (4, 4) match->query, in spacings, rough. seen_again: share of what the eyes see
-    now that the past picture has too.
+    T_query_match: (4, 4) match->query, approximate, spacings. seen_again: share of the points seen
+    now that are found in the earlier image.
     """
 
     T_query_match: Float
@@ -59,7 +60,7 @@ class SamePlace:
 
     @property
     def is_same(self) -> bool:
-        """Whether it is that place, and not one that looks like it in part."""
+        """Whether it shows the same place, not a similar one."""
         return self.seen_again >= MIN_SEEN_AGAIN
 
 
@@ -71,10 +72,11 @@ def same_place(
     size: Int,
     min_matches: int,
 ) -> SamePlace | None:
-    """The past picture's place against a primary picture and the assistant's of that time.
+    """Compare an earlier image with a primary image and an assistant image of the same time.
 
-    size: (2,) width, height [px] of the primary's pictures. min_matches: on one geometry with the
-    past picture; a third as many near points. None where no pose explains the pictures.
+    size: (2,) width, height [px] of primary images. min_matches: required number of matches on one
+    epipolar geometry with the earlier image, and of three times the near points. None if no pose
+    explains the matches.
     """
     stretch = float(size[0]) / REFERENCE_WIDTH_PX
     pairs = consistent(query, past, EPIPOLAR_PX * stretch)
@@ -96,7 +98,10 @@ def same_place(
     if not well_spread(query.uv[shared[near][fit.inlier]], size):
         return None
     T = fit.T_w_c
-    if np.linalg.norm(T[:3, 3]) > FARTHEST or np.linalg.norm(se3.so3_log(T[:3, :3])) > WIDEST_RAD:
+    if (
+        np.linalg.norm(T[:3, 3]) > MAX_DISTANCE
+        or np.linalg.norm(se3.so3_log(T[:3, :3])) > MAX_ANGLE_RAD
+    ):
         return None
     F = epipolar.from_motion(kit.cameras[0], kit.cameras[0], se3.inverse(T))
     miss = np.abs(epipolar.sampson(F, _double(query, pairs[:, 0]), _double(past, pairs[:, 1])))
@@ -109,28 +114,28 @@ def same_place(
 def seen_again(
     points: Float, vectors: Float32, past: Features, camera: Camera, T_q_past: Float, size: Int
 ) -> float:
-    """The share of points (M, 3) that the past picture shows where T_q_past (4, 4) puts them.
+    """Share of points (M, 3) found in the earlier image at their projection by T_q_past (4, 4).
 
-    points: query camera, with their descriptors (M, 128). size: (2,) width, height px. Each cell
-    of the query picture counts the same: a tiled wall has more points than the trees above it.
+    points: in the query camera, with descriptors `vectors` (M, 128). size: (2,) width, height px.
+    The cells of the query image are weighted equally: a tiled wall has more points than trees.
     """
     p = se3.transform(se3.inverse(T_q_past), points)
     front = (points[:, 2] > 0) & (p[:, 2] > 0)
     if not front.any() or len(past.uv) == 0:
         return 0.0
     uv = camera.project(p[front])
-    likeness = vectors[front] @ past.vector.T
+    similarity = vectors[front] @ past.vector.T
     away = np.linalg.norm(uv[:, None] - past.uv[None], axis=2)
     away /= float(size[0]) / REFERENCE_WIDTH_PX
-    there = ((likeness > SEEN_AGAIN_LIKENESS) & (away < SEEN_AGAIN_PX)).any(1)
+    there = ((similarity > SEEN_AGAIN_SIMILARITY) & (away < SEEN_AGAIN_PX)).any(1)
     _, cell = np.unique(cells(camera.project(points[front]), size), return_inverse=True)
     return float((np.bincount(cell, there) / np.bincount(cell)).mean())
 
 
 def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
-    """T_a_p (4, 4), spacings, of two pictures from their matches (M, 2) px.
+    """Relative pose T_a_p (4, 4), spacings, of two images from their matches (M, 2) px.
 
-    The rig is known; between two instants it moved with the car, a little.
+    The rig is the prior; the car has moved a little between the two exposures.
     """
     T_p_a = np.array(kit.T_p_a)
     T_p_a[:3, 3] /= np.linalg.norm(T_p_a[:3, 3])
@@ -145,7 +150,7 @@ def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
 
 
 def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple[Float, np.ndarray]:
-    """Points (M, 3) of matches (M, 2) px, primary camera, and which (M,) are near and in front."""
+    """Triangulate matches (M, 2) px: points (M, 3), primary camera; mask (M,) of near ones."""
     primary, assistant = kit.cameras
     points = epipolar.triangulated(primary, assistant, T_a_p, uv_p, uv_a)
     rays = primary.back_project(uv_p, np.ones(len(uv_p)))
@@ -153,17 +158,17 @@ def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple
     shift = assistant.project(se3.transform(T_a_p, SOME_DEPTH * rays)) - far
     along = shift / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-9)
     parallax = ((uv_a - far) * along).sum(1)
-    # a small error of the rig's rotation moves all points alike: the farthest tell by how much
+    # an error of the rig's rotation moves all points equally: subtract the shift of the farthest
     parallax -= np.percentile(parallax, FAR_PERCENT)
     in_front = (points[:, 2] > 0) & (se3.transform(T_a_p, points)[:, 2] > 0)
     return points, in_front & (parallax > NEAR_PX)
 
 
 def _pose(camera: Camera, points: Float, uv: Float, threshold_px: float) -> pnp.PoseFit | None:
-    """The picture's T_q_c (4, 4) from points (M, 3) of the query camera and pixels (M, 2)."""
+    """Pose T_q_c (4, 4) of an image from points (M, 3) in the query camera and pixels (M, 2)."""
     try:
         return pnp.locate(camera, points, np.asarray(uv, np.float32), np.eye(4), threshold_px)
-    except cv2.error:  # its own assertion, where no sample gives a model
+    except cv2.error:  # raised if no sample gives a model
         return None
 
 

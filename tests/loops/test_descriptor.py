@@ -11,7 +11,7 @@ LAYOUT = GradientLayout()
 
 
 def picture(seed):
-    """A colour picture of soft spots, with room to move sideways."""
+    """A colour image of soft spots, wider than a crop, for shifting sideways."""
     return cv2.cvtColor(blobs(seed, (400, 160)), cv2.COLOR_GRAY2BGR)
 
 
@@ -31,26 +31,26 @@ def test_a_descriptor_is_a_unit_vector(places):
     assert np.isfinite(blank).all() and np.linalg.norm(blank) == pytest.approx(1, abs=1e-5)
 
 
-def test_exposure_and_noise_leave_a_place_what_it_is(places):
+def test_exposure_and_noise_hardly_change_a_descriptor(places):
     rng = np.random.default_rng(0)
     for seed in range(12):
         dark = 0.6 * cut(picture(seed)) + 8 + 3 * rng.standard_normal((160, 320, 3))
         query = LAYOUT.describe(np.clip(dark, 0, 255).astype(np.uint8))
         score = LAYOUT.similarity(query[None], places)[0]
         assert score.argmax() == seed
-        assert score[seed] > 0.8 > LAYOUT.worth_a_look > np.delete(score, seed).max()
+        assert score[seed] > 0.8 > LAYOUT.min_similarity > np.delete(score, seed).max()
 
 
-def test_a_place_seen_to_the_side_is_still_that_place(places):
+def test_a_place_shifted_sideways_is_still_similar(places):
     for seed in range(12):
         for left in (12, 72):  # two of the twenty columns
             query = LAYOUT.describe(cut(picture(seed), left))
             score = LAYOUT.similarity(query[None], places)[0]
-            assert score.argmax() == seed and score[seed] > LAYOUT.worth_a_look
+            assert score.argmax() == seed and score[seed] > LAYOUT.min_similarity
 
 
-def test_what_all_places_share_counts_for_nothing():
-    """A bonnet and a sky in every picture must not make all places one."""
+def test_what_all_places_have_in_common_does_not_count():
+    """A bonnet and a sky in all images must not make all places similar."""
 
     def with_frame(seed):
         image = cut(picture(seed)).copy()
@@ -62,10 +62,10 @@ def test_what_all_places_share_counts_for_nothing():
     score = LAYOUT.similarity(places, places)
     other = ~np.eye(12, dtype=bool)
     assert raw[other].min() > 0.5
-    assert score[other].max() < LAYOUT.worth_a_look
+    assert score[other].max() < LAYOUT.min_similarity
 
 
-def test_similarity_has_a_row_a_query(places):
+def test_similarity_has_one_row_per_query(places):
     score = LAYOUT.similarity(places[:3], places)
     assert score.shape == (3, 12) and score.dtype == np.float32
     assert np.array_equal(score.argmax(1), [0, 1, 2])

@@ -18,17 +18,17 @@ from tests.synthetic.render import render_views
 from tests.synthetic.world import make_world
 
 SETTINGS = Settings(width=320, height=128, density=14.0, frames=40, start_s=6.0)
-STEP = 3  # frames a keyframe
+STEP = 3  # frames per keyframe
 N = 5
 FIRST_RETURN = 100
-# the second time the car keeps 0.3 m to the side and stops for no keyframe at the same spot
+# the return is 0.3 m to the side, with keyframes at other positions
 ASIDE = se3.exp(np.array([0.3, 0.0, 0.4, 0.0, 0.02, 0.0]))
 CONFIG = LoopConfig()
 
 
 @dataclass(frozen=True)
 class Street:
-    """Pictures of a first visit and of a return (primary, then assistant), T_w_c (N, 4, 4)."""
+    """Images of a first visit and of a return (primary, then assistant), T_w_c (N, 4, 4)."""
 
     first: list
     T_first: Float
@@ -66,7 +66,7 @@ def keyframe(i, image, eye=Eye.PRIMARY):
 
 
 def window(first_id, images, submap_id=0, n_overlap=0):
-    """Half of the images are the primary's, half the assistant's."""
+    """A window of images: the first half of the primary, the second of the assistant."""
     half = len(images) // 2
     primary = [keyframe(first_id + k, image) for k, image in enumerate(images[:half])]
     assistant = [
@@ -76,7 +76,7 @@ def window(first_id, images, submap_id=0, n_overlap=0):
 
 
 def visited(pictures, kit, config=CONFIG, descriptor=None, first_id=0):
-    """A finder that has been where these pictures show."""
+    """A finder with the places of these images."""
     finder = PlaceLoops(config, descriptor)
     past = window(first_id, pictures + pictures)
     assert finder.find(past, pictures + pictures, kit) is None
@@ -88,7 +88,7 @@ def found(finder, street, first_id=FIRST_RETURN):
     return finder.find(window(first_id, street.again), street.again, street.kit)
 
 
-def test_a_return_is_found_and_roughly_placed(street):
+def test_a_return_is_found_with_an_approximate_pose(street):
     candidate = found(visited(street.elsewhere[::-1] + street.first, street.kit), street)
     here, there = candidate.query_view, candidate.keyframe.id - N
     assert 0 <= there < N
@@ -99,7 +99,7 @@ def test_a_return_is_found_and_roughly_placed(street):
     assert candidate.agrees(true, SETTINGS.spacing_m)
 
 
-def test_a_return_is_found_by_the_network_as_well(street):
+def test_a_return_is_found_by_the_learned_descriptor(street):
     descriptor = place()
     known = visited(street.elsewhere[::-1] + street.first, street.kit, descriptor=descriptor)
     candidate = found(known, street)
@@ -109,7 +109,7 @@ def test_a_return_is_found_by_the_network_as_well(street):
     assert candidate.agrees(true, SETTINGS.spacing_m)
 
 
-def test_another_measurement_far_off_does_not_agree(street):
+def test_a_measurement_far_off_does_not_agree(street):
     candidate = found(visited(street.first, street.kit), street)
     own = np.array(candidate.T_query_match)
     assert candidate.agrees(own, 1.0)
@@ -124,9 +124,9 @@ def test_the_same_windows_give_the_same_candidate(street):
 
 
 class AllAlike:
-    """A descriptor that takes every place for every other."""
+    """A descriptor for which all places are equal."""
 
-    worth_a_look = 0.5
+    min_similarity = 0.5
 
     def describe(self, image):
         return np.ones(1, np.float32)
@@ -135,8 +135,8 @@ class AllAlike:
         return np.ones((len(queries), len(places)), np.float32)
 
 
-def test_a_planted_look_alike_is_not_believed(street):
-    """Another street with this one's road and kerbs in it, at the right place in the picture."""
+def test_a_composed_look_alike_is_rejected(street):
+    """Another street with this one's road and kerbs at the same pixels."""
     planted = [image.copy() for image in street.elsewhere]
     for image, here in zip(planted, street.first, strict=True):
         image[70:] = here[70:]
@@ -144,33 +144,33 @@ def test_a_planted_look_alike_is_not_believed(street):
         sift.detect(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), 800)
         for image in (street.again[2], planted[2])
     )
-    # enough matches on one epipolar geometry: that alone would close the loop
+    # there are enough matches on one epipolar geometry
     assert len(sift.consistent(query, past, 1.0)) >= CONFIG.min_matches
     assert found(visited(planted, street.kit, descriptor=AllAlike()), street) is None
     assert found(visited(street.first, street.kit, descriptor=AllAlike()), street) is not None
 
 
-def test_another_street_is_not_believed_however_alike_it_is_called(street):
+def test_another_street_is_rejected_at_any_similarity(street):
     assert found(visited(street.elsewhere, street.kit, descriptor=AllAlike()), street) is None
 
 
-def test_one_look_alike_between_other_places_is_not_believed(street):
+def test_one_look_alike_between_other_places_is_rejected(street):
     lonely = [street.elsewhere[0], street.elsewhere[1], street.first[2], *street.elsewhere[3:]]
     assert found(visited(lonely, street.kit, descriptor=AllAlike()), street) is None
 
 
-def test_nothing_is_found_before_anything_was_solved(street):
+def test_nothing_is_found_before_the_first_sub_map(street):
     finder = visited(street.first, street.kit)
     assert finder.find(window(FIRST_RETURN, street.again), street.again, None) is None
 
 
-def test_what_is_near_in_the_drive_is_no_loop(street):
+def test_recent_keyframes_are_no_loop(street):
     assert found(visited(street.first, street.kit), street, first_id=CONFIG.min_gap - 1) is None
     wide = replace(CONFIG, min_gap=FIRST_RETURN + N)
     assert found(visited(street.first, street.kit, wide), street) is None
 
 
-def test_a_closure_is_not_followed_by_one_at_once(street):
+def test_closures_keep_a_minimum_distance(street):
     finder = visited(street.first, street.kit)
     assert found(finder, street) is not None
     assert found(finder, street, FIRST_RETURN + N) is None
@@ -188,7 +188,7 @@ def picture_of(i, size=(40, 60, 3)):
     return np.full(size, i % 251, np.uint8)
 
 
-def test_places_are_capped_and_thinned_evenly_in_pairs():
+def test_places_are_limited_and_thinned_evenly_in_pairs():
     memory = PlaceMemory(max_places=16)
     for i in range(1000):
         memory.add(keyframe(i, picture_of(i)), np.full(4, i, np.float32))
@@ -201,12 +201,12 @@ def test_places_are_capped_and_thinned_evenly_in_pairs():
     assert np.array_equal(second, first[: len(second)] + EVERY)
     assert np.array_equal(vectors[:, 0], ids)
     assert [place.id for place in memory.before(int(ids[3]))[0]] == ids[:4].tolist()
-    # the dropped ones leave no neighbours behind but the other of the pair
-    assert [place.id for place in memory.beside(places[2])] == [ids[3]]
+    # only the other one of the pair is left as a neighbour
+    assert [place.id for place in memory.neighbours(places[2])] == [ids[3]]
 
 
-def test_a_drive_of_any_length_can_still_be_returned_to(street):
-    """Thinned to one pair in sixteen keyframes, a place still has one beside it to confirm it."""
+def test_a_return_is_found_after_a_drive_of_any_length(street):
+    """Thinned to one pair per sixteen keyframes, a place still has a neighbour to confirm it."""
     memory_of_few = replace(CONFIG, max_places=4)
     finder = visited(street.first, street.kit, memory_of_few)
     blank = [np.full((128, 320, 3), k, np.uint8) for k in (0, 80, 160)]
@@ -217,7 +217,7 @@ def test_a_drive_of_any_length_can_still_be_returned_to(street):
     assert found(finder, street, FIRST_RETURN + 60) is not None
 
 
-def test_pictures_are_capped_in_bytes():
+def test_the_bytes_of_images_are_limited():
     noise = np.random.default_rng(0).integers(0, 255, (40, 60, 3), np.uint8)
     memory = PlaceMemory(max_places=1000, max_bytes=20_000)
     for i in range(0, 200, EVERY):
@@ -231,13 +231,13 @@ def test_one_place_every_few_keyframes():
     for i in range(20):
         memory.add(keyframe(i, picture_of(i)), np.zeros(4, np.float32))
     assert [place.id for place in memory.before(100)[0]] == list(range(0, 20, EVERY))
-    beside = memory.beside(memory.before(100)[0][3])
-    assert [place.id for place in beside] == [2 * EVERY, 4 * EVERY]
-    assert [p.id for p in memory.beside(memory.before(0)[0][0])] == [EVERY]
+    near = memory.neighbours(memory.before(100)[0][3])
+    assert [place.id for place in near] == [2 * EVERY, 4 * EVERY]
+    assert [p.id for p in memory.neighbours(memory.before(0)[0][0])] == [EVERY]
 
 
 def test_a_place_is_the_frame_itself():
-    """A recording finds it by eye, sequence and stamp; a camera's own bytes stay as they are."""
+    """Eye, sequence and stamp find it in a recording; JPEG bytes of a camera are unchanged."""
     memory = PlaceMemory(max_places=10)
     jpeg = cv2.imencode(".jpg", picture_of(7))[1].tobytes()
     given = keyframe(0, jpeg), keyframe(EVERY, picture_of(9))
@@ -250,7 +250,7 @@ def test_a_place_is_the_frame_itself():
     assert replace(decoded.frame, image=b"") == replace(given[1].frame, image=b"")
 
 
-def test_pictures_with_nothing_in_them_are_no_places():
+def test_blank_images_are_never_a_return():
     tiny = [np.zeros((4, 4, 3), np.uint8)] * 4
     finder = visited(tiny[:2], KnownKit(np.stack([np.eye(3)] * 2), np.eye(4)))
     assert (

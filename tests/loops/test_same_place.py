@@ -15,19 +15,19 @@ T_P_A = se3.exp(np.array([1.0, 0.03, 0.05, 0.02, -0.06, 0.01]))
 PRIMARY, ASSISTANT = Perspective.from_hfov(80, 640, 240), Perspective.from_hfov(65, 640, 240)
 KIT = KnownKit((PRIMARY, ASSISTANT), T_P_A)
 T_Q_PAST = se3.exp(np.array([0.6, 0.02, 1.4, 0.01, 0.05, 0.0]))
-# the assistant 20 ms later at 13 m/s, half a metre from the primary, in a bend
+# the assistant is exposed 20 ms later, at 13 m/s in a bend
 T_LATE = se3.exp(np.array([0.0, 0.0, 0.5, 0.0, 0.008, 0.0]))
 
 
 def scene(n=160, nearest=6.0, farthest=60.0, seed=0) -> Float:
-    """(n, 3) points of the query camera, spacings, all in view of all three pictures."""
+    """Points (n, 3) in the query camera, spacings, visible in all three images."""
     rng = np.random.default_rng(seed)
     z = np.exp(rng.uniform(np.log(nearest), np.log(farthest), n))
     return np.c_[rng.uniform(-0.45, 0.45, n) * z, rng.uniform(-0.2, 0.2, n) * z, z]
 
 
 def pictures(points, T_past=T_Q_PAST, noise_px=0.3, seed=1, T_a=T_P_A @ T_LATE):
-    """Query, assistant and past features of points, each with a descriptor of its own."""
+    """Query, assistant and earlier features of points, each with its own descriptor."""
     rng = np.random.default_rng(seed)
     vector = np.abs(rng.standard_normal((len(points), 128)))
     vector /= np.linalg.norm(vector, axis=1, keepdims=True)
@@ -51,12 +51,12 @@ def test_too_few_matches_confirm_nothing():
 
 
 def test_a_far_ridge_confirms_nothing():
-    """Hundreds of matches on one geometry, but none near enough for the eyes to tell its depth."""
+    """Hundreds of matches on one geometry, but none near enough for stereo depth."""
     far = pictures(scene(nearest=400.0, farthest=4000.0))
     assert same_place(*far, KIT, SIZE, 30) is None
 
 
-def test_one_thing_in_a_corner_confirms_nothing():
+def test_one_object_in_a_corner_confirms_nothing():
     points = scene()
     points = points[(points[:, 0] > 0.25 * points[:, 2])]
     points = np.concatenate([points, points * 1.1, points * 1.2])
@@ -64,8 +64,8 @@ def test_one_thing_in_a_corner_confirms_nothing():
     assert same_place(*pictures(points), KIT, SIZE, 30) is None
 
 
-def test_points_the_eyes_place_elsewhere_confirm_nothing():
-    """The past picture agrees with the primary's alone: another scene behind the same pixels."""
+def test_points_at_another_stereo_depth_confirm_nothing():
+    """The earlier image agrees with the primary alone: another scene at the same pixels."""
     points = scene()
     query, assistant, _ = pictures(points)
     depth = np.random.default_rng(5).permutation(points[:, 2:])
@@ -74,7 +74,7 @@ def test_points_the_eyes_place_elsewhere_confirm_nothing():
 
 
 def test_a_look_alike_confirms_nothing():
-    """Half a wall is the same and in place; what stands behind it is not there."""
+    """Half of the points are the same and in place; the others are missing."""
     points = scene()
     query, assistant, past = pictures(points)
     same = np.arange(len(points)) < 70
@@ -83,7 +83,7 @@ def test_a_look_alike_confirms_nothing():
     vector = np.where(same[:, None], past.vector, stranger).astype(np.float32)
     found = same_place(query, assistant, Features(past.uv, vector), KIT, SIZE, 60)
     assert not found.is_same
-    # it is the share that decides: without what is missing it would pass
+    # only the share decides: without the missing points it would pass
     seen = (Features(f.uv[same], f.vector[same]) for f in (query, assistant, past))
     assert same_place(*seen, KIT, SIZE, 30).is_same
 
@@ -94,7 +94,7 @@ def test_a_place_too_far_away_or_turned_is_no_return():
         assert same_place(*pictures(scene(), T), KIT, SIZE, 30) is None
 
 
-def test_the_rig_follows_the_car_between_two_instants():
+def test_the_rig_includes_the_motion_between_two_exposures():
     points = scene()
     query, assistant, _ = pictures(points, noise_px=0.1)
     uv_p, uv_a = query.uv.astype(np.float64), assistant.uv.astype(np.float64)
@@ -106,7 +106,7 @@ def test_the_rig_follows_the_car_between_two_instants():
     assert off < 0.4 * np.linalg.norm(se3.so3_log(T_LATE[:3, :3]))
 
 
-def test_near_is_what_the_two_eyes_see_apart():
+def test_near_points_have_stereo_parallax():
     points = np.concatenate([scene(20, 5, 20), scene(20, 2000, 4000)])
     query, assistant, _ = pictures(points, noise_px=0.0, T_a=T_P_A)
     T_a_p = se3.inverse(T_P_A)
@@ -116,7 +116,7 @@ def test_near_is_what_the_two_eyes_see_apart():
     assert found[:20] == pytest.approx(points[:20], rel=1e-3)
 
 
-def test_seen_again_is_the_share_that_is_there():
+def test_seen_again_is_the_share_found():
     points = scene()
     query, _, past = pictures(points, noise_px=0.0)
 
@@ -131,7 +131,7 @@ def test_seen_again_is_the_share_that_is_there():
     assert share(points, Features(past.uv[:0], past.vector[:0])) == 0.0
 
 
-def test_a_crowd_in_one_cell_counts_as_one_cell():
+def test_many_points_in_one_cell_count_as_one_cell():
     corner = np.c_[np.linspace(0.30, 0.31, 300), np.full(300, 0.1), np.ones(300)] * 20
     rest = scene(60)
     points = np.concatenate([corner, rest])

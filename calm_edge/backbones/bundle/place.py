@@ -23,7 +23,7 @@ class LearnedPlace:
     """The encoder's word for a place, with the layout of its features, for `loops`."""
 
     # of returns one in a hundred is below this
-    worth_a_look = 0.45
+    min_similarity = 0.45
 
     def __init__(self, net: FeatureNet) -> None:
         self._net = net

@@ -39,7 +39,7 @@ def test_a_descriptor_is_a_unit_vector(known, place):
 def test_a_place_looks_more_like_itself_from_a_step_on_than_like_another(known, place):
     likeness = place.similarity(np.stack([place.describe(picture(k + 1)) for k in PLACES]), known)
     assert (likeness.argmax(1) == np.arange(len(PLACES))).all()
-    assert likeness.diagonal().min() > place.worth_a_look > np.median(likeness)
+    assert likeness.diagonal().min() > place.min_similarity > np.median(likeness)
     np.testing.assert_allclose(place.similarity(known, known).diagonal(), 1, atol=1e-4)
 
 
