@@ -1,4 +1,4 @@
-"""Replace files atomically, so that a power cut leaves the old or the new content."""
+"""Replace files atomically: after a power cut the old or the new content is complete."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from stat import S_IMODE
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a file atomically and synced to disk; an earlier file keeps its mode.
+    """Write text to a file atomically and sync it to disk; an existing file keeps its mode.
 
-    Raises OSError; the earlier file is then unchanged.
+    Raises OSError; an existing file is then unchanged.
     """
     part = path.with_name(path.name + ".part")
     try:
@@ -30,7 +30,7 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Sync a folder's entries (files created, renamed or removed in it) to disk; raises OSError."""
+    """Sync a folder to disk: files created, renamed or removed in it; raises OSError."""
     fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(fd)

@@ -22,7 +22,7 @@ class CameraControls:
     `auto`: the camera adjusts it. `auto-then-lock`: adjusted for two seconds, then locked. `lock`:
     locked at its value when the camera is opened. A number is set and locked: exposure_us in
     microseconds, gain in the driver's unit (ISO for OAK), white_balance_k in kelvin, focus in the
-    driver's unit. Locked values are restored after a reconnect. Raises CameraError for another
+    driver's unit. Locked values are restored after a reconnect. Raises CameraError for any other
     word.
     """
 
@@ -37,16 +37,17 @@ class CameraControls:
             value = getattr(self, key.name)
             if isinstance(value, str) and value not in words:
                 raise CameraError(
-                    f"capture.{key.name} = {value!r}: a whole number or one of {', '.join(words)}"
+                    f"capture.{key.name} = {value!r}: expected a whole number or "
+                    f"one of {', '.join(words)}"
                 )
 
 
 @dataclass(frozen=True, slots=True)
 class CameraSpec:
-    """Which device serves as which eye, and the requested image mode.
+    """Device, eye and requested image mode of one camera.
 
-    address: in the syntax of the driver. width_px, height_px, rate_hz: requests; the camera
-    may choose its nearest mode.
+    address: in the syntax of the driver. width_px, height_px, rate_hz: requests; the camera may
+    choose its nearest mode.
     """
 
     eye: Eye
@@ -59,18 +60,18 @@ class CameraSpec:
 
     @property
     def name(self) -> str:
-        """Name for messages, such as `primary camera v4l2:usb-1`."""
+        """Name of the camera in messages, such as `primary camera v4l2:usb-1`."""
         return f"{self.eye.name.lower()} camera {self.driver}:{self.address}"
 
 
 @dataclass(frozen=True, slots=True)
 class CameraStats:
-    """Counters since start().
+    """Counters of one camera since start().
 
-    frames: delivered. drops: gaps in the sequence numbers. clamped: stamps corrected because
-    they were in the future or not after the preceding one. reconnects: of a lost camera.
-    host_stamped: frames stamped on arrival, having no usable device stamp. corrupt: buffers
-    that could not be used.
+    frames: frames delivered. drops: gaps in the sequence numbers. clamped: stamps corrected because
+    they were in the future or not after the preceding one. reconnects: how often the lost camera
+    was reopened. host_stamped: frames stamped on arrival, having no usable device stamp. corrupt:
+    buffers that could not be used.
     """
 
     frames: int = 0
@@ -85,9 +86,9 @@ class CameraStats:
 class FoundCamera:
     """A camera that is plugged in.
 
-    address: as written into `capture.primary`. path: its current device node. formats: format ->
-    sizes and rates; controls: name -> value and range; both empty unless requested. note: why it
-    cannot be used at present, else empty.
+    address: `driver:address`, as in the config key `capture.primary`. path: its current device
+    node. formats: format -> sizes and rates; controls: name -> value and range; both empty unless
+    details were requested. note: why it cannot be used at present, else empty.
     """
 
     address: str
@@ -100,7 +101,7 @@ class FoundCamera:
 
 
 class Camera(Protocol):
-    """A source of frames. One thread reads and stops it."""
+    """Interface of a camera, a source of frames; read() and stop() are called by one thread."""
 
     spec: CameraSpec
 
@@ -125,19 +126,20 @@ class Camera(Protocol):
 
     @property
     def settings(self) -> Mapping[str, int | float | str]:
-        """Format, size, rate and controls as read back from the camera; empty before start() and
-        for a replay.
+        """Format, size, rate and controls as read back from the camera.
+
+        Empty before start() and for a replay.
         """
         ...
 
     @property
     def remarks(self) -> Sequence[str]:
-        """Requests that the camera did not fulfil, one line each, without repetition."""
+        """Requested settings that the camera did not apply, one line each, without duplicates."""
         ...
 
     @property
     def connected(self) -> bool:
-        """False while the device is gone."""
+        """True while the camera is open; False while it is unplugged or not started."""
         ...
 
     @property
@@ -152,7 +154,7 @@ DRIVERS: dict[str, tuple[str, str]] = {
     "v4l2": ("device.drivers.v4l2", "V4l2Camera"),
 }
 
-# driver -> function that lists its cameras; a replay has none to list
+# driver -> function that lists its cameras; a replay has no devices to list
 DISCOVERERS: dict[str, tuple[str, str]] = {
     "v4l2": ("device.drivers.v4l2_nodes", "discover"),
     "oak": ("device.drivers.oak", "discover"),
@@ -168,7 +170,7 @@ def parse_address(text: str) -> tuple[str, str]:
 
 
 def open_camera(spec: CameraSpec, clock: Clock, **options: Any) -> Camera:
-    """Create the camera of a spec without starting it; raises CameraError.
+    """Create the camera described by a spec without starting it; raises CameraError.
 
     options: passed to the driver's constructor.
     """
@@ -179,7 +181,7 @@ def open_camera(spec: CameraSpec, clock: Clock, **options: Any) -> Camera:
 
 
 def discover(details: bool = True) -> tuple[list[FoundCamera], list[str]]:
-    """List the cameras of every driver; also one error line for each driver that failed.
+    """Return the cameras of every driver, and one error line for each driver that failed.
 
     details: list formats and controls too, which takes longer and opens each camera.
     """

@@ -25,7 +25,7 @@ class CameraState(StrEnum):
 
 
 class CameraThread:
-    """Read a live or paced camera into a bounded queue that drops its oldest frame when full.
+    """Read a live or paced camera in a thread, into a bounded queue that drops its oldest frame.
 
     In lockstep read the camera directly: an unpaced replay would overflow the queue.
     realtime_priority: as in `realtime.request`; if refused, a warning is logged.

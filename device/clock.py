@@ -37,7 +37,7 @@ class SystemClock:
 class RateKeeper:
     """Time a loop at `hz` by absolute deadlines, so that delays do not accumulate.
 
-    Deadlines that pass during a stall are counted in `skipped` and not made up for in a burst.
+    Deadlines that pass during a stall are skipped and counted in `skipped`, not run in a burst.
     """
 
     _WINDOW = 20
@@ -58,7 +58,7 @@ class RateKeeper:
         return sum(self._late) > self._LATE_SHARE * self._WINDOW
 
     def wait(self) -> int:
-        """Sleep until the next deadline; return how many ns after it the call returned."""
+        """Sleep until the next deadline; return how late it was on waking, in ns."""
         self._late.append(self._clock.now_ns() > self._deadline_ns)
         self._clock.sleep_until_ns(self._deadline_ns)
         lateness_ns = self._clock.now_ns() - self._deadline_ns

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 
 class Eye(IntEnum):
-    """The two cameras: the primary carries the trajectory, the assistant the scale."""
+    """The two cameras: the trajectory is the primary's, the assistant gives the scale."""
 
     PRIMARY = 0
     ASSISTANT = 1
 
 
-# for images that a camera delivers as pixels
+# quality of the JPEG encoding of images that a camera delivers uncompressed
 JPEG_QUALITY = 92
 
 _GRAY = {
@@ -51,7 +51,7 @@ class Frame:
     image: NDArray[np.uint8] | bytes
 
     def encoded(self, quality: int = JPEG_QUALITY) -> Frame:
-        """Return the frame with JPEG bytes: as they are, else encoded from its pixels."""
+        """Return the frame with JPEG bytes: those of the camera, else encoded from the pixels."""
         if isinstance(self.image, bytes):
             return self
         return replace(self, image=jpeg(self.image, quality))

@@ -18,7 +18,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class SerialStats:
-    """written, dropped: whole messages. reconnects: of the port. read: bytes received."""
+    """Counters of a serial port.
+
+    written, dropped: number of messages. reconnects: how often the port was reopened. read: number
+    of bytes received.
+    """
 
     written: int = 0
     dropped: int = 0
@@ -30,7 +34,7 @@ class SerialPort:
     """Send whole messages and receive bytes in a thread of its own.
 
     buffer_bytes: capacity of the send queue; when it is full the oldest message is dropped, since
-    a fresh pose is worth more. retry_s: time between attempts to open a missing port.
+    newer poses are more useful. retry_s: time between attempts to open a missing port.
     """
 
     _POLL_S = 0.1
@@ -122,7 +126,7 @@ class SerialPort:
             self._close()
 
     def _has_output(self) -> bool:
-        """Whether there are bytes to send; dequeues the next message once the last one is sent."""
+        """True if there are bytes to send; takes the next message when the last one is sent."""
         with self._lock:
             if not self._unsent and self._queue:
                 message = self._queue.popleft()
@@ -131,7 +135,7 @@ class SerialPort:
         return bool(self._unsent)
 
     def _exchange(self) -> None:
-        """Wait until the port is ready (or for a while), then write and read some bytes."""
+        """Wait a limited time until the port is ready, then write and read some bytes."""
         try:
             fd = self._port.fileno()
             out = [fd] if self._has_output() else []
@@ -161,8 +165,8 @@ class SerialPort:
         except BlockingIOError:
             return
         if not data:
-            # readable without data: the other end hung up
-            raise OSError("hung up")
+            # readable, but no data: the device was disconnected
+            raise OSError("device disconnected")
         with self._lock:
             self._read += len(data)
         if self._on_bytes is not None:
@@ -190,7 +194,7 @@ class SerialPort:
             with self._lock:
                 self._dropped += 1
         if port is not None:
-            # either may fail on a vanished device, and the descriptor must still be closed
+            # each step may fail on a lost device, and the descriptor must be closed anyway
             for step in (self._flush_or_discard, type(port).close):
                 try:
                     step(port)
@@ -198,7 +202,7 @@ class SerialPort:
                     log.debug("%s: close: %s", self.path, error)
 
     def _flush_or_discard(self, port: Any) -> None:
-        """Discard bytes that the receiver does not take in time: close() would wait 30 s for it."""
+        """Wait briefly for unsent bytes, then discard them, as close() would wait up to 30 s."""
         limit = time.monotonic() + self._POLL_S
         while port.out_waiting and time.monotonic() < limit:
             time.sleep(0.005)

@@ -30,7 +30,7 @@ class Notifier(Protocol):
         ...
 
     def watchdog(self) -> None:
-        """Send a watchdog ping. Call it only from the loop that just delivered a frame or pose."""
+        """Send a watchdog ping. Call it only after a frame or pose has been delivered."""
         ...
 
     def status(self, text: str, state: str = "") -> None:
@@ -67,8 +67,8 @@ class NullNotifier:
 class SystemdNotifier:
     """Notifier for systemd.
 
-    notify: `systemd.daemon.notify`. watchdog_s: systemd kills the process after this long without
-    a ping. journal: `systemd.journal.send`, None where stderr is not the journal.
+    notify: `systemd.daemon.notify`. watchdog_s: systemd kills the process after this long without a
+    ping. journal: `systemd.journal.send`; None if stderr is not connected to the journal.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ def _watchdog_s() -> float | None:
 
 
 def _stderr_is_the_journal() -> bool:
-    """True if stderr is the stream whose device and inode systemd gave in JOURNAL_STREAM."""
+    """True if stderr is connected to the journal: device and inode equal JOURNAL_STREAM."""
     try:
         stream = os.fstat(2)
     except OSError:

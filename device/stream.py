@@ -1,4 +1,4 @@
-"""State common to all frame streams: counters, stamp order and the newest frame."""
+"""State common to all camera drivers: counters, stamp order and the newest frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Count = Literal["reconnects", "host_stamped", "corrupt"]
 
 
 class Stream:
-    """Counters and newest frame of one driver, which keep its stamps increasing."""
+    """Counters and newest frame of one camera; makes its stamps strictly increase."""
 
     def __init__(self) -> None:
         self.stats = CameraStats()
@@ -25,8 +25,8 @@ class Stream:
     def admit(self, frame: Frame, now_ns: int | None) -> Frame:
         """Count a frame and clamp its stamp to lie after the preceding one and not after now_ns.
 
-        Some drivers stamp into the future (virtual ones by 178 ms); `clamped` counts these.
-        now_ns: None where the stamps are not of a running clock.
+        Some drivers give stamps in the future (virtual cameras by 178 ms); `clamped` counts the
+        corrected ones. now_ns: current time on the clock of the stamps; None in a replay.
         """
         t_ns = frame.t_ns if now_ns is None else min(frame.t_ns, now_ns)
         drops = 0

@@ -15,9 +15,10 @@ _PROCESSOR = ("processor", "cpufreq", "cpu")
 
 @dataclass(frozen=True, slots=True)
 class Thermal:
-    """celsius: of the hottest zone, None if none can be read. zone: its name.
+    """Temperature and throttling of the computer.
 
-    throttled: a cooling device of the processor is active.
+    celsius: temperature of the hottest zone, None if none can be read. zone: its name. throttled:
+    True if a cooling device of the processor is active.
     """
 
     celsius: float | None = None
@@ -46,12 +47,12 @@ class ThermalReader:
     def _throttling(self) -> Iterator[bool]:
         for device in self._root.glob("cooling_device*"):
             kind = _text(device / "type").lower().removeprefix("thermal-")
-            # idle ones report 0 or -1; fans do not slow the processor and are left out
+            # an idle device reports 0 or -1; fans do not slow the processor and are left out
             yield kind.startswith(_PROCESSOR) and (_number(device / "cur_state") or 0) > 0
 
 
 class ThermalWatch:
-    """Read periodically in a thread of its own: some sensors take many milliseconds to answer.
+    """Read the temperature periodically in a thread: some sensors take many milliseconds.
 
     latest: the last reading.
     """
@@ -59,7 +60,7 @@ class ThermalWatch:
     def __init__(self, reader: ThermalReader, period_s: float) -> None:
         self._reader, self._period_s = reader, period_s
         self._stopping = threading.Event()
-        # replaced as a whole, so that readers need no lock
+        # immutable and replaced by each reading, so that other threads need no lock
         self.latest = Thermal()
         threading.Thread(target=self._run, name="thermal", daemon=True).start()
 

@@ -30,8 +30,9 @@ _SILENT_NS = 3 * NS_PER_S
 class RawFrame:
     """Frame as read from the device.
 
-    sequence: the device's counter, which may restart when the device is reopened. t_ns: None
-    without a usable stamp. image: as in Frame; None if the buffer was unusable.
+    sequence: the device's frame counter, which may restart when the device is reopened. t_ns: stamp
+    of the device, None if it gave no usable one. image: as in Frame; None if the buffer was
+    unusable.
     """
 
     sequence: int
@@ -40,7 +41,9 @@ class RawFrame:
 
 
 class LiveCamera(ABC):
-    """A Camera on a device that may be unplugged; a lost one is searched for every second.
+    """Base class of cameras on a device that may be unplugged.
+
+    A lost device is searched for every second.
 
     clock: CLOCK_MONOTONIC, the clock of the stamps.
     """
@@ -88,7 +91,7 @@ class LiveCamera(ABC):
 
     @property
     def connected(self) -> bool:
-        """False before start, while the device is gone, and after stop."""
+        """True while the device is open: not before start(), while it is lost or after stop()."""
         return self._is_open
 
     def start(self) -> None:
@@ -182,7 +185,7 @@ class LiveCamera(ABC):
         return self._stream.admit(frame, now_ns)
 
     def _sequence(self, sequence: int) -> int:
-        """Continue the count after a reconnect, where the device restarts at 0."""
+        """Continue the sequence numbers after a reconnect, when the device restarts at 0."""
         if self._needs_offset:
             newest = self._stream.newest
             self._sequence_offset = newest.sequence + 1 - sequence if newest else 0

@@ -1,6 +1,6 @@
 """OAK cameras by depthai v3: JPEG encoded on the device, stamps on the host's clock.
 
-Tested only with the parts of a pipeline that depthai runs on a host; never with a device.
+Not yet tested with a device, only with the parts of depthai that run without one.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from device.frame import Eye
 _JPEG_START = b"\xff\xd8"
 _QUALITY = 92
 _QUEUE = 8
-# an older stamp dates from before the device synchronised to the host's clock
+# an older stamp was taken before the device synchronised its clock to the host's
 _OLDEST_NS = 10 * NS_PER_S
 _ABSENT = "no OAK device found; plug one in (USB 3), see deploy/99-calm-edge.rules for access"
 
 
 def load() -> Any:
     """Import depthai without telemetry or signal handlers; raises CameraError if not installed."""
-    # depthai reads these when it is imported
+    # depthai reads these variables when it is imported
     os.environ["DEPTHAI_TELEMETRY"] = "0"
     os.environ["DEPTHAI_INSTALL_SIGNAL_HANDLER"] = "0"
     os.environ.setdefault("DEPTHAI_LEVEL", "error")
@@ -64,7 +64,7 @@ def discover(details: bool = True) -> list[FoundCamera]:
 
 
 class DevicePipeline:
-    """A running depthai pipeline: camera, and JPEG encoder unless raw, for each socket."""
+    """A running depthai pipeline: for each socket a camera node and, unless raw, a JPEG encoder."""
 
     def __init__(
         self, dai: Any, device: Any, pipeline: Any, requests: Sequence[SocketRequest]
@@ -133,7 +133,7 @@ class OakCamera(LiveCamera):
 
     spec.address: `ID/SOCKET`, such as `14442C10D13EABCE00/CAM_B`, with `/raw` appended for
     uncompressed images. `ID` alone: its CAM_A. Empty: CAM_B (primary) and CAM_C (assistant) of the
-    first device. factory: creates the pipeline of a device.
+    first device. factory: function that creates the pipeline of a device.
     """
 
     def __init__(self, spec: CameraSpec, clock: Clock, *, factory: Factory = on_device) -> None:
@@ -152,7 +152,7 @@ class OakCamera(LiveCamera):
 
     @property
     def settings(self) -> dict[str, int | float | str]:
-        """Device and image mode; `auto` or the value in the newest frame for each control."""
+        """Device, image mode, and for each control `auto` or its value in the newest frame."""
         if self._pipeline is None:
             return {}
         request = self._request
@@ -182,12 +182,15 @@ class OakCamera(LiveCamera):
             self._shared.discard(pipeline)
 
     def _lock_settled(self) -> bool:
-        """Replace the controls to lock by their current values, which a rebuilt pipeline keeps."""
+        """Lock the `lock` and `auto-then-lock` controls at the values of the newest frame.
+
+        The values are kept when the pipeline is rebuilt. Returns False if there is nothing to lock.
+        """
         requested, newest = dataclasses.asdict(self._request.controls), self._newest
         pending = {k for k, v in requested.items() if v in (LOCK, AUTO_THEN_LOCK)}
         if not pending or newest is None or self._pipeline is None:
             return False
-        # the sensor takes the two only together
+        # the sensor accepts exposure and gain only together
         if pending & {"exposure_us", "gain"}:
             pending |= {"exposure_us", "gain"}
         locked = {k: v for k, v in control_values(newest).items() if k in pending and v}
@@ -204,11 +207,11 @@ class OakCamera(LiveCamera):
             queue = self._pipeline.queues[self._request.socket]
             message = queue.get(timedelta(seconds=timeout_s))
         except Exception as error:
-            # depthai's exceptions have no closer common base
-            raise CameraError(f"{self.spec.name}: lost ({error})") from None
+            # depthai's exceptions have no common base class but Exception
+            raise CameraError(f"{self.spec.name}: connection lost ({error})") from None
         if message is None:
             if not self._pipeline.alive():
-                raise CameraError(f"{self.spec.name}: lost")
+                raise CameraError(f"{self.spec.name}: connection lost")
             return None
         self._newest = message
         t_ns = message.getTimestamp() // timedelta(microseconds=1) * 1000
@@ -229,7 +232,7 @@ def parse(spec: CameraSpec) -> tuple[str, str, bool]:
 
 
 def control_values(message: Any) -> dict[str, int]:
-    """Values of the controls with which a frame was taken, by key of CameraControls."""
+    """Return the control values with which a frame was taken, by key of CameraControls."""
     return {
         "exposure_us": message.getExposureTime() // timedelta(microseconds=1),
         "gain": message.getSensitivity(),
@@ -239,7 +242,7 @@ def control_values(message: Any) -> dict[str, int]:
 
 
 def image_of(message: Any) -> NDArray[np.uint8] | bytes | None:
-    """JPEG bytes of an encoded frame, else (H, W, 3) BGR; None if the bytes are not a JPEG."""
+    """Return the JPEG bytes of a message, or (H, W, 3) BGR if raw; None for invalid JPEG."""
     if not hasattr(message, "getCvFrame"):
         data = bytes(message.getData())
         return data if data.startswith(_JPEG_START) else None

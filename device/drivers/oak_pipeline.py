@@ -25,7 +25,7 @@ class SocketRequest:
 
 
 class Queue(Protocol):
-    """The part of depthai.MessageQueue that is used."""
+    """Interface of a frame queue: the part of depthai.MessageQueue that is used."""
 
     def get(self, timeout: timedelta, /) -> Any:
         """Return the next message, None after the timeout; raises once the queue is closed."""
@@ -51,15 +51,16 @@ class Pipeline(Protocol):
         ...
 
 
-# (device id, empty for the first device; requests of its sockets) -> pipeline; raises CameraError
+# creates the pipeline of a device id (empty: the first device) for the requests of its sockets;
+# raises CameraError
 Factory = Callable[[str, Sequence[SocketRequest]], Pipeline]
 
 
 class SharedPipeline:
-    """Owner of one device's pipeline.
+    """Owner of the one pipeline of a device, shared by the cameras on its sockets.
 
-    A running pipeline cannot be extended, so cameras register before the first one starts. For one
-    that registers later the pipeline is rebuilt, and the other cameras reconnect.
+    A running pipeline cannot be extended by a socket, so all cameras register before the first one
+    starts. If one registers later, the pipeline is rebuilt and the other cameras reconnect.
     """
 
     def __init__(self, device: str, factory: Factory) -> None:
@@ -86,7 +87,7 @@ class SharedPipeline:
             return self._pipeline
 
     def discard(self, pipeline: Pipeline) -> None:
-        """Close a pipeline that a camera found dead, unless it has been replaced already."""
+        """Close a pipeline that no longer delivers frames, unless it has been replaced already."""
         with self._lock:
             if self._pipeline is pipeline:
                 self._end()

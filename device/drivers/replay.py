@@ -15,8 +15,8 @@ from device.stream import Stream
 class ReplayCamera:
     """A Camera that plays given frames, with their own stamps.
 
-    frames: of the spec's eye, in order of time; iterated lazily. paced: deliver each frame once
-    `clock`, which runs on the time of the stamps, has reached it; else as fast as read() is called.
+    frames: of the spec's eye, in order of time; iterated lazily. paced: deliver each frame when
+    `clock`, in the time of the stamps, has reached its stamp; else as fast as read() is called.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class ReplayCamera:
         self._running = True
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Return the next frame once it is due; raises CameraError for the other eye's frame."""
+        """Return the next frame once it is due; raises CameraError for a frame of the other eye."""
         if not self._running:
             return None
         limit_ns = self._clock.now_ns() + math.floor(timeout_s * NS_PER_S)

@@ -15,8 +15,8 @@ from device.drivers.v4l2_pixels import decode
 class V4l2Camera(LiveCamera):
     """A Video4Linux2 camera.
 
-    spec.address: BUS_INFO, serial=..., empty, or /dev/videoN, which is resolved to its bus on
-    opening. io: the system calls.
+    spec.address: `BUS_INFO`, `serial=...`, `/dev/videoN` (replaced by its bus when opened) or
+    empty, see v4l2_nodes.find. io: the system calls.
     """
 
     def __init__(self, spec: CameraSpec, clock: Clock, *, io: VideoIO | None = None) -> None:

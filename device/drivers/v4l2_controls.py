@@ -17,7 +17,7 @@ from device.errors import CameraError
 QUERYCTRL = 0xC0445624
 G_CTRL = 0xC008561B
 S_CTRL = 0xC008561C
-# id type name minimum maximum step default flags
+# struct v4l2_queryctrl: id type name minimum maximum step default flags
 QUERY = struct.Struct("=II32siiiiI8x")
 CONTROL = struct.Struct("=Ii")
 FLAG_DISABLED = 0x0001
@@ -57,10 +57,11 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class ControlGroup:
-    """The V4L2 controls behind one key of CameraControls.
+    """The V4L2 controls for one key of CameraControls.
 
-    switch: id of the automatic mode, with its values `on` (the first accepted) and `off`. values:
-    ids of the manual value, of which a camera has one. unit: units of the key per control unit.
+    switch: id of the control that selects the automatic mode; `on`: its values for automatic, tried
+    in order; `off`: its value for manual. values: possible ids of the control with the manual
+    value; a camera has one of them. unit: conversion factor, key units per control unit.
     """
 
     key: str
@@ -126,8 +127,9 @@ def set_control(io: VideoIO, fd: int, control: int, value: int) -> bool:
 class ControlKeeper:
     """Apply the controls of one camera, and restore the locked values after a reconnect.
 
-    settings: key -> what was read back: `auto`, a number in the unit of the key, `locked` if it
-    cannot be read, or `absent`. remarks: requests that were not fulfilled, one line each.
+    settings: key -> state read back from the camera: `auto`, a number in the unit of the key,
+    `locked` if the value cannot be read, or `absent`. remarks: requests that were not fulfilled,
+    one line each.
     """
 
     def __init__(self, name: str, wanted: CameraControls) -> None:
@@ -140,7 +142,7 @@ class ControlKeeper:
 
     @property
     def pending(self) -> bool:
-        """True if there are controls still to lock once they have converged."""
+        """True while `auto-then-lock` controls still have to be locked."""
         return bool(self._pending)
 
     def apply(self, io: VideoIO, fd: int) -> None:
@@ -148,7 +150,7 @@ class ControlKeeper:
         self._known = {c.id: c for c in list_controls(io, fd)}
         self._pending, self.remarks = [], []
         if EXPOSURE_AUTO_PRIORITY in self._known:
-            # otherwise the camera halves its frame rate in the dark
+            # if left on, the camera halves its frame rate in the dark
             set_control(io, fd, EXPOSURE_AUTO_PRIORITY, 0)
         for group in CONTROL_GROUPS:
             wanted = getattr(self._wanted, group.key)
@@ -180,7 +182,7 @@ class ControlKeeper:
             self._lock(io, fd, group, None)
 
     def _lock(self, io: VideoIO, fd: int, group: ControlGroup, wanted: int | None) -> None:
-        """Switch to manual, at `wanted` in the key's unit or at the current value if None."""
+        """Switch to manual mode, at `wanted` in the key's unit, or at the current value if None."""
         control = self._value_of(group)
         current = None if control is None else get_control(io, fd, control.id)
         if group.switch in self._known and not self._switch_off(io, fd, group):
@@ -195,7 +197,7 @@ class ControlKeeper:
         value = current if wanted is None else round(wanted / group.unit)
         if control is not None and value is not None and not control.flags & FLAG_READ_ONLY:
             nearest = control.nearest(value)
-            # some cameras reset the value when automatic is switched off: write even the current
+            # also write an unchanged value: some cameras reset it when automatic is switched off
             if not set_control(io, fd, control.id, nearest):
                 self.remarks.append(f"{self._name}: {group.key} was not accepted")
             elif wanted is not None and nearest != value:

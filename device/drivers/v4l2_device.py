@@ -82,7 +82,7 @@ class VideoDevice:
         self._buffers.clear()
         with contextlib.suppress(OSError):
             v4l2.request_buffers(self._io, self._fd, 0)
-        # with a stale descriptor the camera would reconnect under another node number
+        # while the descriptor stays open, a reconnected camera gets another node number
         with contextlib.suppress(OSError):
             self._io.close(self._fd)
 
@@ -95,7 +95,7 @@ class VideoDevice:
             if form.fourcc == fourcc:
                 return form
         raise CameraError(
-            f"{self._what}: offers {', '.join(offered) or 'no format'}; "
+            f"{self._what}: no supported format among {', '.join(offered) or 'none'}; "
             f"use a camera with one of {', '.join(WANTED)}"
         )
 
@@ -103,7 +103,7 @@ class VideoDevice:
         try:
             return v4l2.set_rate(self._io, self._fd, rate_hz)
         except OSError as error:
-            # a camera without selectable rates runs at its own
+            # these errors: the camera has a fixed rate
             if error.errno in (errno.EINVAL, errno.ENOTTY):
                 return 0.0
             raise

@@ -10,9 +10,10 @@ _SYS, _PROC = Path("/sys"), Path("/proc")
 
 @dataclass(frozen=True, slots=True)
 class NodeFacts:
-    """serial: of the USB device, or empty. port: path of the device in sysfs.
+    """Serial number and port of a video node.
 
-    Sorting by port orders the nodes of one device independently of their numbers.
+    serial: of the USB device, or empty. port: path of the device in sysfs; sorted by it, the nodes
+    of one device keep their order when node numbers change.
     """
 
     serial: str = ""
@@ -20,7 +21,7 @@ class NodeFacts:
 
 
 def facts(path: str, sys: Path = _SYS) -> NodeFacts:
-    """Return the facts of a node such as `/dev/video0`; empty fields if sysfs has no entry."""
+    """Read serial and port of a node such as `/dev/video0`; empty if sysfs has no entry."""
     try:
         device = (sys / "class/video4linux" / Path(path).name / "device").resolve(strict=True)
     except OSError:
@@ -35,7 +36,10 @@ def facts(path: str, sys: Path = _SYS) -> NodeFacts:
 
 
 def holders(path: str, proc: Path = _PROC) -> list[str]:
-    """`NAME (process 123)` for each process that has the node open and may be inspected."""
+    """List the processes that have the node open, as `NAME (process 123)`.
+
+    Processes that may not be inspected are left out.
+    """
     found = []
     for process in sorted(proc.glob("[0-9]*"), key=lambda p: p.name):
         try:

@@ -37,21 +37,25 @@ BUF_FLAG_ERROR = 0x0040
 BUF_FLAG_TIMESTAMP_MASK = 0xE000
 BUF_FLAG_TIMESTAMP_MONOTONIC = 0x2000
 
-# trailing pad bytes stand for fields that stay zero
+# pad bytes (x) replace unused fields, which stay zero
 CAPABILITY = struct.Struct("=16s32s32sIII12x")
 FMTDESC = struct.Struct("=III32sI16x")
-# the pix member of the union, which is 200 bytes long and aligned to 8
+# struct v4l2_format with fmt.pix; the union fmt is 200 bytes long and aligned to 8
 FORMAT = struct.Struct("=I4xIIIIII176x")
-# type; capability, capturemode, timeperframe numerator and denominator
+# struct v4l2_streamparm: type | capability capturemode, numerator and denominator of timeperframe
 STREAMPARM = struct.Struct("=IIIII184x")
 REQUESTBUFFERS = struct.Struct("=III8x")
+# struct v4l2_buffer:
 # index type bytesused flags field | tv_sec tv_usec | timecode | sequence memory | offset | length
 BUFFER = struct.Struct("=IIIII4xqq16xIII4xI12x")
 
 
 @dataclass(frozen=True, slots=True)
 class Capability:
-    """Answer of QUERYCAP. capabilities: of this node if the driver reports that, else of all."""
+    """Result of QUERYCAP.
+
+    capabilities: flags of this node if the driver reports them, else of the whole device.
+    """
 
     driver: str
     card: str
@@ -67,7 +71,10 @@ class Capability:
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """fourcc as 4 characters; stride_bytes: of a row, 0 for compressed formats."""
+    """Format of the images: fourcc as 4 characters, size, and bytes per row.
+
+    stride_bytes: 0 for compressed formats.
+    """
 
     fourcc: str
     width_px: int
@@ -119,7 +126,7 @@ class VideoIO(Protocol):
 
 
 class LinuxVideoIO:
-    """The system calls of Linux. folder: holds the video nodes."""
+    """The system calls of Linux. folder: directory of the video nodes."""
 
     def __init__(self, folder: Path = Path("/dev")) -> None:
         self._folder = folder
@@ -165,7 +172,7 @@ def code(fourcc: str) -> int:
 
 
 def query_capability(io: VideoIO, fd: int) -> Capability:
-    """QUERYCAP; raises OSError."""
+    """QUERYCAP: read driver, name, bus and capabilities of a node; raises OSError."""
     argument = bytearray(CAPABILITY.size)
     io.ioctl(fd, QUERYCAP, argument)
     driver, card, bus_info, _, capabilities, device_caps = CAPABILITY.unpack(argument)

@@ -12,17 +12,18 @@ from device.drivers import v4l2_ioctl as v4l2
 ENUM_FRAMESIZES = 0xC02C564A
 ENUM_FRAMEINTERVALS = 0xC034564B
 DISCRETE = 1
-# index pixel_format type | width height, or min max step of each
+# struct v4l2_frmsizeenum: index pixel_format type | width height, or min max step of each
 FRAMESIZE = struct.Struct("=III6I8x")
+# struct v4l2_frmivalenum:
 # index pixel_format width height type | numerator denominator, or min max step of them
 FRAMEINTERVAL = struct.Struct("=IIIII6I8x")
-# relative tolerance: drivers count in units of 100 ns, and 29.97 Hz serves for 30
+# relative tolerance: frame intervals are multiples of 100 ns, and 29.97 Hz is accepted for 30 Hz
 _SLACK = 0.99
 
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """An image size and its frame rates; a continuous range is given by its two ends."""
+    """A pixel format and image size, and its frame rates; of a continuous range the two ends."""
 
     fourcc: str
     width_px: int
@@ -31,7 +32,7 @@ class Mode:
 
 
 def _enumerate(io: v4l2.VideoIO, fd: int, request: int, argument: bytearray) -> bool:
-    """Fetch a list entry; False at the end of the list or if the driver does not support it."""
+    """Fetch one entry of a list; False after its end or if the driver does not support the list."""
     try:
         io.ioctl(fd, request, argument)
     except OSError as error:
@@ -51,7 +52,7 @@ def sizes(io: v4l2.VideoIO, fd: int, fourcc: str) -> Iterator[tuple[int, int]]:
         if kind == DISCRETE:
             yield numbers[0], numbers[1]
             continue
-        # minimum, maximum and step of the width, then of the height
+        # the numbers are minimum, maximum and step of the width, then of the height
         yield numbers[0], numbers[3]
         yield numbers[1], numbers[4]
         return
@@ -84,7 +85,7 @@ def rates(
 def choose_rate(offered: Sequence[float], asked_hz: float) -> float:
     """Choose the slowest rate of at least asked_hz, else the fastest offered.
 
-    Left to itself a driver takes the nearest interval, which may be half the requested rate.
+    A driver would choose the nearest frame interval, which may mean half the requested rate.
     """
     enough = [rate for rate in offered if rate >= _SLACK * asked_hz]
     if not offered:

@@ -32,9 +32,10 @@ SERIAL = "serial="
 
 
 def explain(what: str, error: OSError, holders: Sequence[str] = ()) -> CameraError:
-    """Convert an OSError of a camera to a CameraError, with a remedy for the usual ones.
+    """Convert an OSError of a camera to a CameraError, with a remedy for the common errors.
 
-    holders: processes that have the device open, named if the error is EBUSY.
+    what: name of the camera. holders: processes that have the device open, named if the error is
+    EBUSY.
     """
     if error.errno == errno.EBUSY and holders:
         return CameraError(f"{what}: in use by {', '.join(holders)}; close it")
@@ -43,10 +44,10 @@ def explain(what: str, error: OSError, holders: Sequence[str] = ()) -> CameraErr
 
 @dataclass(frozen=True, slots=True)
 class VideoNode:
-    """A capturing node. serial: of the USB device, or empty.
+    """A video node that delivers images. serial: of the USB device, or empty.
 
-    address: its permanent identity, `BUS_INFO`, or `BUS_INFO#1` for the second capturing node on
-    the same bus.
+    address: its permanent identity, `BUS_INFO`, or `BUS_INFO#1` for the second such node on the
+    same bus.
     """
 
     path: str
@@ -59,7 +60,7 @@ class VideoNode:
 def list_devices(io: v4l2.VideoIO | None = None) -> list[VideoNode]:
     """List the cameras that can be opened, by node number.
 
-    Raises CameraError if there are none for lack of permission.
+    Raises CameraError if no camera can be opened for lack of permission.
     """
     io = io or v4l2.LinuxVideoIO()
     found: list[tuple[str, int, str, v4l2.Capability, str]] = []
@@ -82,7 +83,7 @@ def list_devices(io: v4l2.VideoIO | None = None) -> list[VideoNode]:
         raise denied
     nodes: dict[int, VideoNode] = {}
     on_bus: Counter[str] = Counter()
-    # by port: two sensors of one device keep their order when the nodes are renumbered
+    # sorted by port: two sensors of one device keep their order when nodes are renumbered
     for _, number, path, capability, serial in sorted(found, key=lambda f: f[:2]):
         nth = on_bus[capability.bus_info]
         on_bus[capability.bus_info] += 1
@@ -94,8 +95,8 @@ def list_devices(io: v4l2.VideoIO | None = None) -> list[VideoNode]:
 def find(address: str, eye: Eye, io: v4l2.VideoIO) -> VideoNode:
     """Find the node of an address: a bus, `serial=...` or /dev/videoN; raises CameraError.
 
-    An empty address means the first camera in the order of buses for the primary and the second
-    for the assistant.
+    If the address is empty, the cameras are sorted by bus: the first is the primary, the second the
+    assistant.
     """
     nodes = list_devices(io)
     name = f"{eye.name.lower()} camera v4l2:{address}"
@@ -109,7 +110,7 @@ def find(address: str, eye: Eye, io: v4l2.VideoIO) -> VideoNode:
         same = [node for node in nodes if node.serial and address == SERIAL + node.serial]
         if len(same) > 1:
             raise CameraError(
-                f"{name}: {len(same)} cameras have this serial; name them by their ports: "
+                f"{name}: {len(same)} cameras have this serial; use the addresses of their ports: "
                 + ", ".join(node.address for node in same)
             )
         if same:
@@ -126,7 +127,7 @@ def identity(address: str, node: VideoNode) -> str:
 
 
 def discover(io: v4l2.VideoIO | None = None, details: bool = True) -> list[FoundCamera]:
-    """List all V4L2 cameras. details: with formats and controls, for which each is opened."""
+    """List all V4L2 cameras. details: with formats and controls, which opens each camera."""
     io = io or v4l2.LinuxVideoIO()
     found = []
     for node in list_devices(io):

@@ -10,7 +10,7 @@ from device.drivers.v4l2_ioctl import PixelFormat
 
 JPEGS = ("MJPG", "JPEG")
 _JPEG_START = b"\xff\xd8"
-# fourcc -> OpenCV's conversion to BGR, None where it is BGR
+# fourcc -> OpenCV's conversion code to BGR; None: it is BGR already
 _PAIRS = {
     "YUYV": cv2.COLOR_YUV2BGR_YUYV,
     "UYVY": cv2.COLOR_YUV2BGR_UYVY,
@@ -20,7 +20,7 @@ _SEMI_PLANAR = {"NV12": cv2.COLOR_YUV2BGR_NV12, "NV21": cv2.COLOR_YUV2BGR_NV21}
 _PLANAR = {"YU12": cv2.COLOR_YUV2BGR_I420, "YV12": cv2.COLOR_YUV2BGR_YV12}
 _TRIPLES = {"BGR3": None, "RGB3": cv2.COLOR_RGB2BGR}
 _GRAYS = {"GREY": cv2.COLOR_GRAY2BGR}
-# in order of preference: JPEG needs least USB bandwidth and is recorded without re-encoding
+# accepted formats by preference: JPEG needs least USB bandwidth and is recorded without re-encoding
 WANTED = (*JPEGS, *_PAIRS, *_SEMI_PLANAR, *_PLANAR, *_TRIPLES, *_GRAYS)
 
 
