@@ -1,4 +1,4 @@
-"""Encode cameras as JSON in the header of a record; convert the matrices of earlier recordings."""
+"""Encode cameras as JSON for the header of a record; convert the matrices of version 0.1.0."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calm_edge.recording.errors import RecordingError
 from device.frame import Eye
 
 MODELS: dict[str, type[Camera]] = {"perspective": Perspective, "fisheye": Fisheye}
-# arrays (N, 3, 3) px in the updates of version 0.1.0, and the fields that replace them
+# names of the intrinsics arrays (N, 3, 3) px of version 0.1.0 -> fields that replace them
 _MATRICES = {
     "prediction.K": "prediction.cameras",
     "submap.K_raw": "submap.cameras_raw",
@@ -21,7 +21,7 @@ _MATRICES = {
 
 
 def encode(camera: Camera) -> dict[str, Any]:
-    """Encode a camera by the name of its model and all fields; floats are stored exactly."""
+    """Encode a camera as the name of its model and all its fields; floats are stored exactly."""
     model = next(name for name, kind in MODELS.items() if isinstance(camera, kind))
     return {"model": model, **asdict(camera)}
 
@@ -39,7 +39,7 @@ def decode(value: Any) -> Camera:
 def replace_matrices(
     header: dict[str, Any], arrays: dict[str, Any], size_of: Callable[[Eye], tuple[int, int]]
 ) -> None:
-    """Convert the matrices in an update of version 0.1.0 to encoded pinhole cameras, in place.
+    """Convert the 3x3 intrinsics in an update of version 0.1.0 to pinhole cameras, in place.
 
     size_of: returns width, height [px] of an eye's images; called only if there are matrices.
     """

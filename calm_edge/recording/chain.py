@@ -1,4 +1,4 @@
-"""Write segment after segment to a disk that may fill up, fail and recover."""
+"""Write a recording as a sequence of segment files, continuing after disk errors."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _log = logging.getLogger(__name__)
 
 
 class SegmentChain:
-    """Owner of the segment being written and of messages that a failing disk refused.
+    """Owner of the segment being written, and of the messages not written after a disk error.
 
-    After the first `open` no method raises OSError: a disk error is stored in `error` and passed
-    to `on_error` (an empty text: recovered), and messages not written go to the next segment.
-    root: see Room.
+    After the first `open` no method raises OSError: a disk error is stored in `error` and passed to
+    `on_error` (an empty text: recovered), and messages not written go to the next segment. root:
+    see Room.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class SegmentChain:
             self.finish()
 
     def finish(self) -> None:
-        """Finish the segment, if one is open."""
+        """Finish the open segment, if any."""
         if self._segment is None:
             return
         try:
@@ -107,7 +107,7 @@ class SegmentChain:
             self.fail(_reason(error))
 
     def fail(self, reason: str) -> None:
-        """End the segment after its last whole chunk, keep the other messages for the next one."""
+        """Close the segment at its last complete chunk; later messages go to the next one."""
         if self._segment is not None:
             self._unwritten += self._segment.abandon()
             self._close(self._segment)
@@ -139,7 +139,7 @@ class SegmentChain:
         return True
 
     def drop_unwritten(self) -> int:
-        """Discard the messages that the disk refused; return how many."""
+        """Discard the messages that could not be written; return how many."""
         dropped, self._unwritten = len(self._unwritten), []
         return dropped
 
@@ -147,7 +147,7 @@ class SegmentChain:
         try:
             segment = self._next_segment()
         except FileExistsError:
-            # left by a failed attempt that could not be removed either
+            # the file of a failed attempt could not be removed: use the next number
             self._number += 1
             segment = self._next_segment()
         self._number += 1
@@ -159,7 +159,7 @@ class SegmentChain:
         return Segment(self._folder, self._number, chunk_bytes, self._metadata, self._write)
 
     def _check_room(self) -> bool:
-        """Whether the disk has room for more; logs what was removed to make room."""
+        """Return False if the disk is too full to go on; log the segments removed to make room."""
         segment_bytes = self._segment.size if self._segment is not None else 0
         enough = self._room.check(time.monotonic(), self._closed_bytes + segment_bytes)
         for path in self._room.take_removed():

@@ -1,6 +1,7 @@
 """Convert poses, frames and trajectories to Foxglove's protobuf messages, for display.
 
-These lose some content (unit quaternions, no status); `record` writes the exact values beside them.
+The conversion loses some content (unit quaternions, no status); the exact values are recorded
+beside them, see record.py.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def timestamp(t_ns: int) -> Timestamp:
 
 
 def camera_frame(eye: Eye) -> str:
-    """Foxglove frame id of an eye: `primary` or `assistant`."""
+    """Return the Foxglove frame id of an eye: `primary` or `assistant`."""
     return eye.name.lower()
 
 

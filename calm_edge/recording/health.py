@@ -1,4 +1,4 @@
-"""State of the recording's writer and of its disk, and the kernel's boot id."""
+"""State of the recording's writer and of its disk; the kernel's boot id."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """A measurement of the disk.
+    """Free space of the disk.
 
-    free_bytes: available to an unprivileged user, None if unknown. floor_bytes: have to stay
-    free. bytes_per_s: current rate of recording. removes_old: old drives are removed at the floor.
+    free_bytes: available to an unprivileged user, None if unknown. floor_bytes: minimum to be left
+    free. bytes_per_s: current rate of recording. removes_old: old drives are removed when the
+    minimum is reached.
     """
 
     free_bytes: int | None = None
@@ -23,7 +24,7 @@ class Space:
 
     @property
     def left_s(self) -> float | None:
-        """Seconds until the floor is reached at the current rate; None if unknown."""
+        """Seconds until free_bytes falls to floor_bytes at the current rate; None if unknown."""
         if self.free_bytes is None or self.bytes_per_s <= 0:
             return None
         return max(0.0, (self.free_bytes - self.floor_bytes) / self.bytes_per_s)
@@ -33,9 +34,9 @@ class Space:
 class WriterHealth:
     """State of the writer. error: empty while recording works.
 
-    dropped_*: items lost to a full queue. unwritable: items that
-    could not be encoded or stored. queue_fill: 0 ... 1. sync_ms: duration of the last sync to
-    disk. space: the disk when last checked.
+    dropped_*: items lost because the queue was full. unwritable: items that could not be encoded or
+    stored. queue_fill: 0 ... 1. sync_ms: duration of the last sync to disk. space: free space when
+    last checked.
     """
 
     error: str

@@ -16,7 +16,7 @@ def newest_ns(index: SegmentIndex) -> int | None:
 
 
 def describe(index: SegmentIndex) -> list[str]:
-    """One line for each loss: the file, from when on, and how much was recovered."""
+    """Return one line for each loss: file, cause, time of the loss, messages recovered."""
     lines = []
     if index.cut and not index.data_ended:
         end = newest_ns(index)

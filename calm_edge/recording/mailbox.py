@@ -14,7 +14,7 @@ T = TypeVar("T")
 class Mailbox(Generic[T]):
     """FIFO queue of at most `capacity_bytes`; `put` never blocks unless `lossless`.
 
-    When full, it drops the oldest item that is not an image, or the oldest image if it holds
+    When full, it drops the oldest item that is not an image, or the oldest image if it contains
     nothing else. A single item larger than the capacity is accepted.
     """
 
@@ -22,7 +22,8 @@ class Mailbox(Generic[T]):
         self._capacity = capacity_bytes
         self._lossless = lossless
         self._changed = threading.Condition()
-        # (order of arrival, bytes, item), images apart: drops need the oldest of a kind
+        # one queue for images and one for other items, to drop the oldest of either kind;
+        # entries: (order of arrival, bytes, item)
         self._queues: tuple[deque[tuple[int, int, T]], ...] = (deque(), deque())
         self._arrivals = 0
         self._bytes = 0
@@ -32,7 +33,7 @@ class Mailbox(Generic[T]):
 
     @property
     def dropped(self) -> tuple[int, int]:
-        """Number of (other items, images) dropped."""
+        """Number of items dropped: (items other than images, images)."""
         with self._changed:
             return self._dropped[0], self._dropped[1]
 
@@ -58,7 +59,9 @@ class Mailbox(Generic[T]):
             if self._lossless:
                 self._changed.wait_for(lambda: self._broken or self._closed or self._fits(size))
                 if self._broken or self._closed:
-                    raise RecordingError(self._broken or "the recording was closed while waiting")
+                    raise RecordingError(
+                        self._broken or "the recording was closed before the item could be queued"
+                    )
             self._queues[is_image].append((self._arrivals, size, item))
             self._arrivals += 1
             self._bytes += size
@@ -86,7 +89,7 @@ class Mailbox(Generic[T]):
             return self._changed.wait_for(lambda: self._closed, timeout_s)
 
     def set_broken(self, reason: str) -> None:
-        """Set why nothing can be written (empty: recovered) and wake waiting `put` calls."""
+        """Store the error that prevents writing (empty: recovered); wake waiting `put` calls."""
         with self._changed:
             self._broken = reason
             self._changed.notify_all()

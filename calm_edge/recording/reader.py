@@ -24,12 +24,12 @@ from calm_edge.recording.window_record import WindowRecord, rebuild
 from calm_edge.types import Int, LocalizerUpdate, PoseSample, SubmapWindow
 from device.frame import Eye, Frame
 
-# a window's keyframes are spread over many chunks, and adjacent windows share them
+# cache of decoded chunks: a window's keyframes are in many chunks, shared by adjacent windows
 _CACHE_BYTES = 32 << 20
 
 
 class _Location(NamedTuple):
-    """Location of one message."""
+    """Position of one message in the files, with its sequence number and time."""
 
     segment: int
     chunk: int
@@ -90,7 +90,7 @@ class Recording:
         text = self._metadata(schema.CONFIG_METADATA).get("json")
         if text is None:
             raise RecordingError(
-                f"{self.path}: holds no configuration; open a recording of calm-edge"
+                f"{self.path}: contains no configuration; open a recording of calm-edge"
             )
         try:
             return merge(Config(), json.loads(text))
@@ -102,7 +102,7 @@ class Recording:
         return sum(len(rows) for index in self._segments for _, rows in index.topic_rows(topic))
 
     def frames(self, eye: Eye | None = None) -> Iterator[Frame]:
-        """Iterate over the frames of one eye as written, or of both merged by t_ns."""
+        """Iterate over the frames of one eye in the order written, or of both merged by t_ns."""
         if eye is None:
             both = [self.frames(e) for e in Eye]
             yield from heapq.merge(*both, key=lambda frame: frame.t_ns)
@@ -111,7 +111,7 @@ class Recording:
             yield schema.read_frame(eye, location.sequence, location.log_time, data)
 
     def frame_times(self, eye: Eye) -> Int:
-        """Stamps t_ns (N,) of an eye's frames as written, without reading pixels."""
+        """Stamps t_ns (N,) of an eye's frames in the order written, without reading pixels."""
         places = self._locations(schema.IMAGE_TOPICS[eye])
         return np.fromiter((p.log_time for p in places), np.int64)
 
@@ -138,27 +138,27 @@ class Recording:
         )
 
     def poses(self) -> Iterator[PoseSample]:
-        """Iterate over the live poses as written."""
+        """Iterate over the live poses in the order written."""
         for _, data in self._messages(schema.POSE_SAMPLE):
             yield schema.read_pose(data)
 
     def picture_size(self, eye: Eye) -> tuple[int, int]:
-        """Width and height [px] of an eye's pictures, from the first; raises RecordingError."""
+        """Width and height [px] of an eye's images, from the first; raises RecordingError."""
         if eye not in self._sizes:
             frame = next(self.frames(eye), None)
             if frame is None:
-                raise RecordingError(f"{self.path}: no picture of the {eye.name.lower()} camera")
+                raise RecordingError(f"{self.path}: no image of the {eye.name.lower()} camera")
             height, width = frame.gray().shape
             self._sizes[eye] = width, height
         return self._sizes[eye]
 
     def updates(self) -> Iterator[LocalizerUpdate]:
-        """Iterate over the localizer's updates, one per window, as written."""
+        """Iterate over the localizer's updates, one per window, in the order written."""
         for _, data in self._messages(schema.SUBMAP):
             yield schema.read_update(data, self.picture_size)
 
     def windows(self) -> Iterator[WindowRecord]:
-        """Iterate over the window records as written."""
+        """Iterate over the window records in the order written."""
         for _, data in self._messages(schema.WINDOW):
             yield schema.read_window(data)
 
@@ -167,7 +167,7 @@ class Recording:
         return rebuild(record, self.frame)
 
     def json_messages(self, topic: str) -> Iterator[dict[str, Any]]:
-        """Iterate over the JSON objects on /clock, /status or /health as written."""
+        """Iterate over the JSON objects on /clock, /status or /health in the order written."""
         for _, data in self._messages(topic):
             yield json.loads(data)
 
@@ -181,9 +181,9 @@ class Recording:
             for channel, rows in index.topic_rows(topic):
                 found = index.schemas.get(channel.schema_id)
                 if found is None or found.name != expected:
-                    name = found.name if found else "no schema"
+                    name = found.name if found else "none"
                     raise RecordingError(
-                        f"{index.path}: {topic} holds {name}, not {expected}; "
+                        f"{index.path}: topic {topic} has schema {name}, expected {expected}; "
                         "open a recording of calm-edge"
                     )
                 columns = zip(

@@ -28,8 +28,9 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport:
-    """messages: topic -> number of intact messages. losses: one line each; if FAILED, the reason.
+    """Result of `recover` or `validate`.
 
+    messages: topic -> number of intact messages. losses: one line each; if FAILED, the reason.
     files: those read by `validate`, or written by `recover`.
     """
 

@@ -1,6 +1,7 @@
 """Name the drive folders under a root, mark drives to keep, and remove the oldest segments.
 
-Names count up and hold no date: a car's computer may have no clock that runs while it is off.
+Folder names contain a counter and no date: a car's computer may have no clock that runs while it is
+off.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Removed(NamedTuple):
 
 
 def drives(root: Path) -> list[Path]:
-    """List the folders under `root` that `new_drive` made, oldest first."""
+    """List the drive folders created by `new_drive` under `root`, oldest first."""
     try:
         found = [(m, p) for p in root.iterdir() if (m := _NAME.fullmatch(p.name)) and p.is_dir()]
     except OSError:
@@ -59,7 +60,7 @@ def new_drive(root: Path) -> Path:
 
 
 def is_kept(drive: Path) -> bool:
-    """Whether a drive is marked to be kept; True also if that cannot be read."""
+    """True if a drive is marked to be kept, or if that cannot be determined."""
     try:
         (drive / KEEP_FLAG).lstat()
     except FileNotFoundError:
@@ -86,7 +87,7 @@ def set_kept(drive: Path, kept: bool) -> None:
 def remove_oldest(root: Path, present: Path) -> Removed | None:
     """Remove the oldest segment of the oldest drive not kept; None if there is none to remove.
 
-    present: the drive being recorded, considered last and without its newest segment.
+    present: the drive being recorded; its segments are removed last, and its newest one never.
     """
     for drive in [*(d for d in drives(root) if d != present), present]:
         if is_kept(drive):
@@ -101,11 +102,11 @@ def remove_oldest(root: Path, present: Path) -> Removed | None:
             if segments:
                 segments[0].unlink()
             if drive != present and len(segments) <= 1:
-                # fails, as it should, if the folder holds other files
+                # rmdir fails if the folder contains other files, which must stay
                 with suppress(OSError):
                     drive.rmdir()
         except (OSError, RecordingError):
-            # a drive that cannot be removed must not keep the others from removal
+            # a drive that cannot be removed must not prevent the removal of others
             continue
         if segments:
             return Removed(segments[0], size)

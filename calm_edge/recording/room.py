@@ -1,4 +1,4 @@
-"""Watch the free disk space, remove old drives at its lower limit, and estimate the time left."""
+"""Watch the free disk space, remove old drives when it runs low, and estimate the time left."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.health import Space
 from calm_edge.recording.retention import remove_oldest
 
-# least floor: room for a segment's summary and for the system
+# smallest floor (bytes to be left free): space for a segment's summary and for the system
 RESERVE_BYTES = 8 << 20
-# recording resumes with this much more than the floor, or it would stop again at once
+# recording resumes with this much free above the floor; with less it would soon stop again
 HEADROOM_BYTES = 2 * RESERVE_BYTES
 _RATE_SAMPLES = 60
 
@@ -21,8 +21,8 @@ _RATE_SAMPLES = 60
 class Room:
     """Monitor of the disk that holds a recording, used by the writer thread.
 
-    root: folder of all drives, the oldest of which are removed when free space reaches the floor;
-    None removes nothing. space: the last measurement.
+    root: folder of all drives, the oldest of which are removed when free space falls to the
+    configured minimum; None removes nothing. space: the last measurement.
     """
 
     def __init__(self, folder: Path, config: RecordingConfig, root: Path | None = None) -> None:
@@ -45,7 +45,7 @@ class Room:
         return free is None or free >= floor
 
     def can_resume(self) -> bool:
-        """Whether there is room again to begin a segment after recording had to stop."""
+        """True if there is enough free space to begin a segment after recording had to stop."""
         free, floor = self._make_room()
         return free is not None and free >= floor + HEADROOM_BYTES
 
@@ -62,13 +62,13 @@ class Room:
         while missing > 0 and (gone := remove_oldest(self._root, self._folder)) is not None:
             self._removed.append(gone.path)
             free, floor = measure(self._folder, self._config)
-            # some file systems free the space only later: remove no more than is missing
+            # some file systems free the space later: count the removed bytes as free already
             missing = min(missing - gone.size, floor + HEADROOM_BYTES - (free or 0))
         return free, floor
 
 
 def measure(folder: Path, config: RecordingConfig) -> tuple[int | None, int]:
-    """Return (free bytes, None if it cannot be read; floor: bytes that have to stay free)."""
+    """Return (free bytes, or None if unknown; minimum of bytes to be left free)."""
     try:
         disk = os.statvfs(folder)
     except OSError:
@@ -93,7 +93,7 @@ def check_settings(config: RecordingConfig) -> None:
 
 
 def check_room(folder: Path, config: RecordingConfig, root: Path | None = None) -> None:
-    """Check for disk space before recording into `folder`, which need not exist.
+    """Check the free disk space before recording into `folder`, which need not exist.
 
     Raises RecordingError if there is too little, ConfigError for invalid settings.
     """
@@ -106,5 +106,5 @@ def check_room(folder: Path, config: RecordingConfig, root: Path | None = None) 
     kept = ", or release a kept drive (calm-edge keep --release)" if root is not None else ""
     raise RecordingError(
         f"{above}: {free / (1 << 30):.2f} GiB free, and {floor / (1 << 30):.2f} GiB have to stay "
-        f"free (recording.keep_free_gib, keep_free_percent); free space{kept}"
+        f"free (recording.keep_free_gib, keep_free_percent); delete files{kept}"
     )

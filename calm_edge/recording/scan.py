@@ -1,7 +1,7 @@
 """Index the messages of one MCAP file, finished or truncated (https://mcap.dev/spec).
 
-Headers are read and payloads skipped; an unfinished file is checked chunk by chunk, since its tail
-may hold anything. A chunk that is truncated or fails its CRC is not used.
+Headers are read and payloads skipped; an unfinished file is checked chunk by chunk, since its last
+bytes may be invalid. A chunk that is truncated or fails its CRC is not used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mcap.records import Channel, Chunk, Metadata, Schema
 from calm_edge.recording.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
-# calm-edge's chunks are about 1 MiB plus one message; larger than this is taken for damage
+# calm-edge's chunks are about 1 MiB plus one message; larger ones are regarded as damaged
 MAX_CHUNK_BYTES = 256 << 20
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -51,7 +51,7 @@ class ChunkRef:
 
 @dataclass(slots=True)
 class Rows:
-    """Messages of one channel in file order, by columns. offset: within the decompressed chunk."""
+    """Messages of one channel as columns, in file order. offset: within the decompressed chunk."""
 
     chunk: array[int] = field(default_factory=lambda: array("q"))
     offset: array[int] = field(default_factory=lambda: array("q"))
@@ -68,8 +68,8 @@ class Rows:
 class SegmentIndex:
     """Index of one file: messages by channel id, and damage.
 
-    cut: why reading ended early, empty for a whole file. cut_bytes: bytes left unread.
-    damaged: chunks that failed their check. data_ended: all messages lie before the cut.
+    cut: why reading ended early, empty for a complete file. cut_bytes: bytes not read after that.
+    damaged: chunks that failed their check. data_ended: all messages precede the damage.
     loose_messages: number of messages outside of chunks (of other writers), which are not read.
     """
 
@@ -104,12 +104,12 @@ def _walk(read: ReadAt, start: int, end: int) -> Iterator[tuple[int, int, int]]:
     while at < end:
         head = read(at, _RECORD.size)
         if len(head) < _RECORD.size:
-            raise DamageError("cut within a record's header")
+            raise DamageError("cut off within a record's header")
         opcode, length = _RECORD.unpack(head)
         if opcode == 0 or Opcode.DATA_END < opcode < _FIRST_PRIVATE_OPCODE:
-            raise DamageError("not a record")
+            raise DamageError("a record of unknown type")
         if at + _RECORD.size + length > end:
-            raise DamageError("cut within a record")
+            raise DamageError("cut off within a record")
         yield opcode, at + _RECORD.size, length
         at += _RECORD.size + length
 
@@ -119,22 +119,25 @@ def plain_chunk(content: bytes) -> bytes:
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
         if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-            raise DamageError("the size in its header is out of range")
+            raise DamageError("the chunk's size in its header is out of range")
         data = _decompressed(chunk.compression, chunk.data, chunk.uncompressed_size)
     except DamageError:
         raise
     except Exception as error:
-        # decompressors raise various types on damaged input
+        # decompressors raise exceptions of various types on damaged input
         raise DamageError(str(error)) from None
     if len(data) != chunk.uncompressed_size:
-        raise DamageError("its content does not have the size in its header")
+        raise DamageError("the chunk's content does not have the size in its header")
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-        raise DamageError("wrong CRC")
+        raise DamageError("the chunk has a wrong CRC")
     return data
 
 
 def _decompressed(compression: str, data: bytes, size: int) -> bytes:
-    """Decompress to at most one byte more than the declared size, however large the output."""
+    """Decompress at most `size` + 1 bytes, so that damaged data cannot fill the memory.
+
+    size: the decompressed size declared in the chunk.
+    """
     if compression == "zstd":
         import zstandard
 
@@ -156,7 +159,7 @@ def _slice(data: bytes, at: int, n: int) -> bytes:
 def _index_chunk(index: SegmentIndex, read: ReadAt, offset: int, length: int, check: bool) -> None:
     """Add a chunk's messages, channels and schemas to the index; raises DamageError."""
     if length > MAX_CHUNK_BYTES or length < _CHUNK.size + 8:
-        raise DamageError("the size in its header is out of range")
+        raise DamageError("the chunk's size in its header is out of range")
     head = read(offset, _CHUNK.size)
     start_ns, end_ns, _, _, name_length = _CHUNK.unpack(head)
     base = 0
@@ -165,7 +168,7 @@ def _index_chunk(index: SegmentIndex, read: ReadAt, offset: int, length: int, ch
         data = plain_chunk(read(offset, length))
         records, end = partial(_slice, data), len(data)
     else:
-        # indexed in place: payloads are read, and checked, only when needed
+        # uncompressed: index in the file; payloads are read and checked only when needed
         base = offset + _CHUNK.size + 8
         records, end = read, offset + length
     number = len(index.chunks)
@@ -174,7 +177,7 @@ def _index_chunk(index: SegmentIndex, read: ReadAt, offset: int, length: int, ch
     for opcode, at, size in _walk(records, base, end):
         if opcode == Opcode.MESSAGE:
             if size < _MESSAGE.size:
-                raise DamageError("message without a header")
+                raise DamageError("a message record is shorter than its header")
             channel, sequence, log, publish = _MESSAGE.unpack(records(at, _MESSAGE.size))
             payload = at - base + _MESSAGE.size
             rows.append((channel, payload, size - _MESSAGE.size, sequence, log, publish))
@@ -214,7 +217,7 @@ def _fill(index: SegmentIndex, read: ReadAt, size: int, check: bool) -> None:
             elif opcode == Opcode.METADATA:
                 index.metadata.append(_parse(Metadata, read(at, length)))
             elif opcode == Opcode.CHANNEL:
-                # the summary repeats channels, which helps if the first chunk is damaged
+                # the summary repeats the channels, needed if the first chunk is damaged
                 channel = _parse(Channel, read(at, length))
                 index.channels.setdefault(channel.id, channel)
             elif opcode == Opcode.SCHEMA:
@@ -226,7 +229,7 @@ def _fill(index: SegmentIndex, read: ReadAt, size: int, check: bool) -> None:
                 index.data_ended = True
             elif opcode == Opcode.FOOTER:
                 if read(at + length, len(MAGIC)) != MAGIC:
-                    index.cut = "cut after its last record"
+                    index.cut = "cut off after its last record"
                 return
             intact = at + length
         index.cut = "never finished"

@@ -102,7 +102,7 @@ def _message(topic: str, log_time: int, message: Any, sequence: int = 0) -> LogM
 
 
 def frame_message(frame: Frame) -> LogMessage:
-    """Message of an encoded frame; its bytes are unchanged."""
+    """Encode a frame's JPEG or PNG bytes, unchanged."""
     assert isinstance(frame.image, bytes)
     message = foxglove.image(frame.eye, frame.t_ns, frame.image)
     return _message(IMAGE_TOPICS[frame.eye], frame.t_ns, message, frame.sequence)
@@ -135,7 +135,7 @@ def read_pose(data: bytes) -> PoseSample:
 
 
 def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage]:
-    """Encode an update: exactly (but for depth, see the module), and its poses for Foxglove."""
+    """Encode an update: exactly except depth (see the module), and its poses for Foxglove."""
     t_ns = int(update.submap.t_ns.max())
     header, arrays = record.flatten(update)
     depth = arrays.pop("prediction.depth", None)
@@ -170,7 +170,7 @@ def read_update(data: bytes, size_of: Callable[[Eye], tuple[int, int]]) -> Local
 
 
 def window_message(window: WindowRecord) -> LogMessage:
-    """Encode which frames a window consists of."""
+    """Encode the record of a window's frames."""
     data = record.encode("Window", *record.flatten(window))
     return LogMessage(WINDOW, int(window.t_ns.max()), data)
 

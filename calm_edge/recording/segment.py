@@ -69,9 +69,10 @@ class _Sink:
 
 
 class Segment:
-    """A file being written by one thread; methods may raise OSError.
+    """An unfinished segment file, used by one thread; methods may raise OSError.
 
-    kept_messages: those whose chunk is in the file; `abandon` returns the others.
+    kept_messages: number of messages in chunks already written to the file; `abandon` returns the
+    messages after those.
     """
 
     def __init__(
@@ -131,17 +132,17 @@ class Segment:
         self._keep()
 
     def flush(self) -> None:
-        """Write everything to the file: safe if the process is killed, not at a power cut."""
+        """Write all messages to the file: safe if the process is killed, but not at a power cut."""
         self._writer.flush()
         self._keep()
 
     def sync(self) -> None:
-        """Write everything to the disk."""
+        """Write all messages to the file and sync it to the disk."""
         self.flush()
         os.fdatasync(self._fd)
 
     def sync_in_background(self) -> None:
-        """Write everything to the file, and sync it to the disk in another thread.
+        """Write all messages to the file, and sync it to the disk in another thread.
 
         Syncing can take seconds, during which new messages would be held in memory. Raises the
         OSError of an earlier call.
@@ -151,7 +152,7 @@ class Segment:
             error, self._sync_error = self._sync_error, None
             raise error
         if self._syncing is None or not self._syncing.is_alive():
-            # duplicated: the segment may be closed meanwhile
+            # duplicated, as the segment may be closed while the thread syncs
             copy = os.dup(self._fd)
             self._syncing = threading.Thread(target=self._sync_copy, args=(copy,), daemon=True)
             self._syncing.start()
@@ -172,7 +173,7 @@ class Segment:
         return self._sink.position
 
     def finish(self) -> Path:
-        """Complete and close the file, rename it to its final name and return that."""
+        """Complete and close the file; return its final path, to which it is renamed."""
         self.sync()
         self._writer.finish()
         os.fdatasync(self._fd)
@@ -183,9 +184,9 @@ class Segment:
         return self.target
 
     def abandon(self) -> list[LogMessage]:
-        """After an OSError: truncate the file to its last whole chunk and leave it as `.part`.
+        """After an OSError: truncate the file to its last complete chunk and leave it as `.part`.
 
-        Returns the messages that are not in it. Never raises.
+        Returns the messages after that chunk. A file without messages is removed. Never raises.
         """
         if self._fd >= 0:
             with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Read a drive stored as two folders of images and optional files of their stamps.
+"""Read a drive stored as two folders of images and optional files of their time stamps.
 
 Ground truth in the same folder (`calib.txt`, `poses0.txt`) is read by `evaluation` only.
 """
@@ -38,7 +38,7 @@ def image_size(path: Path) -> tuple[int, int]:
             if head.startswith(b"\xff\xd8"):
                 file.seek(2)
                 while (mark := file.read(4)) and len(mark) == 4 and mark[0] == 0xFF:
-                    if mark[1] == 0xFF:  # a fill byte before the marker
+                    if mark[1] == 0xFF:  # skip a fill byte before the marker
                         file.seek(-3, 1)
                         continue
                     if mark[1] in _JPEG_FRAME:
@@ -71,7 +71,9 @@ def read_times(path: Path) -> Int:
         except (ValueError, OverflowError):
             raise SequenceError(f"{path}:{number}: {line!r} is not a time in seconds") from None
         if t_ns <= 0:
-            raise SequenceError(f"{path}:{number}: {line.strip()} s is before -1 s; shift the file")
+            raise SequenceError(
+                f"{path}:{number}: {line.strip()} s: not after -1 s; add a constant to all times"
+            )
         if stamps and t_ns <= stamps[-1]:
             raise SequenceError(
                 f"{path}:{number}: {line.strip()} s is not after the line before; "
@@ -143,8 +145,8 @@ class SequenceFolder:
         if any(there) and not all(there):
             missing = paths[there.index(False)]
             raise SequenceError(
-                f"{missing}: missing; give times of both cameras, or of neither for "
-                f"{DEFAULT_RATE_HZ} Hz"
+                f"{missing}: missing; give times of both cameras, or of neither "
+                f"(then {DEFAULT_RATE_HZ} Hz is assumed)"
             )
         stamps = []
         for eye, path in zip(Eye, paths, strict=True):

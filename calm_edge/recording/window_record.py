@@ -1,4 +1,4 @@
-"""Record of the frames in a window, from which it is rebuilt exactly out of a recording."""
+"""Record of a window's frames, from which a recording rebuilds the window exactly."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from calm_edge.config import Config
 from calm_edge.types import Hints, Int, Keyframe, LocalizerUpdate, SubmapWindow
 from device.frame import Eye, Frame
 
-# (eye, sequence, t_ns) of a frame
+# eye, sequence and t_ns identify a frame
 FrameKey = tuple[int, int, int]
 
 
 def frame_key(frame: Frame) -> FrameKey:
-    """The key by which records name a frame."""
+    """Return the key (eye, sequence, t_ns) that identifies a frame in records."""
     return int(frame.eye), frame.sequence, frame.t_ns
 
 
@@ -44,7 +44,7 @@ class WindowRecord:
 
 
 def of_window(window: SubmapWindow) -> WindowRecord:
-    """Return the record of a window."""
+    """Create the record of a window."""
     keyframes = window.keyframes()
     return WindowRecord(
         window.submap_id,
@@ -59,7 +59,10 @@ def of_window(window: SubmapWindow) -> WindowRecord:
 
 
 def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> SubmapWindow:
-    """Rebuild a window; `frame(eye, sequence, t_ns)` reads its images; its exceptions propagate."""
+    """Rebuild a window from its record.
+
+    frame: `frame(eye, sequence, t_ns)` reads one frame; its exceptions propagate.
+    """
     keyframes = [
         Keyframe(i, frame(Eye(eye), sequence, t_ns))
         for i, (eye, sequence, t_ns) in zip(record.ids.tolist(), record.frame_keys, strict=True)
@@ -75,7 +78,7 @@ def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> Su
 
 
 def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
-    """Return the backbone's hints for a window whose update has been recorded."""
+    """Return the hints for the backbone when a recorded window is solved again."""
     return Hints(
         record.eyes,
         record.t_ns,

@@ -122,13 +122,16 @@ class RecordingWriter:
         self._mailbox.put(lambda: schema.pose_messages(sample), 1024, False)
 
     def write_update(self, update: LocalizerUpdate) -> None:
-        """Record a placed sub-map and the poses it changed; depth only with recording.log_depth."""
+        """Record the update of a sub-map and the poses it changed.
+
+        Depth is recorded only with recording.log_depth.
+        """
         log_depth = self._config.recording.log_depth
         size = array_bytes(update)
         self._mailbox.put(lambda: schema.update_messages(update, log_depth), size, False)
 
     def write_window(self, record: WindowRecord) -> None:
-        """Record which frames a window consists of; a later record of a sub-map replaces it."""
+        """Record the frames of a window; a later record of the same sub-map replaces it."""
         self._mailbox.put(lambda: [schema.window_message(record)], 1024, False)
 
     def write_log(self, level: int, message: str, name: str = "calm-edge") -> None:
@@ -142,7 +145,7 @@ class RecordingWriter:
         self._mailbox.put(lambda: [schema.json_message(topic, now, copy)], 2048, False)
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Record texts about the session; a later record of the same name replaces it."""
+        """Record texts about the session; a later call with the same name replaces them."""
         copy = dict(values)
 
         def write() -> list[LogMessage]:
@@ -152,12 +155,12 @@ class RecordingWriter:
         self._mailbox.put(write, 512, False)
 
     def close(self) -> WriterHealth:
-        """Write what is queued, finish the segment, return the last state. Idempotent."""
+        """Write the queued items, finish the segment, return the last state. Idempotent."""
         self._mailbox.close()
         self._thread.join()
         return self.health
 
-    # everything below runs on the writer's thread
+    # all methods below run in the writer's thread
 
     def _run(self) -> None:
         while True:
@@ -165,7 +168,7 @@ class RecordingWriter:
                 self._loop()
                 return
             except Exception as error:
-                # go on recording, without the messages that may have caused the error
+                # continue recording without the messages that may have caused the error
                 _log.exception("recording thread")
                 self._chain.fail(f"error in the writer: {error!r}")
                 self._unwritable += self._chain.drop_unwritten()
@@ -196,7 +199,7 @@ class RecordingWriter:
         try:
             messages = encode()
         except Exception as error:
-            # one bad item must not end the recording
+            # an item that cannot be encoded must not end the recording
             self._unwritable += 1
             now = self._now_ns()
             text = f"one item could not be recorded: {error}"
@@ -205,7 +208,7 @@ class RecordingWriter:
         self._chain.write(messages)
 
     def _tick(self) -> None:
-        """Every flush_s: record a clock reading and the drops, sync, check the disk."""
+        """Run every flush_s: record clock reading and drops, sync, check the disk."""
         now = self._now_ns()
         messages = [schema.clock_message(now, time.time_ns(), time.monotonic_ns())]
         dropped = sum(self._mailbox.dropped)
@@ -218,6 +221,6 @@ class RecordingWriter:
         self._chain.sync()
 
     def _give_up(self) -> None:
-        """Discard and count what the disk has not taken when the recording is closed."""
+        """On closing, discard and count the messages that could not be written."""
         self._unwritable += self._chain.drop_unwritten()
         self._mailbox.clear()
