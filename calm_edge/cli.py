@@ -45,9 +45,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; print errors a user can correct as one line."""
+    """Run one command and return its exit code; print a user's errors as one line."""
     arguments = build_parser().parse_args(argv)
-    # depthai reads these when it is imported
+    # depthai reads these variables when it is imported
     os.environ.setdefault("DEPTHAI_TELEMETRY", "0")
     os.environ.setdefault("DEPTHAI_INSTALL_SIGNAL_HANDLER", "0")
     try:

@@ -57,11 +57,12 @@ class RecordingConfig:
 
 @dataclass(frozen=True, slots=True)
 class DegradeConfig:
-    """[degrade]: reduction of work when hot or behind: depth, half the keyframes, all windows.
+    """[degrade]: reduction of work when hot or behind.
 
-    A step is taken every step_s while the temperature is above hot_c, or more than behind_windows
-    wait, or windows are dropped; and taken back below cool_c when none wait. Frames are always
-    recorded. thermal_root: the kernel's thermal zones.
+    The steps are: no depth, half the keyframes, no windows. One step is added every step_s while
+    the temperature is above hot_c, more than behind_windows windows wait, or windows are dropped;
+    one is taken back after a longer time below cool_c with at most one window waiting. Frames are
+    always recorded. thermal_root: folder of the kernel's thermal zones.
     """
 
     hot_c: float = 85.0
@@ -76,10 +77,10 @@ class FrontendConfig:
     """[frontend]: keyframes, windows and the live tracker (paper IV-A and Implementation Details).
 
     flow_px: mean flow between keyframes, in px of an image flow_reference_width_px wide.
-    max_keyframe_gap_s: longest time between keyframes while moving. first_window: keyframes of the
-    first window, at most n_max, so that there is a pose soon; the second window holds them again.
-    standstill_px: flow below which the car stands still. lost_after_ms: age after which a pose is
-    lost.
+    max_keyframe_gap_s: longest time between keyframes while moving. first_window: number of
+    keyframes in the first window, at most n_max; small, for an early first pose. The second window
+    contains them again. standstill_px: flow below which the car stands still. lost_after_ms: age
+    after which a pose is lost.
     """
 
     flow_px: float = 25.0
@@ -98,13 +99,13 @@ class FrontendConfig:
 class BackboneConfig:
     """[backbone]: reconstruction of windows (paper III).
 
-    name: `bundle:NAME_OR_FOLDER` (matching by that model), `bundle` (without a model),
-    `scripted:FOLDER`, or a model alone: `feedforward:NAME_OR_FOLDER` or NAME. precision: of a
-    model's graphs; auto: as found best by `model check`, fp32 in lockstep. max_views: views per run
-    of a feedforward model, at least 2; 0: as found by `model check`. hfov_deg: horizontal field of
-    view, one for both cameras or one each; empty: unknown. resolve_windows: number of recent
-    windows that are solved again once the kit is better known. kit_file: stores the calibration of
-    these cameras for the next drive; empty: none.
+    name: `bundle:NAME_OR_FOLDER` (bundle adjustment with matches of that model), `bundle` (without
+    a model), `scripted:FOLDER`, or a model alone: `feedforward:NAME_OR_FOLDER` or NAME. precision:
+    of the model's graphs; auto: the best found by `model check`, fp32 in lockstep. max_views: views
+    per run of a feedforward model, at least 2; 0: as found by `model check`. hfov_deg: horizontal
+    field of view, one for both cameras or one each; empty: unknown. resolve_windows: number of
+    recent windows that are solved again once the kit is better known. kit_file: stores the
+    calibration of these cameras for the next drive; empty: none.
     """
 
     name: str = "bundle:calm-geo"
@@ -126,8 +127,8 @@ class ScaleConfig:
     """[scale]: scale of sub-maps (paper IV-B).
 
     spacing_m: metres between the optical centres; 0: the world unit is the spacing.
-    average_placement: place a sub-map by all common frames, not only the first as in the paper.
-    rectify: if off, every sub-map takes the factor of the first one placed (ablation).
+    average_placement: place a sub-map by all common frames; if off, by the first alone as in the
+    paper. rectify: if off, every sub-map takes the scale factor of the first one (ablation).
     """
 
     spacing_m: float = 0.0
@@ -142,15 +143,15 @@ class ScaleConfig:
 
 @dataclass(frozen=True, slots=True)
 class CorrectionConfig:
-    """[correction]: correction of intrinsics and poses (paper V).
+    """[correction]: correction of intrinsics and poses (paper V; its symbols F, M, K_global).
 
     apply: `auto` (if the backbone does not estimate the kit itself), always, never. matches: `auto`
-    (the backbone's if it provides them, else SIFT) or `sift`. weighted, refine: extensions of the
-    paper: each F is weighted by its information, and the score is minimised over the bank; if off,
-    the search chooses among the backbone's guesses by the unweighted mean. rotation, translation:
-    parts of the pose correction. general_translation: use the skew part of M, else the simplified
-    t = S t_est. rigid_rig: remove a constant rotation rate of the assistant relative to the primary
-    (extension). adaptive_damping: if off, damping is 1 as soon as there is a K_global.
+    (the backbone's if it provides them, else SIFT) or `sift`. weighted (extension): weight each F
+    by its information. refine (extension): minimise the score over the bank; if off, search among
+    the backbone's guesses by the unweighted mean. rotation, translation: parts of the pose
+    correction. general_translation: use the skew part of M; if off, the simplified t = S t_est.
+    rigid_rig (extension): remove a constant rotation rate of the assistant relative to the primary.
+    adaptive_damping: if off, damping is 1 as soon as there is a K_global.
     """
 
     apply: Literal["auto", "always", "never"] = "auto"
@@ -173,7 +174,7 @@ class CorrectionConfig:
 class LoopConfig:
     """[loops]: loop closure (paper IV-D).
 
-    min_gap: least number of keyframes between a place and its return. top_k: candidates per query.
+    min_gap: least number of keyframes between two visits to a place. top_k: candidates per query.
     max_places: size of the database. min_matches: inliers needed. descriptor: `learned` (by the
     backbone's network), `gradients`, or `auto` (learned if there is a network).
     """
@@ -190,8 +191,8 @@ class LoopConfig:
 class PoseGraphConfig:
     """[posegraph]: joint pose graph optimisation (paper IV-C).
 
-    optimise: if off, poses stay as placed. window: K preceding frames in E_ast. Variances are in
-    map units² and rad².
+    optimise: if off, poses are not optimised. window: number K of preceding frames in E_ast.
+    Variances are in map units² and rad².
     """
 
     optimise: bool = True
@@ -205,10 +206,10 @@ class PoseGraphConfig:
 class MappingConfig:
     """[mapping]: dense map (paper VI). suppression_radius, max_range, cloud_voxel: map units.
 
-    suppress, distance_weight, deform: parts of VI-C and VI-D, switched off for ablations. grid:
-    anchor candidates per image side. depth_tolerance: share of the depth. max_range: z-depth beyond
-    which pixels are not used. cloud_voxel: one point per voxel is kept (0.1 m for cameras half a
-    metre apart).
+    suppress, distance_weight, deform: parts of VI-C and VI-D, which can be switched off for
+    ablations. grid: anchor candidates per image side. depth_tolerance: relative to the depth.
+    max_range: pixels with a larger z-depth are not used. cloud_voxel: edge of a voxel, in which one
+    point is kept (0.1 m for cameras half a metre apart).
     """
 
     suppress: bool = True
@@ -230,7 +231,7 @@ class MappingConfig:
 class PoseOutputConfig:
     """[pose_output]: MAVLink output. port: a serial device; empty: none.
 
-    rate_hz: highest rate of poses. system_id: that of the autopilot. mounting_rpy_deg,
+    rate_hz: highest rate of poses. system_id: MAVLink system id of the autopilot. mounting_rpy_deg,
     mounting_xyz_m: mounting T_b_c of the primary camera in the body (FRD).
     """
 

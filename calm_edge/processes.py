@@ -17,7 +17,7 @@ CHILD_ENVIRONMENT = {
 
 @contextmanager
 def environment(values: dict[str, str]) -> Iterator[None]:
-    """Context in which started processes get these environment variables."""
+    """Set environment variables for the processes started within this context."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

@@ -20,15 +20,15 @@ class TrajectoryError(CalmEdgeError):
 
 
 def folded(pieces: Iterable[Trajectory]) -> Trajectory | None:
-    """Merge trajectories given in order: of a keyframe in several, the last pose is taken.
+    """Merge trajectories given in order; a keyframe in several takes its pose from the last.
 
-    T_p_a and epoch are those of the last piece. None if there is no piece.
+    T_p_a and epoch are those of the last trajectory. None if none is given.
     """
     pieces = list(pieces)
     if not pieces:
         return None
     ids = np.concatenate([piece.keyframe_ids for piece in pieces])
-    # the first of the reversed rows is the latest
+    # np.unique returns the first index, which in reversed order is the latest row
     kept, reverse = np.unique(ids[::-1], return_index=True)
     rows = len(ids) - 1 - reverse
     return Trajectory(
@@ -85,7 +85,7 @@ def _rows(path: Path, columns: int, what: str) -> list[tuple[int, list[str]]]:
             )
         rows.append((number, words))
     if not rows:
-        raise TrajectoryError(f"{path}: holds no poses")
+        raise TrajectoryError(f"{path}: contains no poses")
     return rows
 
 

@@ -11,10 +11,11 @@ from calm_edge.types import CalmEdgeError
 
 
 def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any:
-    """Convert a `value` read from TOML to the type `kind`; raises `error` with a line on `where`.
+    """Convert a `value` read from TOML to the type `kind`; raises `error` with a one-line message.
 
-    Supported: str, bool, int, float, Any, Literal, tuple[X, ...] (from a single number too),
-    dict[str, X], X | None, int | str, and dataclasses of these.
+    where: name of the key, which begins the message. Supported types: str, bool, int, float, Any,
+    Literal, tuple[X, ...] (from a single number too), dict[str, X], X | None, int | str, and
+    dataclasses of these.
     """
     origin = get_origin(kind)
     if kind is Any:
@@ -48,7 +49,7 @@ def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any
 def record(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any:
     """Convert a table to the dataclass `kind`; fields without a default are required.
 
-    Raises `error`, with `where` before the name of a key.
+    where: name of the table, put before the key in messages; empty at the top. Raises `error`.
     """
     table = _table(where, value, error)
     kinds = get_type_hints(kind)

@@ -72,7 +72,7 @@ def test_kitti_keeps_poses(tmp_path: Path) -> None:
         ("1 0 0 0 0 0 0 1\nx 0 0 0 0 0 0 1\n", ":2: not a row"),
         ("1 0 0 nan 0 0 0 1\n", ":1: contains inf or nan"),
         ("1 0 0 0 0 0 0 0\n", ":1: the quaternion is zero"),
-        ("# nothing\n", "holds no poses"),
+        ("# nothing\n", "contains no poses"),
     ],
 )
 def test_bad_tum_ends_in_one_line(tmp_path: Path, text: str, says: str) -> None:

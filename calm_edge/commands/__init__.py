@@ -1,1 +1,4 @@
-"""One module a command: `configure(parser)` and `run(arguments) -> exit code`, imports inside."""
+"""One module per command: `configure(parser)` and `run(arguments) -> exit code`.
+
+Heavy modules are imported inside these functions.
+"""

@@ -30,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the cameras, identify them by unplugging, write the config file: as requested."""
+    """List the cameras; on request, identify them by unplugging and write the config file."""
     from device.camera import discover
 
     found, errors = discover(details=not arguments.identify)
@@ -71,7 +71,7 @@ def _identified() -> tuple[str, str]:
 
     if not sys.stderr.isatty():
         raise IdentifyError(
-            "no terminal: --identify asks for cameras to be unplugged; run it in one (ssh -t), "
+            "--identify asks for cameras to be unplugged: run it in a terminal (ssh -t), "
             "or write the addresses that `calm-edge cameras` lists to the config file"
         )
 
@@ -89,7 +89,7 @@ def _first_two(found: list[FoundCamera]) -> tuple[str, str]:
             f"{len(found)} camera(s) found, --write needs two; add --identify to choose"
         )
     first, second = sorted(camera.address for camera in found)
-    say("the primary is assumed to be the first by port; --identify makes sure")
+    say("assumed that the first camera by port is the primary; add --identify to choose")
     return first, second
 
 

@@ -15,7 +15,8 @@ from device.atomic_file import replace_text
 def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
     """Set string values in `[section]` of a TOML text and return the new text.
 
-    Raises ConfigError if the text is invalid or nothing else would stay unchanged.
+    Raises ConfigError if the text is invalid, or if the values cannot be set without changing
+    others.
     """
     try:
         before = tomllib.loads(text)
@@ -34,7 +35,7 @@ def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
     )
     missing = []
     for key, value in values.items():
-        # the comment after the value is kept
+        # groups: key, value, and a comment to be kept
         pattern = re.compile(rf"""(\s*{re.escape(key)}\s*=\s*)("[^"]*"|'[^']*')(.*)$""", re.DOTALL)
         for i in range(start + 1, end):
             if found := pattern.match(lines[i]):
@@ -55,7 +56,7 @@ def with_keys(text: str, section: str, values: Mapping[str, str]) -> str:
 
 
 def write_keys(path: Path, section: str, values: Mapping[str, str]) -> None:
-    """Set string values in `[section]` of a file, replaced atomically; raises ConfigError.
+    """Set string values in `[section]` of a file, atomically; raises ConfigError.
 
     A missing file is created.
     """
@@ -65,6 +66,6 @@ def write_keys(path: Path, section: str, values: Mapping[str, str]) -> None:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     except UnicodeDecodeError:
-        raise ConfigError(f"{path}: not valid TOML: not text") from None
+        raise ConfigError(f"{path}: not valid TOML: not UTF-8 text") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None

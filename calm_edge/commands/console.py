@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-# 2 is argparse's own, for wrong usage
+# 2 is the exit code of argparse for wrong usage
 OK, ERROR, LOSS = 0, 1, 3
 
 

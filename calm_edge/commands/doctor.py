@@ -1,4 +1,4 @@
-"""`calm-edge doctor`: what is missing on this machine, what that costs, and the remedy."""
+"""`calm-edge doctor`: print missing requirements, their consequences and the remedies."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def findings(out: Path) -> Iterator[tuple[bool, str]]:
-    """Yield (is it fatal, one line) for each thing that is missing."""
+    """Yield (True if fatal, one line with consequence and remedy) for each missing requirement."""
     for table, fatal in ((NEEDED, True), (OPTIONAL, False)):
         for module, cost in table.items():
             if find_spec(module) is None:

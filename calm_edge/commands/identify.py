@@ -8,7 +8,7 @@ from calm_edge.types import CalmEdgeError
 from device.clock import NS_PER_S, Clock
 
 POLL_NS = NS_PER_S // 2
-# long enough to walk around a car; a forgotten command must still end
+# enough to walk around a car; limited, so that a forgotten command ends
 TIMEOUT_NS = 300 * NS_PER_S
 
 
@@ -19,9 +19,9 @@ class IdentifyError(CalmEdgeError):
 def _wait_until(
     addresses: Callable[[], set[str]], clock: Clock, done: Callable[[set[str]], bool]
 ) -> set[str]:
-    """Return the addresses once `done` holds for two equal polls in a row (plugs bounce).
+    """Return the addresses once `done` is true for two equal polls in a row.
 
-    Raises IdentifyError after TIMEOUT_NS.
+    Two polls, as contacts bounce while a plug is pulled. Raises IdentifyError after TIMEOUT_NS.
     """
     limit_ns = clock.now_ns() + TIMEOUT_NS
     previous: set[str] | None = None
@@ -39,7 +39,7 @@ def by_unplugging(
 ) -> tuple[str, str]:
     """Prompt to unplug cameras and return the addresses (primary, assistant).
 
-    addresses: returns those plugged in now. say: shows a prompt. Raises IdentifyError.
+    addresses: returns the addresses plugged in now. say: shows a prompt. Raises IdentifyError.
     """
     present = addresses()
     if len(present) < 2:
@@ -54,7 +54,9 @@ def by_unplugging(
         now = _wait_until(addresses, clock, lambda now: now < present)
         gone = present - now
         if len(gone) > 1:
-            raise IdentifyError(f"{', '.join(sorted(gone))} vanished together; unplug only one")
+            raise IdentifyError(
+                f"{', '.join(sorted(gone))} vanished together; start again and unplug only one"
+            )
         if gone <= set(chosen):
             raise IdentifyError(f"{gone.pop()} is the primary already; start again")
         say(f"  it is {next(iter(gone))}; plug it in again, at the same port ...")

@@ -17,7 +17,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Set or remove the mark of each recording."""
+    """Mark each recording to be kept, or remove the mark."""
     from calm_edge.recording.retention import set_kept
 
     for drive in arguments.recording:

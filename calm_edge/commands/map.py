@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"{out / REPORT}: not written; it needs matplotlib (pip install matplotlib)")
     print(f"took        {time.monotonic() - started:.0f} s")
     if drive.unsolved:
-        say(f"windows {drive.unsolved} could not be solved; they are bridged")
+        say(f"windows {drive.unsolved} could not be solved; bridged by constant velocity")
     for line in losses:
         say(f"loss: {line}")
     return LOSS if losses else OK
@@ -105,7 +105,10 @@ def write_report(
     losses: Sequence[str],
     out: Path,
 ) -> None:
-    """Write report.html, with the error if truth is given. color: (P, 3) RGB of the points."""
+    """Write report.html, including the trajectory error if truth is given.
+
+    color: (P, 3) RGB of the points.
+    """
     from calm_edge.evaluation.results import compare
     from calm_edge.offline.map_drive import REPORT
     from calm_edge.report.drive_report import report_data

@@ -43,7 +43,7 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the models, or check one; return 1 if it is refused."""
+    """List the models, or check one; return 1 if it fails the check."""
     return _list() if arguments.action == "list" else _check(arguments)
 
 
@@ -78,7 +78,7 @@ def _check(arguments: argparse.Namespace) -> int:
     if memory_mb is None:
         memory_mb = MEMORY_SHARE * free_memory_mb()
     limits = Limits(arguments.limit_s, memory_mb, arguments.size)
-    # nothing but the object for --json
+    # with --json print only the JSON object
     tell = (lambda _: None) if arguments.json else say
     report = check(manifest, limits, tell)
     path = verdict.save(manifest, report.verdict())
@@ -88,7 +88,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _plain(report: Report) -> dict[str, object]:
-    """Convert to a JSON object, with null for numbers that are not finite."""
+    """Convert a report to a JSON object, with null for numbers that are not finite."""
     import dataclasses
 
     def clean(value: object) -> object:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the command's arguments."""
     parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file of the kit")
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
@@ -59,9 +59,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def effective_config(arguments: argparse.Namespace) -> Config:
-    """Merge defaults, file, --set, --spacing-m and --hfov-deg; each overrides those before it.
+    """Merge defaults, file, --set, --spacing-m and --hfov-deg; later ones override earlier ones.
 
-    A model's precision and views per run, if `auto`, are chosen for this computer. Raises
+    If precision or views per run of a model are `auto`, they are chosen for this computer. Raises
     ConfigError, BackboneError.
     """
     from calm_edge.backbones.onnx.precision import pinned
@@ -82,7 +82,7 @@ def effective_config(arguments: argparse.Namespace) -> Config:
 
 
 def open_source(arguments: argparse.Namespace, config: Config) -> Source:
-    """The source of the frames; raises CalmEdgeError, CameraError."""
+    """Open the source of frames, cameras or a replay; raises CalmEdgeError, CameraError."""
     from calm_edge.config import ConfigError
     from calm_edge.daemon import source
 
@@ -97,7 +97,7 @@ def open_source(arguments: argparse.Namespace, config: Config) -> Source:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Record until the frames end or SIGINT or SIGTERM."""
+    """Record until the frames end or until SIGINT or SIGTERM."""
     from calm_edge.daemon.run import Target, record
     from calm_edge.types import CalmEdgeError
     from device.errors import DeviceError
@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
         lockstep = arguments.pace == "lockstep"
         return report(*record(config, source, target, notifier, lockstep=lockstep, say=say))
     except (CalmEdgeError, DeviceError) as error:
-        # shown by systemctl status
+        # shows the error in `systemctl status`
         notifier.status(f"FAILED: {error}", "FAILED")
         raise
 
@@ -127,10 +127,10 @@ def report(folder: Path, result: RecordResult) -> int:
     print(f"sub-maps    {result.submaps} of {result.windows} windows, {poses} keyframes placed")
     print(f"live poses  {result.poses}, lost {result.lost_poses}{aged}")
     if result.unsolved_windows:
-        say(f"windows {result.unsolved_windows} could not be solved; they are bridged")
+        say(f"windows {result.unsolved_windows} could not be solved; bridged by constant velocity")
     for name, lost in result.output_losses.items():
         if lost:
-            say(f"{name}: {lost} messages lost; the recording has them")
+            say(f"{name}: {lost} messages not sent; they are in the recording")
     losses = result.losses()
     for line in losses:
         say(f"loss: {line}")

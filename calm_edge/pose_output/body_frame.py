@@ -20,7 +20,8 @@ FRD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 def mounting(rpy_deg: tuple[float, ...], xyz: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Float:
     """Return T_b_c (4, 4) of a camera at xyz, rotated by yaw, then pitch, then roll.
 
-    At (0, 0, 0) it looks straight ahead; positive angles roll right, pitch up, yaw right.
+    With rpy_deg (0, 0, 0) the camera looks straight ahead; positive angles roll right, pitch up,
+    yaw right.
     """
     roll, pitch, yaw = np.radians(rpy_deg)
     x, y, z = np.eye(3)
@@ -38,7 +39,7 @@ def body_twist(T_b_c: Float, velocity_c: Float, turn_rate_c: Float) -> tuple[Flo
     """Convert a camera's velocity (3,) and turn rate (3,) in camera axes to the body's."""
     R, lever = T_b_c[:3, :3], T_b_c[:3, 3]
     velocity, turn_rate = R @ velocity_c, R @ turn_rate_c
-    # skipped without a lever arm, so that the turn rate may be NaN
+    # skipped without a lever arm, where a NaN turn rate must not make the velocity NaN
     if lever.any():
         velocity = velocity + np.cross(lever, turn_rate)
     return velocity, turn_rate

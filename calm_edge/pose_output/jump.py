@@ -9,16 +9,16 @@ import numpy as np
 from calm_edge.geometry import se3
 from calm_edge.types import PoseSample
 
-# larger deviations from constant velocity, growing with the time between two poses, are beyond
-# what a car does even on a bad road
+# largest deviation from constant velocity, even on a bad road: JUMP + ACCELERATION t²/2 after the
+# time t between two poses
 JUMP_M, ACCELERATION_M_S2 = 0.5, 20.0
 JUMP_RAD, ACCELERATION_RAD_S2 = math.radians(5.0), 10.0
 
 
 def jumped(before: PoseSample, after: PoseSample) -> bool:
-    """Whether a car moving as in `before` cannot have reached `after`; lengths in metres.
+    """True if a car with pose and velocity `before` cannot have reached the pose `after`.
 
-    False if the velocity is unknown (NaN).
+    Lengths are in metres. False if the velocity is unknown (NaN).
     """
     dt = (after.t_ns - before.t_ns) * 1e-9
     T = se3.inverse(before.T_w_c) @ after.T_w_c

@@ -12,9 +12,9 @@ from calm_edge.pose_output.mavlink import (
     wire_bytes,
 )
 
-# at most so many texts (each of several chunks) and TIMESYNC replies per second
+# upper limits of status texts (each of several chunks) and of TIMESYNC replies per second
 TEXTS_HZ, ANSWERS_HZ = 1, 20
-# a byte takes ten bits with its start and stop bit; a tenth of the line stays free
+# a byte takes ten bits with start and stop bit; a tenth of the line's capacity stays free
 _BITS_A_BYTE, _LINE_SHARE = 10, 0.9
 _BESIDE_POSES = (
     wire_bytes(Heartbeat)

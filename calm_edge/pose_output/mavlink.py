@@ -112,7 +112,7 @@ def status_texts(severity: Severity, text: str, text_id: int) -> tuple[StatusTex
 
 @dataclass(frozen=True, slots=True)
 class Timesync:
-    """TIMESYNC: a request has tc1_ns = 0; a reply has the replier's time there.
+    """TIMESYNC: a request has tc1_ns = 0; in a reply it is the time of the replier.
 
     ts1_ns: the time of the requester, copied to the reply. target: (system, component) addressed,
     (0, 0) for all; in a reply the requester.
@@ -144,7 +144,8 @@ class Odometry:
     position: m, local axes. quaternion: (w, x, y, z), local <- body. velocity: m/s, body axes.
     turn_rate: rad/s, body axes. pose_covariance: 21 values, the upper triangle by rows of (x, y, z,
     roll, pitch, yaw), m and rad. velocity_covariance: likewise of (velocity, turn_rate), m/s and
-    rad/s. Their first value is NaN if unknown. quality: -1 failed, 0 unknown, 1 worst, 100 best.
+    rad/s. An unknown covariance has NaN as its first value. quality: -1 failed, 0 unknown, 1 worst,
+    100 best.
     """
 
     time_usec: int
@@ -180,7 +181,7 @@ class Odometry:
 
 
 def wire_bytes(kind: type[Message]) -> int:
-    """Largest number of bytes that a type of message takes on the line."""
+    """Return the largest number of bytes that a message of this type takes on the line."""
     return FRAME_BYTES + struct.calcsize(kind.FORMAT)
 
 
@@ -206,7 +207,7 @@ def checksum(data: bytes) -> int:
 
 
 class Encoder:
-    """Encoder of one sender, which numbers its messages."""
+    """Encoder for one sender; counts the sequence number of its messages."""
 
     def __init__(self, system_id: int = 1, component_id: int = COMPONENT_VISUAL_ODOMETRY) -> None:
         self._sender = (system_id, component_id)

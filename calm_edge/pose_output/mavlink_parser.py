@@ -25,8 +25,9 @@ class Received:
 class MavlinkParser:
     """Incremental parser of MAVLink 1 and 2; buffers the bytes of an incomplete message.
 
-    known: the types of messages to find. Only their headers are searched for, at every byte, so
-    bytes that look like another message never hide one. Signatures are skipped without a check.
+    known: the types of messages to find. Their headers are searched for at every byte, and other
+    messages are not parsed, so bytes that resemble another header never hide a message. Signatures
+    are skipped without a check.
     """
 
     def __init__(self, known: tuple[type[Message], ...]) -> None:
@@ -47,7 +48,7 @@ class MavlinkParser:
             if message is not None:
                 found.append(message)
             at = start.start() + (size if message is not None else 1)
-        # may be an incomplete header
+        # keep the last bytes, which may be an incomplete header
         self._pending = data[max(at, len(data) - _HEADER + 1) :]
         return found
 
@@ -73,10 +74,10 @@ class MavlinkParser:
 
 
 def _headers(message_id: int) -> bytes:
-    """Pattern of a message's header in both versions.
+    """Return a regular expression for the header of a message in MAVLink 1 and 2.
 
-    Of the incompatibility flags only the signature is accepted; messages with others must be
-    dropped.
+    Frames with an incompatibility flag other than the signature's are not matched: the MAVLink
+    specification requires receivers to drop them.
     """
     version_2 = re.escape(bytes([MAGIC])) + b".[\x00\x01].{4}"
     patterns = [version_2 + re.escape(message_id.to_bytes(3, "little"))]

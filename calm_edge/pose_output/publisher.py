@@ -34,7 +34,7 @@ from calm_edge.types import PoseSample, PoseStatus
 log = logging.getLogger(__name__)
 
 NS_PER_S = 1_000_000_000
-# least time between status texts: after a change of state, or of its reasons alone
+# least time between status texts if the state has changed, and if only its reasons have
 _TEXT_PERIOD_NS, _REASONS_PERIOD_NS = NS_PER_S, 10 * NS_PER_S
 
 _STATES = {
@@ -63,10 +63,10 @@ class Port(Protocol):
 class PosePublisher:
     """Publisher of poses and state to an autopilot.
 
-    spacing_known: the world unit is metres. If not, poses are sent with quality -1, since they are
-    not in metres, and a warning text gives the remedy. lost_after_ms: the pose is lost after this
-    long without a new sample. now_ns: clock of the samples' stamps, used to answer TIMESYNC.
-    `receive` may be called in another thread.
+    spacing_known: True if the world unit is metres. If not, poses are sent with quality -1, and a
+    warning text gives the remedy. lost_after_ms: time without a new sample after which the pose is
+    lost. now_ns: clock of the samples' stamps, used to answer TIMESYNC. `receive` may be called in
+    another thread.
 
     No ODOMETRY is sent while the pose is lost: an old pose must not look new, and NaN would persist
     in some receivers (ArduPilot aligns the pose after a reset to the last one received).
@@ -109,11 +109,11 @@ class PosePublisher:
         return self._reset_counter
 
     def report(self, state: str, reasons: tuple[str, ...] = ()) -> None:
-        """Set the daemon's state and its reasons; before the first call the pose's is sent."""
+        """Set the daemon's state and its reasons; until the first call the pose's state is sent."""
         self._reported = state, reasons
 
     def send_stopping(self, reasons: tuple[str, ...], now_ns: int) -> None:
-        """Send the state STOPPING with a heartbeat and its reasons; call it last."""
+        """Send a heartbeat and a text with the state STOPPING and its reasons; call it last."""
         self.report("STOPPING", reasons)
         self._next_heartbeat_ns = now_ns
         self.publish(None, now_ns)
@@ -156,7 +156,7 @@ class PosePublisher:
             return
         before, self._newest_pose = self._newest_pose, sample
         if before is not None:
-            # a jump and a new epoch together count once
+            # a jump and a new epoch in the same sample count once
             moved = self._spacing_known and jumped(before, sample)
             self._reset_counter += moved or sample.epoch != before.epoch
 
@@ -180,7 +180,10 @@ class PosePublisher:
         return SystemState.CRITICAL if lost else state
 
     def _send_state(self, now_ns: int) -> None:
-        """Send a status text if the state has changed; at most one per second, but for the last."""
+        """Send a status text if the state or its reasons have changed, at a limited rate.
+
+        STOPPING is sent at once.
+        """
         state, reasons = current = self._state(now_ns)
         period = _TEXT_PERIOD_NS if state != self._sent_state[0] else _REASONS_PERIOD_NS
         too_soon = now_ns < self._sent_state_ns + period and state != "STOPPING"
@@ -218,7 +221,7 @@ class PosePublisher:
         )
 
     def _send(self, message: Message) -> None:
-        # numbers must follow the order of sending, from whichever thread
+        # two threads send; sequence numbers must follow the order of sending
         with self._sending:
             self._port.write(self._encoder.encode(message))
 
@@ -235,6 +238,6 @@ def _mounting(config: PoseOutputConfig) -> np.ndarray:
 
 
 def _following(due_ns: int, period_ns: int, now_ns: int) -> int:
-    """Next due time: a period after due_ns, which keeps the mean rate; after a pause, after now."""
+    """Return the next due time: one period after due_ns, or after now_ns if that has passed."""
     next_ns = due_ns + period_ns
     return next_ns if next_ns > now_ns else now_ns + period_ns

@@ -17,9 +17,9 @@ _LAGGING_SHARE = 0.5
 def quality(covariance: Float, status: PoseStatus) -> int:
     """Return -1 (lost), 0 (unknown), else 100 / (1 + (sigma_t / 5 cm)^2 + (sigma_r / 0.25 deg)^2).
 
-    covariance: (6, 6) of (translation, rotation), metres and rad; each sigma is that of its most
-    uncertain direction. Halved while the estimator lags, as the pose then refers to an old
-    sub-map; rounded, at least 1.
+    covariance: (6, 6) of (translation, rotation), metres and rad. sigma_t, sigma_r: sigma of the
+    translation and of the rotation in its most uncertain direction. The result is halved while the
+    estimator lags, as the pose then refers to an old sub-map; rounded, at least 1.
     """
     if status is PoseStatus.LOST:
         return FAILED

@@ -74,7 +74,7 @@ def test_identify_without_a_terminal_raises_one_line(
     text = io.StringIO()
     monkeypatch.setattr("sys.stderr", text)
     assert main(["cameras", "--identify"]) == 1
-    assert len(text.getvalue().splitlines()) == 1 and "no terminal" in text.getvalue()
+    assert len(text.getvalue().splitlines()) == 1 and "run it in a terminal" in text.getvalue()
 
 
 def test_identify_writes_the_camera_unplugged_first_as_primary(
