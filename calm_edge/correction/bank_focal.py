@@ -1,4 +1,4 @@
-"""Focal of least Eq. Score on a test bank, and its uncertainty (an extension of paper V-A)."""
+"""Focal that minimises Eq. Score on a test bank, and its sigma (an extension of paper V-A)."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ _CHI2_MEDIAN = 2 * np.log(2)
 
 @dataclass(frozen=True, slots=True)
 class BankFocal:
-    """Focal of least score on a bank. log_focal: [log px]. log_sigma: inf if uninformative.
+    """Focal that minimises the score on a test bank.
 
-    weights: (P,) of the matrices in the mean score. model_noise: sigma of the score in excess of
-    the noise of the matches.
+    log_focal: [log px]. log_sigma: its sigma, inf if the bank is uninformative. weights: (P,) of
+    the matrices in the mean score. model_noise: sigma of the score in excess of the noise of the
+    matches.
     """
 
     log_focal: float

@@ -16,7 +16,7 @@ def from_density(n_matrices: float, config: CorrectionConfig) -> float:
 
 
 def from_guesses(n: int) -> float:
-    """1 - 1/n, rounded down: the mean of n guesses contains 1/n of the error of each."""
+    """Lambda 1 - 1/n, rounded down: the mean of n focal estimates has 1/n of the error of each."""
     wanted = 1 - 1 / max(n, 1)
     return 1.0 if wanted > 0.95 else _floored(wanted)
 

@@ -14,8 +14,8 @@ from calm_edge.correction.test_bank import GroupBuilder
 from calm_edge.types import Bytes, GlobalIntrinsics, Landmarks, Submap
 from device.frame import Eye
 
-# Change of log focal, absolute and as a share of its sigma, that both must be exceeded for
-# rectifying the sub-maps again.
+# Sub-maps are rectified again if the log focal has changed by more than both of these: an absolute
+# threshold, and a share of its sigma.
 _MOVED_LOG = 0.005
 _MOVED_SIGMAS = 0.5
 
@@ -93,7 +93,7 @@ class IntrinsicSearch:
         # alternate between the cameras, so that no sub-map needs SIFT features of both
         turn = (every // 2) * int(eye)
         if len(bank.groups) >= self._config.n_group:
-            # a full bank only accepts a better group, which is rare
+            # a full bank accepts only a group with more information, which is rare: build fewer
             every *= self._config.n_group
         due = self._count % every == turn
         return due and eye not in self._builders and not bank.is_closed

@@ -1,10 +1,10 @@
-"""Posterior of both focals from the guesses of all sub-maps and both test banks (past paper V-A).
+"""Posterior of both focals from all sub-maps and both test banks (an extension of paper V-A).
 
-The focal is constant in a drive, so the deviation of a sub-map's guess from the median of all is
-an error to correct, even if the banks are uninformative. The error common to all guesses is the
-backbone's bias, which the banks measure. Since one network estimates both cameras, its biases are
-taken to be as correlated as its guesses are over the sub-maps: an informative bank of one camera
-thus corrects the other camera too.
+A *guess* is the backbone's estimate of a focal in one sub-map. The focal is constant in a drive, so
+the deviation of a guess from the median of all is an error to correct, even if the banks are
+uninformative. The error common to all guesses is the backbone's bias, which the banks measure. As
+one network estimates both cameras, its biases are taken to be as correlated as its guesses are over
+the sub-maps: an informative bank of one camera thus corrects the other camera too.
 """
 
 from __future__ import annotations

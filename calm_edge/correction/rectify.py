@@ -1,11 +1,11 @@
 """Correct a sub-map's poses and intrinsics to K_global (paper V-C).
 
-The paper's rotation correction holds for two views, with the baseline between them. Between the
-two cameras that baseline is sideways, but in a window of many views depth is determined by the
-motion of the car, and so is the rotation between the cameras: a focal too long by s reduces their
-angle by s, while for two views alone it would increase it. Therefore the rotation between the
-cameras is corrected with the direction of travel as baseline; with the baseline between the cameras
-its error doubles (tests/correction).
+The paper's rotation correction is for two views and the baseline between them. For the rotation
+between the two cameras the direction of travel is used as baseline instead: in a window of many
+views, depth and thus this rotation are determined by the motion of the car, not by the sideways
+baseline of the cameras. With a focal too long by a factor s the angle between the cameras is too
+small by s, where two views alone would make it too large; correcting with the sideways baseline
+doubles the error (tests/correction).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _bracketed(t_p_ns: Int, t_a_ns: Int) -> _Between:
     """Locate the assistant's stamps (M,) among the primary's (N,).
 
     A stamp further outside than one frame interval is moved to the nearest end; of views with
-    equal stamps the first is used. Invalid stamps are rejected later, by the scale.
+    equal stamps the first is used. Wrong stamps are detected later, in the scale estimation.
     """
     t_ns, first = np.unique(t_p_ns, return_index=True)
     if len(t_ns) == 1:

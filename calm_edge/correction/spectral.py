@@ -17,8 +17,8 @@ from calm_edge.types import Float
 # steps of numeric derivatives: of log focal, and in sigmas of F
 _STEP = 1e-3
 _SIGMAS = 1e-2
-# a slope below this many of its sigmas counts as zero; five, because its noise has heavy tails
-# for motions on which the score does not depend on the focal
+# a slope below this many of its sigmas counts as zero; five, because its noise has heavy tails for
+# motions that do not determine the focal
 _SIGNIFICANT = 5.0
 # lower bound of the score's noise, so that exact synthetic matrices have finite information
 _SCORE_FLOOR = 1e-4
@@ -40,7 +40,7 @@ class FocalSensitivity:
     curves: Float
 
     def at(self, log_focal: float) -> Float:
-        """The curves (5, P), interpolated at a log focal [log px]."""
+        """Interpolate the curves (5, P) at a log focal [log px]."""
         x = float(np.interp(log_focal, self.log_focal, np.arange(len(self.log_focal))))
         low = min(int(x), len(self.log_focal) - 2)
         share = x - low
@@ -114,7 +114,7 @@ def focal_sensitivity(shape: Camera, F: Float, steps: Float, focals: Float) -> F
     slope_noise = (slope(near[0]) - slope(near[1])) / (2 * _SIGMAS)
     curves = [
         size[:, 0],
-        # on average half of its variance is along the slope
+        # of the two components, the one along the slope has on average half of the variance
         np.sqrt((noise**2).sum((1, 3)) / 2),
         np.sqrt((slope_noise**2).sum((1, 3))),
         *((off_centre(axis) * along).sum(-1)[:, 0] for axis in (0, 1)),
@@ -135,7 +135,7 @@ def information(sensitivity: FocalSensitivity, log_focal: float, model_noise: fl
 
 
 def centre_shift(sensitivity: FocalSensitivity, log_focal: float) -> Float:
-    """Shift (P, 2) of the log focal of least score by one sigma of the principal point, x and y."""
+    """Shift (P, 2) of the log focal of least score for one sigma of the principal point x, y."""
     slope, _, _, by_cx, by_cy = sensitivity.at(log_focal)
     return np.asarray(-np.stack([by_cx, by_cy], -1) / np.maximum(slope, 1e-300)[:, None])
 

@@ -60,7 +60,7 @@ class GroupBuilder:
         return not self._todo
 
     def advance(self) -> None:
-        """Process the next share of the pairs; all are done after `group_every` calls."""
+        """Estimate F for the next share of the pairs; all are done after `group_every` calls."""
         pairs, self._todo = self._todo[: self._share], self._todo[self._share :]
         for view_a, view_b in pairs:
             ids = self._ids[view_a], self._ids[view_b]
@@ -92,7 +92,7 @@ class TestBank:
     information replaces the one with the least.
     """
 
-    __test__ = False  # pytest would collect it because of its name
+    __test__ = False  # so that pytest does not collect this class, because of its name
 
     def __init__(self, config: CorrectionConfig) -> None:
         self._config = config

@@ -17,19 +17,19 @@ from calm_edge.trajectories import folded, read_tum
 from calm_edge.types import Float, Float32, Int, LocalizerUpdate, PoseSample
 from device.frame import Eye
 
-# Ages above this are no latencies: publish time and exposure are on different clocks.
+# A larger pose age means that publish time and exposure are on different clocks.
 MAX_AGE_MS = 60_000.0
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A trajectory with its statistics; None for what the source does not contain.
+    """A trajectory with its statistics; fields that the source does not contain are None.
 
     t_ns: (N,). T_w_c: (N, 4, 4) primary camera -> world, world units. spacing_m: None when the
     world is in camera spacings. focal_px, focal_sigma_percent: one per camera.
     pose_age_ms: {p50, p99} from exposure to publishing. stage_ms: mean per sub-map, by stage.
     points_w: (P, 3) map points, world units. first_frame: (number in the sequence, stamp [ns]),
-    from which the offset of a replay's clock follows. live: poses as published during the drive,
+    which gives the clock offset of a replay. live: poses as published during the drive,
     LOST ones included, sorted by stamp.
     """
 
@@ -61,8 +61,8 @@ def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
 def pose_ages(published_ns: Int, exposed_ns: Int) -> dict[str, float] | None:
     """Percentiles {p50, p99} [ms] of the time from exposure to publishing, (N,) ns each.
 
-    None without poses or if the two are on different clocks, as in a lockstep run, which keeps
-    the stamps of its files.
+    None without poses, or if the times are on different clocks, as in a lockstep run: exposure is
+    on the clock of the stored frames.
     """
     ages = (published_ns - exposed_ns) / 1e6
     if len(ages) == 0 or ages.min() < 0 or ages.max() > MAX_AGE_MS:

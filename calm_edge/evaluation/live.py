@@ -12,12 +12,12 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int, PoseSample, PoseStatus
 
 SPAN_NS = 1_000_000_000
-# A pair further apart than this times the span is not used: poses were missing.
+# Pairs further apart than this times the span are not used: poses between them are missing.
 LONGEST_SPAN = 1.25
 
 
 def spans(t_ns: Int, epoch: Int, span_ns: int = SPAN_NS) -> tuple[Int, Int]:
-    """Index pairs (S,), (S,): each stamp with the first one at least `span_ns` later.
+    """Pair each stamp with the first one at least `span_ns` later: indices (S,), (S,).
 
     t_ns: (N,) sorted. epoch: (N,). Only pairs of one epoch: at a new epoch the world frame jumps,
     and live poses are only odometry within an epoch.
@@ -44,11 +44,12 @@ def compare(
 
     t_ns: (N,) the samples' stamps on the truth's clock, sorted. T_truth: (M, 4, 4) at t_truth
     (M,), metres. scale: metres per world unit. Keys of the result:
-    first_s: time from the first frame to the first pose (LIVE or LAGGING), None without any; the
-    keys below are then missing. live_percent: share of frames with a pose, since the first pose.
-    longest_gap_s: longest time without a pose. jumps: number of new epochs. span_m, span_deg:
-    {p50, p90, max} error of the relative motion over 1 s; span_percent: its mean over the mean
-    distance. velocity_m_s: {p50, p90, max} error against central differences of the truth.
+    first_s: time from the first frame to the first pose (LIVE or LAGGING); None without any, and
+    then the keys below are missing. live_percent: share of frames with a pose, since the first
+    pose. longest_gap_s: longest time without a pose. jumps: number of new epochs. span_m,
+    span_deg: {p50, p90, max} error of the relative motion over 1 s; span_percent: its mean
+    relative to the mean distance. velocity_m_s: {p50, p90, max} error against central
+    differences of the truth.
     """
     if not samples:
         return None

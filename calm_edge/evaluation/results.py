@@ -41,11 +41,12 @@ _MAP_KEYS = ("map_accuracy_m", "map_completeness_m", "map_chamfer_m")
 
 
 def common_origin(t_ns: Int, t_truth: Int, first_frame: tuple[int, int] | None = None) -> Int:
-    """Stamps t_ns (N,) on the truth's clock.
+    """Convert stamps t_ns (N,) to the clock of the truth, t_truth (M,).
 
-    A paced replay shifts all stamps to the present; first_frame, (number, stamp), gives the
-    offset. Without it two offsets are possible: stamps of ours contain ORIGIN_NS as the truth's
-    do, a TUM file of another program does not. The one that matches more poses is taken.
+    first_frame: (number in the sequence, stamp) of the first frame, which gives the offset of a
+    paced replay, where all stamps are shifted to the present. Without it, ORIGIN_NS is added if
+    more poses then match the truth: stamps of calm-edge contain it, those of a TUM file of another
+    program do not.
     """
     if first_frame is not None and first_frame[0] < len(t_truth):
         return np.asarray(t_ns + (t_truth[first_frame[0]] - first_frame[1]))
@@ -164,7 +165,7 @@ def _live_figures(
 
 
 def _plain(value: Any) -> Any:
-    """Copy with NaN and infinity replaced by None, since JSON has neither."""
+    """Copy of a value with NaN and infinity, which JSON lacks, replaced by None."""
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

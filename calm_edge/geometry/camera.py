@@ -231,7 +231,7 @@ def _nonzero(z: Float) -> Float:
 
 @lru_cache
 def _perspective_limit(distortion: tuple[float, ...]) -> float:
-    """Smallest angle [rad] where the distorted radius has a maximum or a pole."""
+    """Smallest angle off the axis [rad] where the distorted radius has a maximum or a pole."""
     k1, k2, _, _, k3, k4, k5, k6 = _padded(distortion)
     radius, D = Polynomial([0, 1, 0, k1, 0, k2, 0, k3]), Polynomial([1, 0, k4, 0, k5, 0, k6])
     slope = radius.deriv() * D - radius * D.deriv()

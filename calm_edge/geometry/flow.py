@@ -16,9 +16,9 @@ Float32 = NDArray[np.float32]
 class LucasKanade:
     """Parameters of Lucas-Kanade tracking (see cv2.calcOpticalFlowPyrLK).
 
-    levels: pyramid levels. step_px: convergence threshold. backward_px: largest distance from
-    its start of a point tracked back over backward_levels. margin_px: points this close to the
-    image border are rejected.
+    levels: pyramid levels. step_px: convergence threshold. backward_px: a point tracked back over
+    backward_levels must end within this distance of its start. margin_px: points this close to
+    the image border are rejected.
     """
 
     window_px: int = 17
@@ -99,7 +99,7 @@ def follow_ahead(
 
 
 def neighbouring_flow(uv: Float32, flow: Float32, known: NDArray[np.bool_]) -> Float32:
-    """Fill unknown entries of the flow (N, 2) at uv (N, 2) px by the median of near known ones."""
+    """Fill unknown entries of the flow (N, 2) at uv (N, 2) px by the median of known neighbours."""
     if not known.any():
         return np.zeros_like(flow)
     if known.all():

@@ -16,7 +16,7 @@ Float32 = NDArray[np.float32]
 
 HUBER_PX = 1.0
 ITERATIONS = 10
-# Lower bound of the residuals' sigma: the noise of a good corner.
+# Lower bound of the residuals' sigma: localisation noise of a well-defined corner.
 NOISE_FLOOR_PX = 0.2
 NEAREST_DEPTH = 1e-3
 
@@ -38,7 +38,7 @@ class PoseFit:
 
 
 def reprojection(camera: Camera, p_w: Float, T_w_c: Float) -> tuple[Float, Float]:
-    """Pixels (M, 2) of world points (M, 3), inf behind the camera; and camera points (M, 3)."""
+    """Project world points (M, 3) to pixels (M, 2), inf if behind, and camera points (M, 3)."""
     p_c = se3.transform(se3.inverse(T_w_c), p_w)
     uv = camera.project(p_c)
     uv[p_c[:, 2] < NEAREST_DEPTH] = np.inf

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
 
-# points evaluated at once: their distances to 150 control points fit into the CPU cache
+# number of points evaluated at once: distances to 150 control points fit into the CPU cache
 TILE = 512
 # control points with a singular value below this share of the largest count as flat
 FLAT = 1e-3
@@ -85,7 +85,7 @@ class ThinPlate:
 
 
 def fit(source: Float, target: Float, stiffness: float) -> ThinPlate:
-    """Fit a thin-plate spline from source (N, 3) to target (N, 3), same unit (VI-D, U(r) = r).
+    """Fit a thin-plate spline from source (N, 3) to target (N, 3), kernel U(r) = r (paper VI-D).
 
     Minimises sum |Phi(p_i) - q_i|^2 + stiffness * bending energy; 0 interpolates. Stiffness is
     dimensionless, because points are first centred and divided by their RMS radius. The model
@@ -149,7 +149,7 @@ def _solve(x: Float, y: Float, stiffness: float) -> Float | None:
     from scipy.spatial.distance import cdist
 
     n = len(x)
-    # a minimum, since coincident source points with different targets have no interpolation
+    # above 0: coincident source points with different targets cannot be interpolated
     stiffness = max(stiffness, 1e-10)
     L = np.zeros((n + 4, n + 4))
     L[:n, :n] = cdist(x, x) - stiffness * np.eye(n)

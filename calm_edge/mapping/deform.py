@@ -94,7 +94,7 @@ def control_points(p_s: Float, target_s: Float, n: Int, most: int) -> tuple[Floa
 
 
 def torn(p_s: Float, shift: Float, n: Int, centre_s: Float) -> NDArray[np.bool_]:
-    """Mask (M,) of anchors whose shift differs from that of their neighbours.
+    """Mask (M,) of outliers: anchors with a shift that differs from that of their neighbours.
 
     Anchors on occlusion edges can have a depth error just within the tolerance of verification,
     and would dent the map. p_s: (M, 3). shift: (M, 3) target minus source. n: (M,) observation

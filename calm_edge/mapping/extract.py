@@ -51,8 +51,8 @@ def extract(
 
     seeds: anchors propagated from earlier sub-maps; part of the result. first_id: id of the first
     new anchor. Frame by frame (both cameras, batch order) each cell without an anchor gets a
-    candidate. An anchor occupies its cell only in frames that agree with it: one that is occluded
-    in a frame does not.
+    candidate. An anchor occupies its cell only in frames with the same depth there: an anchor that
+    is occluded in a frame does not.
     """
     n_views, _, width = views.inverse_depth.shape
     filled = np.zeros((n_views, grid * grid), bool)

@@ -136,7 +136,7 @@ def suppress(p_w: Float, n: Int, radius: float) -> NDArray[np.bool_]:
     from scipy.spatial import cKDTree
 
     active = np.ones(len(n), bool)
-    # distance_upper_bound is exclusive: query slightly further and compare ourselves
+    # distance_upper_bound of the KD-tree is exclusive: query slightly further, then compare
     bound = radius * (1 + 1e-9) + 1e-12
     for count in np.unique(n)[:-1]:
         tree = cKDTree(p_w[n > count])

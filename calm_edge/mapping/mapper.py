@@ -33,7 +33,7 @@ class Mapper:
     def __init__(
         self, config: MappingConfig, spacing: float, spool_folder: Path, seed: int = 0
     ) -> None:
-        """spacing: world units per map unit. spool_folder: for scratch; the caller removes it."""
+        """spacing: world units per map unit. spool_folder: scratch files, removed by the caller."""
         self._config = config
         self._spacing = spacing
         self._folder = spool_folder
@@ -43,7 +43,7 @@ class Mapper:
         self._deformations: dict[int, Deformation] = {}
 
     def variant(self, config: MappingConfig, folder: Path) -> Mapper:
-        """A second Mapper on the same sub-maps and anchors, for comparing configurations.
+        """Create a second Mapper with the same sub-maps and anchors, to compare configurations.
 
         config: of fusion and deformation; extraction is not repeated. folder: its scratch folder.
         """

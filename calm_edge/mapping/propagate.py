@@ -14,7 +14,7 @@ from device.frame import Eye
 
 
 def picture_keys(submap: Submap) -> Int:
-    """Key (N,) of each view that is equal for the same image in all sub-maps: stamp and camera.
+    """Keys (N,) of the images of a sub-map, from stamp and camera: equal for equal images.
 
     Views after the primary and assistant ones are loop keyframes, which are primary images.
     """
@@ -64,7 +64,7 @@ def place(carried_rows: AnchorTable, target: DenseViews, tolerance: float) -> An
     anchor, view, uv, z = anchor[known], view[known], uv[known], z[known]
     p_s = lift(target, view, uv, z)
     sightings = sight(target, p_s, tolerance)
-    # keep the copied pixel exactly: its re-projection differs by rounding
+    # keep the copied pixel, from which the reprojected one differs by rounding
     sightings.uv[np.arange(len(view)), view] = uv
     sightings.agrees[np.arange(len(view)), view] = True
     support = np.where(confirmed(sightings, view), sightings.agrees.sum(1), 0)
@@ -98,7 +98,7 @@ def spread_back(
     """Backward propagation from sub-map `start`, recursively: rows to add, by sub-map id (VI-B).
 
     shared: sub-map id -> [(other id, pairs (P, 2) of (view, other's view))]. views_of: loads the
-    depth of a sub-map; called only if there is an anchor to place. Rows added to a sub-map are
+    dense views of a sub-map; called only if there is an anchor to add. Rows added to a sub-map are
     propagated further from it; an anchor enters each sub-map once, so that the recursion ends.
     """
     added: dict[int, AnchorTable] = {}

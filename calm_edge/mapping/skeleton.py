@@ -18,7 +18,7 @@ from calm_edge.mapping.table_store import TableStore
 from calm_edge.mapping.views import DenseViews, MappingError, prepare
 from calm_edge.types import AnchorTable, Bytes, Float32, Int, Submap
 
-# sub-maps with depth in memory: backward propagation rarely reaches further
+# number of sub-maps with depth in memory: backward propagation rarely reaches further
 CACHED = 3
 
 

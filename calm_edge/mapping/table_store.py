@@ -12,7 +12,7 @@ import numpy as np
 from calm_edge.mapping.views import MappingError
 from calm_edge.types import AnchorTable
 
-# tables in memory: that of the new sub-map and of those its anchors propagate back to
+# number of tables in memory: of the new sub-map and those its anchors are propagated back to
 CACHED = 8
 
 

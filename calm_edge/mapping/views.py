@@ -169,11 +169,10 @@ def sight(views: DenseViews, p_s: Float, tolerance: float) -> Sightings:
 
 
 def confirmed(sightings: Sightings, own_view: Int) -> Bool:
-    """Mask (M,) of verified points: at least one other view agrees, and at least as many views
-    agree as contradict.
+    """Mask (M,) of verified points: confirmed by other views, at least as many as contradict them.
 
-    own_view: (M,) view of which the point was taken. Only a view with larger depth contradicts;
-    one in which the point is occluded does not count.
+    own_view: (M,) view from which each point was back-projected. A view contradicts a point if its
+    depth is larger; one in which the point is occluded counts neither way.
     """
     others = sightings.agrees.copy()
     others[np.arange(len(own_view)), own_view] = False

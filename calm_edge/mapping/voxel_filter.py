@@ -34,7 +34,7 @@ class VoxelFilter:
         self._held = 0
 
     def admit(self, points: NDArray[np.floating]) -> Int:
-        """Indices, ascending, of the points (M, 3) that are first in their voxel; mark it occupied.
+        """Ascending indices of points (M, 3) that are the first in their voxel; marks it occupied.
 
         Raises MappingError if a scratch file cannot be read or written.
         """

@@ -13,14 +13,14 @@ from calm_edge.types import Float
 
 
 class Between(NamedTuple):
-    """Derivatives (P, 6, 6) of `residual` with respect to camera poses i and j."""
+    """Derivatives (P, 6, 6) of `residual` with respect to poses i and j of the same camera."""
 
     by_i: Float
     by_j: Float
 
 
 class Coupled(NamedTuple):
-    """Derivatives (P, 6, 6) with respect to primary poses i and j and to T_p_a."""
+    """Derivatives (P, 6, 6) of the assistant's residuals by primary poses i and j and by T_p_a."""
 
     by_i: Float
     by_j: Float

@@ -1,8 +1,8 @@
 """The primary-assistant joint pose graph (paper IV-C): relative measurements and keyframe poses.
 
 State: poses of the primary keyframes and T_p_a; assistant poses are always T_w_p T_p_a.
-The variances are the paper's numbers, applied in map units (camera spacings) and rad; the paper
-applies them in the unit of its first sub-map. Without loops only their ratios matter.
+The variances have the values of the paper, but in map units (camera spacings) and rad, whereas the
+paper has them in the unit of its first sub-map. Without loops only their ratios matter.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calm_edge.posegraph.optimiser import Snapshot, Solved
 from calm_edge.posegraph.problem import Edges, Problem, State, joined
 from calm_edge.types import Float, Int, LoopClosure
 
-# Information of a bridge relative to an odometry edge: it is a guess, so 10 times the sigma.
+# Information of a bridge (see `add_bridge`) relative to an odometry edge: ten times the sigma.
 _BRIDGE_WEIGHT = 0.01
 _KEYS = count()
 
@@ -109,9 +109,9 @@ class JointGraph:
         self._scale_variance += _scale_variance(T_s_p[seen], T_s_a)
 
     def add_bridge(self, before_id: int, after_id: int) -> None:
-        """Add a weak edge that holds the current relative pose of two keyframes.
+        """Add a weak edge with the current relative pose of two keyframes as measurement.
 
-        For a gap over which no sub-map could be reconstructed.
+        It connects the graph across a gap for which no sub-map could be reconstructed.
         """
         T_j_i = se3.inverse(self.pose(before_id)) @ self.pose(after_id)
         self._add_single(before_id, after_id, T_j_i, _BRIDGE_WEIGHT, robust=False)
@@ -160,7 +160,7 @@ class JointGraph:
         return Snapshot(self._key, self.problem(), self.state()) if self._edges else None
 
     def apply(self, solved: Solved) -> bool:
-        """Set all poses to the optimum of an earlier snapshot; False if of another graph.
+        """Set all poses to the optimum of an earlier snapshot; False if it is of another graph.
 
         Keyframes added after the snapshot move rigidly with the last optimised one.
         """
@@ -180,7 +180,7 @@ def _preceding(n: int, window: int) -> tuple[Int, Int]:
 
 
 def _scale_variance(T_s_p: Float, T_s_a: Float) -> float:
-    """Variance of a sub-map's log scale: that of the mean of its V camera spacings, relative."""
+    """Variance of a sub-map's log scale: relative variance of the mean of its V camera spacings."""
     spacing = np.linalg.norm((T_s_a - T_s_p)[:, :3, 3], axis=-1)
     if len(spacing) < 2:
         return 0.0

@@ -15,7 +15,7 @@ _STEP_TOLERANCE = 1e-9
 
 
 def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -> tuple[State, int]:
-    """Local minimum of the cost from `state`, keyframe 0 held fixed, and the iterations used.
+    """Minimise the cost from `state`, keyframe 0 fixed; return the state and the iterations used.
 
     tolerance: relative decrease of the cost at which the iteration stops.
     """
@@ -28,7 +28,7 @@ def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -
         while True:
             steps = linear.solve(damping)
             if steps is None and damping < _MAX_DAMPING:
-                # not positive definite after rounding: raise the lower bound of the damping too
+                # rounding made the system indefinite: keep the damping above this value from now on
                 damping = least = 10 * damping
                 continue
             if steps is None:

@@ -20,7 +20,7 @@ from calm_edge.types import Float, Int
 
 # Keyframes per group. With a window of 3 predecessors, edges then reach the next group at most.
 _GROUP = 3
-# Edges linearised at once: their temporaries fit into the CPU cache.
+# Number of edges linearised at once, so that temporary arrays fit into the CPU cache.
 _CHUNK = 256
 
 
@@ -57,7 +57,7 @@ def linearise(problem: Problem, state: State, r: Residuals, soft: Float, pairs: 
 
 
 class Layout:
-    """Sparsity of the system: which factor and columns each edge goes to. Values play no part.
+    """Sparsity pattern of the system: the factor and the columns of each edge.
 
     Keyframes are padded to whole groups, at least two. Factor f joins groups low[f] and high[f]
     (F,): first all pairs of neighbouring groups, then the pairs joined by loops only. Columns of
@@ -76,7 +76,7 @@ class Layout:
         self.high = np.concatenate([near + 1, far % self.n_groups])
         factor_of = np.minimum(low, self.n_groups - 2)
         factor_of[is_far] = len(near) + factor
-        # groups with a loop to a group that is not a neighbour
+        # mask of groups with a loop to a group that is not a neighbour
         self.looped = np.zeros(self.n_groups, bool)
         self.looped[self.low[len(near) :]] = self.looped[self.high[len(near) :]] = True
         self._order = np.argsort(factor_of, kind="stable")
@@ -171,7 +171,7 @@ class LinearSystem:
         J = se3.right_jacobian_inverse(r.prior) / problem.sigma_prior[:, None]
         self._add_rows(graph, self._rig, J, -r.prior / problem.sigma_prior)
         self._add_rows(graph, self._rig, np.sqrt(damping) * np.eye(6), np.zeros(6))
-        # nothing else fixes the world frame, so that a prior of any weight holds it exactly
+        # gauge: nothing else fixes the world frame, so a prior of any weight fixes it exactly
         held = np.zeros((6, 6 * _GROUP))
         held[:, :6] = np.diag(1 / problem.sigma)
         self._add_rows(graph, 0, held, np.zeros(6))
@@ -183,7 +183,7 @@ class LinearSystem:
             self._add_rows(graph, group, np.diag(empty), np.zeros(6 * _GROUP))
 
     def _join(self, graph: Any, H: Float, factors: slice) -> None:
-        """Add one HessianFactor per block of H (F, D, D)."""
+        """Add a HessianFactor between groups low and high for each block of H (F, D, D)."""
         g, r = 6 * _GROUP, 12 * _GROUP
         factor = self._gtsam.HessianFactor
         low, high = self._layout.low[factors].tolist(), self._layout.high[factors].tolist()

@@ -25,7 +25,7 @@ _GATE = 22.46
 # Typical systematic drift: share of the distance, rad per keyframe, and the number of keyframes
 # over which its direction persists.
 _DRIFT_SHARE, _DRIFT_RAD, _DRIFT_KEYFRAMES = 0.01, 0.0005, 100
-# Severe over typical drift, as from a focal length that is not observable yet.
+# Ratio of severe to typical drift; severe drift occurs before turns make the focal observable.
 _SEVERE = 10.0
 # Agreeing loops required where only severe drift explains a loop. One is too few: on a road with
 # similar bends two false loops can agree by chance.
@@ -67,8 +67,8 @@ def accepted_loops(problem: Problem, T_w_p: Float, noise: Noise) -> Bool:
     short = np.abs(i - j) <= _DRIFT_KEYFRAMES
     chosen = np.zeros(len(at), bool)
     for k in np.lexsort((own, -support)):
-        # over a long way typical drift explains almost any loop: ask for support once there is
-        # an accepted loop that has it
+        # Over a long path typical drift is so large that almost any loop passes the gate. Then
+        # require an agreeing loop, as soon as some accepted loop has enough of them.
         possible = (usual[k] and (short[k] or support[k] or not (chosen & backed).any())) or (
             severe[k] and backed[k]
         )
@@ -77,18 +77,18 @@ def accepted_loops(problem: Problem, T_w_p: Float, noise: Noise) -> Bool:
             worse = np.where(backed[k] & backed[others] & ~nearby[k, others], _SEVERE, 1.0)
             possible = (apart_by(others, np.full(len(others), k), worse) < _GATE).all()
         chosen[k] = possible
-    # count support by accepted loops only
+    # with severe drift, only agreement with accepted loops counts
     return np.asarray(chosen & (usual | ((agree & chosen).sum(1) >= _BACKERS)))
 
 
 class _Path:
-    """Covariance of the motion along the keyframes, accumulated from the first in world axes."""
+    """Covariance of the odometry, accumulated from the first keyframe to each, in world axes."""
 
     def __init__(self, problem: Problem, T_w_p: Float, noise: Noise) -> None:
         edges, sigma = problem.edges, problem.sigma
         length = np.linalg.norm(np.diff(T_w_p[:, :3, 3], axis=0), axis=-1)
         n = len(length)
-        # 1/3 of a view's variance per step, since a window of both cameras averages the errors
+        # a third of a single view's variance per step: the views of a window average out
         step = np.tile(noise.view_covariance() / 3, (n, 1, 1))
         bridge = ~edges.robust & (edges.submap < 0)
         last = np.maximum(edges.i, edges.j)[bridge] - 1
@@ -102,8 +102,8 @@ class _Path:
     def between(self, i: Int, j: Int, from_world: Float, worse: float | Float) -> Float:
         """Covariance (M, 6, 6) of the relative motion between state rows i and j (M,).
 
-        from_world: (M, 6, 6) adjoints from world axes to those of the result. worse: factor on
-        typical drift, one or (M,). Fully correlated drift over n keyframes has n times the
+        from_world: (M, 6, 6) adjoints from world axes to those of the result. worse: factor on the
+        typical drift, scalar or (M,). Fully correlated drift over n keyframes has n times the
         variance of independent drift.
         """
         low, high = np.minimum(i, j), np.maximum(i, j)
@@ -114,7 +114,7 @@ class _Path:
 
 
 def _summed(to_world: Float, step: Float) -> Float:
-    """Cumulative sums (N, 6, 6) of step covariances (N - 1, 6, 6), brought to world axes."""
+    """Cumulative sums (N, 6, 6) of step covariances (N - 1, 6, 6), transformed to world axes."""
     moved = to_world @ step @ np.swapaxes(to_world, -1, -2)
     return np.concatenate([np.zeros((1, 6, 6)), np.cumsum(moved, 0)])
 
@@ -137,7 +137,7 @@ def _disagreement(
     predicted = se3.inverse(T_w_p[j_b]) @ T_w_p[j_a] @ Z_a @ T_ia_ib
     error = se3.log(se3.inverse(Z_b) @ predicted)
     from_a = se3.adjoint(se3.inverse(T_ia_ib))
-    # adjoint from world axes at the far end to the frame of the error, through loop a
+    # adjoint from the world axes at keyframes j to the frame of the error, by way of loop a
     through_loop = se3.adjoint(se3.inverse(T_w_p[j_a] @ Z_a @ T_ia_ib))
     covariance = (
         path.between(i_a, i_b, se3.adjoint(se3.inverse(T_w_p[i_b])), worse)

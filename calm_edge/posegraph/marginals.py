@@ -48,7 +48,7 @@ class Marginals:
         """Factorise the Hessian [P B; B^T R] of poses (without the first) and T_p_a.
 
         Returns the sparse factor of P, P^-1 B (6 N - 6, 6) and the Schur complement
-        R - B^T P^-1 B (6, 6). T_p_a is kept apart since its rows are dense.
+        R - B^T P^-1 B (6, 6). T_p_a is eliminated separately, because its rows are dense.
         """
         edges, n_pairs, n_poses = self._problem.edges, len(self._problem.edges.i), 6 * self._n
         ends = np.stack([edges.i, edges.j], 1)[..., None] * 6 + np.arange(6)
@@ -95,9 +95,9 @@ class Marginals:
         return np.asarray(total + by_prior.T @ Q @ by_prior)
 
     def _by_view(self, rows: Rows, U: Float, kept: Any) -> tuple[Float, Float]:
-        """Derivatives (V, 6, 6) by the pose error of each view: the primary's, the assistant's.
+        """Derivatives by the pose error of each primary and each assistant view, (V, 6, 6) each.
 
-        V counts the views of each sub-map. kept: (P,) the edges that are of sub-maps.
+        A keyframe in two sub-maps counts as two views. kept: (P,) mask of the edges of sub-maps.
         """
         edges = self._problem.edges
         submap, i, j = edges.submap[kept], edges.i[kept], edges.j[kept]
@@ -121,7 +121,7 @@ class Marginals:
         for T_j_i, half, turn in zip(
             (edges.T_j_i, edges.T_j_i_assistant), (slice(0, 6), slice(6, 12)), turns, strict=True
         ):
-            # d/d(log scale) of a measurement: view i moved along its translation, in its own axes
+            # derivative of a measurement by log scale: its translation, in the axes of view i
             moved = np.zeros((int(kept.sum()), 6))
             moved[:, :3] = -se3.inverse(T_j_i[kept])[:, :3, 3]
             by = (rows.by_i[kept, half] @ turn @ moved[..., None])[..., 0]

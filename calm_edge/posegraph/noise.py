@@ -31,7 +31,7 @@ class Noise(NamedTuple):
 
 
 def measured_twice(edges: Edges) -> tuple[Int, Int]:
-    """Edge indices (R,), (R,) of pairs that two consecutive sub-maps measured."""
+    """Find pairs of keyframes measured by two consecutive sub-maps: edge indices (R,), (R,)."""
     order = np.lexsort((edges.submap, edges.j, edges.i))
     order = order[edges.submap[order] >= 0]
     first, second = order[:-1], order[1:]
@@ -42,10 +42,10 @@ def measured_twice(edges: Edges) -> tuple[Int, Int]:
 def measured_noise(problem: Problem) -> Noise | None:
     """Noise from the differences of edges measured twice, of both cameras; None without any.
 
-    Two measurements involve four views with independent errors, so a difference has 4 times a
-    view's variance. Differences of translation also contain, across the pair's direction, the
-    rotation errors of the two earlier views times its length, and along it the scale errors of
-    the two sub-maps. The scale sigma is at least that from the scatter of the camera spacing.
+    Two measurements involve four views with independent errors, so a difference has 4 times the
+    variance of a view. A difference of translations also contains, perpendicular to the motion, the
+    rotation errors of the two earlier views times the distance, and along the motion the scale
+    errors of the two sub-maps. The scale sigma is at least `problem.scale_sigma`.
     """
     edges = problem.edges
     first, second = measured_twice(edges)
@@ -60,11 +60,11 @@ def measured_noise(problem: Problem) -> Noise | None:
     across = max((difference**2).sum(-1).mean() - along, 0.0) / 2
     rotation = (se3.log(se3.inverse(A) @ B)[:, 3:] ** 2).mean() / 4
     lever = 2 * rotation * length2.mean()
-    # if rotation explains all of it, translation noise is not measurable: assume a tenth
+    # if the rotation errors explain all of `across`, attribute a tenth of it to translation
     translation = max(across - lever, across / 10) / 4
     excess = along - 4 * translation
-    # not significant below two standard errors of a mean square; of the pairs of one overlap
-    # each three share views, so a third of them counts as independent
+    # Take the scale error as zero unless significant: two standard errors of a mean square. Pairs
+    # of one overlap share views, so a third of them is counted as independent.
     if excess < 2 * along * np.sqrt(2 * 3 / len(A)):
         excess = 0.0
     scale = max(excess / (2 * length2.mean()), problem.scale_sigma**2)
@@ -72,6 +72,6 @@ def measured_noise(problem: Problem) -> Noise | None:
 
 
 def assumed_noise(problem: Problem) -> Noise:
-    """Noise from the configured variances, halved from a pair to one view: the fallback."""
+    """Noise from the configured variances, if not measurable; a view has half that of a pair."""
     translation, rotation = problem.sigma[[0, -1]] / np.sqrt(2)
     return Noise(float(translation), float(rotation), problem.scale_sigma)

@@ -1,8 +1,8 @@
-"""Optimisers of the joint graph: at once in the caller, or in a separate process.
+"""Optimisers of the joint graph: in the calling process, or in a separate one.
 
-GTSAM holds the interpreter lock (GIL) for the whole optimisation, so live it runs in a process
-of its own. That is started with subprocess since the estimator is a daemonic multiprocessing
-child, and these may not have multiprocessing children.
+GTSAM holds the interpreter lock (GIL) during the whole optimisation, so during a drive it runs in a
+separate process. That is started with `subprocess`, since the estimator is a daemonic process of
+`multiprocessing`, which may not have children of that module.
 """
 
 from __future__ import annotations
@@ -80,8 +80,7 @@ class Immediate:
 class Spawned:
     """Optimiser in a child process, started at the first request and restarted if it dies.
 
-    `poll` does not block.
-    While one request is computed, only the newest other one waits.
+    `poll` does not block. Of the requests made during a computation, only the newest is kept.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Joint optimum of the pose graph, with selection of true loops. Pure functions."""
+"""Joint optimum of the pose graph, with rejection of false loop closures."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from calm_edge.posegraph.problem import (
 )
 
 TOLERANCE = 1e-6
-# Tolerance of the first pass, with the convex kernel.
+# Relative decrease of the cost at which the first pass, with the convex kernel, stops.
 _COARSE = 1e-3
-# Closing loops reduces the drift, after which more loops may be accepted: rounds at most.
+# Maximum number of rounds of loop selection: once loops are closed, more may be accepted.
 _ROUNDS = 4
 # Whitened norm at which the Cauchy kernel halves a loop's weight.
 _HALF_WEIGHT = 3.0

@@ -48,12 +48,12 @@ class Edges:
     submap: Int
 
     def chosen(self, which: NDArray[np.bool_]) -> Edges:
-        """Subset for which `which` (P,) is true."""
+        """Subset of the edges for which the mask `which` (P,) is true."""
         return Edges(**{name: getattr(self, name)[which] for name in Edges.__slots__})
 
 
 def joined(edges: Sequence[Edges]) -> Edges:
-    """Concatenate; ValueError for an empty sequence."""
+    """Concatenate several Edges; raises ValueError for an empty sequence."""
     names = Edges.__slots__
     return Edges(**{name: np.concatenate([getattr(e, name) for e in edges]) for name in names})
 
@@ -117,7 +117,7 @@ def _relative(T_j_i: Float, T_w_c: Float, edges: Edges) -> Float:
 
 
 def norms(problem: Problem, r: Residuals) -> Float:
-    """Whitened norms (P,) of the primary residuals, the argument of a kernel."""
+    """Whitened norms (P,) of the primary residuals, to which kernels are applied."""
     return np.asarray(
         np.linalg.norm(r.primary / problem.sigma, axis=-1) * np.sqrt(problem.edges.weight)
     )

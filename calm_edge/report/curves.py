@@ -64,8 +64,8 @@ def trajectory(path: Float, truth: Float | None, unit: str) -> str:
 def scale(t: Float, values: Float, windows: Float | None) -> str:
     """Scale of the sub-maps over time, relative to the first one.
 
-    t: (S,) s. values: (S,). windows: (W, 2) of (t, scale of a 100-frame window relative to the
-    truth).
+    t: (S,) s. values: (S,). windows: (W, 2) of (t, scale relative to the ground truth), for
+    windows of 100 frames.
     """
     figure, axes = _figure(10, 2.8)
     axes.axhline(1.0, color=MUTED, linewidth=1, linestyle=":")
@@ -99,7 +99,7 @@ def focal(t: Float, focal_px: Float, log_sigma: Float, truth_px: Float | None) -
             axes.axhline(
                 truth_px[eye], color=EYES[eye], linewidth=1.2, linestyle="--", label=f"{name}, true"
             )
-    # limits from the values, not from the bands: these are very wide before turns are driven
+    # axis limits from the values only: the sigma bands are very wide before the first turn
     shown = focal_px if truth_px is None else np.concatenate([focal_px, truth_px[None]])
     shown = shown[np.isfinite(shown).all(1)]
     if len(shown):

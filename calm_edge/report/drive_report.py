@@ -39,7 +39,7 @@ def _truth_in_world(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None
 
 
 def _scale_windows(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
-    """(W, 2) of (seconds since the start, scale relative to the truth) of each 100-frame window."""
+    """Scale of each 100-frame window: (W, 2) of (s since the start, scale relative to truth)."""
     p, p_truth = at_frames(t_ns, estimate.T_w_c, truth)
     scales = trajectory.window_scales(p, p_truth)
     first = np.searchsorted(truth.t_ns, t_ns[0])
@@ -52,7 +52,7 @@ def _scale_windows(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
 
 
 def unobserved(estimate: Estimate) -> tuple[str, ...]:
-    """Sentences on what the drive left undetermined: focal lengths, metric scale, all poses."""
+    """Sentences for the report on quantities that were not observed: focals, scale, poses."""
     notes = []
     if estimate.focal_px is not None:
         for eye, name in enumerate(EYES):
@@ -119,7 +119,7 @@ def report_data(
             _scale_windows(estimate, truth, t_ns),
         )
     start = estimate.t_ns[0] if len(estimate.t_ns) else 0
-    # the first update of a sub-map holds the estimate at the time; later ones revise it
+    # the first update of each sub-map: its estimate at that time, before later optimisations
     submaps = list({update.submap.id: update.submap for update in reversed(updates)}.values())[::-1]
     focal = [
         [s.cameras[0].fx, s.cameras[s.n_primary if s.assistant_ids else 0].fx] for s in submaps

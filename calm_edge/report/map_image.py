@@ -19,8 +19,9 @@ _EMPTY = np.iinfo(np.int64).max
 
 @dataclass(frozen=True, slots=True)
 class TopDown:
-    """A top view and its position. origin: (2,) x of the left and y of the top edge, level frame.
-    pixel: size of a pixel."""
+    """A top view and its placement in the level frame.
+
+    origin: (2,) x of the left edge and y of the top edge. pixel: size of a pixel."""
 
     image: Bytes
     origin: Float
@@ -94,8 +95,9 @@ def _path_offsets(points: Float, path: Float) -> tuple[Float, Float]:
 def top_down(points: Float, color: Bytes, path: Float, width: int = 1800) -> TopDown:
     """Render the top view of points (N, 3) with colours, level frame.
 
-    The frame is the path (P, 3) plus the 90 % quantile of the points' distances to it; the
-    highest 2 % of the points are left out. So outliers neither shrink nor cover the street.
+    The image covers the path (P, 3) with a margin, the 90 % quantile of the points' distances to
+    it. The highest 2 % of the points are left out. So outliers neither enlarge the area nor hide
+    the street.
     """
     distance, above = _path_offsets(points, path)
     reach = float(np.quantile(distance, 0.9))
@@ -145,13 +147,13 @@ def chase(
     p, rgb = p[(keep := (p[:, 2] > 2 * height) & (p[:, 2] < 60 * height))], color[keep]
     focal = 0.75 * size[0]
     uv = focal * p[:, :2] / p[:, 2:] + [size[0] / 2, 0.42 * size[1]]
-    # draw a point as a patch a tenth of `height` wide
+    # half size in px of a square that is a tenth of `height` wide
     radius = focal * height / 20 / p[:, 2]
     return splat(uv, p[:, 2], radius, rgb, size)
 
 
 def best_chases(points: Float, color: Bytes, path: Float, count: int = 2) -> list[Bytes]:
-    """The `count` views with the most filled pixels of eight along the path, in path order."""
+    """Render eight `chase` views along the path; return the `count` with most filled pixels."""
     thin = max(len(points) // 200_000, 1)
     few, few_colors = points[::thin], color[::thin]
     height = eye_height(few, path)

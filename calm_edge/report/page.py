@@ -35,7 +35,7 @@ def section(title: str, note: str, body: str, kind: str = "") -> str:
 
 
 def whole(title: str, parts: Sequence[str]) -> str:
-    """The complete HTML document around its parts, which are HTML."""
+    """Complete HTML document with the given title. parts: HTML."""
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'

@@ -15,7 +15,7 @@ from calm_edge.report import curves, map_image, page
 from calm_edge.types import Bytes, Float, Float32
 from device.frame import jpeg
 
-# More points than this are invisible in an image; the rest is skipped evenly.
+# Larger clouds are thinned evenly to this number, which suffices for the images.
 MAX_DRAWN_POINTS = 3_000_000
 
 
@@ -50,7 +50,7 @@ class ReportData:
 
 
 def _embedded(svg: str, alt: str) -> str:
-    """An SVG as an <img> with a data URL: ids of several drawings cannot collide."""
+    """Embed an SVG as an <img> with a data URL, so that ids of several SVGs do not collide."""
     code = base64.b64encode(svg.encode()).decode()
     return f'<img alt="{html.escape(alt)}" src="data:image/svg+xml;base64,{code}">'
 

@@ -59,7 +59,7 @@ class FeedforwardBackbone:
         return cls(model.manifest, model.precision, views, model.notices)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """See Backbone.infer; depth and confidence are always present."""
+        """Reconstruct a window, see Backbone.infer; the result always has depth and confidence."""
         n = len(images)
         if n == 0:
             raise BackboneError(f"{self._manifest.name}: a window without images")
@@ -78,7 +78,7 @@ class FeedforwardBackbone:
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
     ) -> Prediction:
-        """See Backbone.densify; runs the network again if the depth was dropped."""
+        """Add depth, see Backbone.densify; runs the network again if `prediction` has none."""
         if prediction.depth is not None:
             return prediction
         again = self.infer(images, hints)
@@ -88,8 +88,8 @@ class FeedforwardBackbone:
         return self._network.solve([images[i] for i in part], [fits[i] for i in part])
 
     def _parts(self, images: Sequence[Bytes], hints: Hints) -> list[Int]:
-        """Batch indices of each part. A loop keyframe gets an extra part with the views around
-        the most similar one.
+        """Split the window: batch indices of each part. A loop keyframe gets an extra part, with
+        the views around the one most similar to it.
         """
         if not hints.loop:
             return window_parts.split(hints.t_ns, self._max_views)

@@ -45,7 +45,7 @@ def split(t_ns: Int, cap: int) -> list[Int]:
 
 
 def around(t_ns: Int, view: int, cap: int) -> Int:
-    """Batch indices of the cap - 1 views nearest in time to `view`, which is the first of them."""
+    """Batch indices of `view`, then of the cap - 2 other views nearest to it in time."""
     near = np.argsort(np.abs(t_ns - t_ns[view]), kind="stable")
     near = np.concatenate([[view], near[near != view]])
     return np.asarray(near[: cap - 1], np.int64)
@@ -86,7 +86,7 @@ def stitch(n: int, parts: Sequence[Int], solved: Sequence[Decoded]) -> Decoded:
 
 
 class _Shared(NamedTuple):
-    """The views that a part shares with another one: see Decoded."""
+    """Results for the views that a part has in common with another one; fields as in Decoded."""
 
     T_s_c: Float
     depth: Float32

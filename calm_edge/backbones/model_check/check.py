@@ -1,4 +1,4 @@
-"""Checks of `calm-edge model check`: whether a model is correct and how it runs best here.
+"""Checks of `calm-edge model check`: correctness, time and memory of a model on this machine.
 
 In order: file hashes, golden values, plausibility of the decoded outputs, time and memory. The
 first failure ends the check and is the refusal; earlier measurements stay in the report.
@@ -39,8 +39,9 @@ class Compared:
 class Report:
     """Results of all checks, in order. refusal: reason of the failure, empty on success.
 
-    files: number verified. ended: why no larger number of views was measured, by precision.
-    max_views: maximum per run on this machine, by precision. why: how the precision was chosen.
+    files: number of verified files. ended: reason why no larger number of views was measured, by
+    precision. max_views: maximum per run on this machine, by precision. why: reason for the choice
+    of precision.
     """
 
     name: str
@@ -55,7 +56,7 @@ class Report:
     refusal: str = ""
 
     def verdict(self) -> Verdict:
-        """The part of the report that is cached for opening the model."""
+        """Verdict for the cache, which is read when the model is opened."""
         return Verdict(self.refusal, self.precision, self.max_views, self.why)
 
 
@@ -140,7 +141,7 @@ def _measure(
 
 
 def _choose(manifest: Manifest, report: Report) -> None:
-    """Choose the fastest precision on the largest number of views that all precisions ran."""
+    """Choose the fastest precision, at the largest number of views that all could run."""
     precisions = manifest.precisions()
     seconds = {p: _seconds(report.measured, p, precisions) for p in precisions}
     first = precisions[0]

@@ -65,7 +65,7 @@ def read_cases(manifest: Manifest) -> list[Case]:
 
 
 def fits_of(manifest: Manifest, case: Case) -> list[Fit]:
-    """Placement of a case's images in the input; for a case given as tensor, it fills the input."""
+    """Placement of a case's images in the input; the whole input if the case has no images."""
     if case.pictures is not None:
         return _fits_of_pictures(manifest, case.pictures)
     layout, shape = manifest.input.layout, case.inputs[manifest.input.name].shape

@@ -1,4 +1,4 @@
-"""Measure time and memory of a model for growing numbers of views, up to the limits.
+"""Measure time and memory of a model for increasing numbers of views, up to the limits.
 
 The runs are made in a child process (`probe_process`), which may run out of memory.
 """
@@ -25,7 +25,7 @@ LOAD_LIMIT_S = 300.0
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of a run: seconds; peak memory of the process. size: width, height px of an image."""
+    """Limits of a run in time and peak memory. size: width, height [px] of the test images."""
 
     seconds: float
     memory_mb: float
@@ -58,7 +58,7 @@ def steps(frames: FrameRange) -> list[int]:
 
 
 def ladder(manifest: Manifest, precision: Precision, limits: Limits) -> tuple[list[Measured], str]:
-    """Measure growing numbers of views within the limits; also returns why it stopped.
+    """Measure increasing numbers of views within the limits; also returns the reason of the end.
 
     A step is skipped if its predicted memory exceeds the limit (quadratic in the number of views,
     as attention is). Raises ManifestError if the first step fails.
@@ -76,7 +76,7 @@ def ladder(manifest: Manifest, precision: Precision, limits: Limits) -> tuple[li
                         f"{views} views would take up to {predicted_mb:.0f} MB, "
                         f"more than the {limits.memory_mb:.0f} MB allowed"
                     )
-            # twice: a warm-up run and a timed one
+            # twice the limit: for a warm-up run and a timed run
             answer = child.ask({"views": views}, 2 * limits.seconds)
             over = answer.get("over") or _over(answer, limits)
             if over and not found:
@@ -119,10 +119,10 @@ class _Child:
         self._process = process
 
     def ask(self, request: dict[str, int] | None, limit_s: float) -> dict[str, Any]:
-        """Send a request (None: wait for the start) and return the answer.
+        """Send a request (None: wait until the model is loaded) and return the answer.
 
-        The key `over` holds the reason if there was none in limit_s. Raises ManifestError if the
-        child reports an error.
+        Without an answer within limit_s, the result has only the key `over`, with the reason.
+        Raises ManifestError if the child reports an error.
         """
         out = self._process.stdout
         assert out is not None and self._process.stdin is not None

@@ -25,7 +25,7 @@ from calm_edge.backbones.onnx.picture_input import fit_pictures
 from calm_edge.backbones.onnx.session import Session
 from calm_edge.types import CalmEdgeError
 
-# A short run is repeated up to RUNS times or ENOUGH_S in total.
+# The timed run is repeated until there are RUNS runs, or they take ENOUGH_S in total.
 RUNS, ENOUGH_S = 5, 1.0
 
 
@@ -43,7 +43,7 @@ def peak_mb() -> float:
 def runs_of(
     manifest: Manifest, precision: Precision, size: tuple[int, int]
 ) -> Callable[[dict[str, Any]], Callable[[], object]]:
-    """Load the graphs; returns a function from a request to the call to time.
+    """Load the graphs; return a function that converts a request into the call to be timed.
 
     Raises CalmEdgeError.
     """

@@ -15,7 +15,7 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Float32, Int
 
-# Largest median |log ratio| of depth between views; wrong conventions give several times more.
+# Largest accepted median |log ratio| of depth between views; wrong conventions give far more.
 MAX_DISAGREEMENT = 0.2
 # Poses count as inverted if their inverses halve a disagreement above WORTH_COMPARING.
 INVERSE_BETTER, WORTH_COMPARING = 0.5, 0.02
@@ -27,7 +27,7 @@ SAMPLES = 2000
 class Reprojection:
     """Consistency of depth between views.
 
-    disagreement: median |log ratio| of the depth projected from another view and the view's own.
+    disagreement: median |log ratio| of depth projected from another view to the view's own depth.
     inverted: the same with all poses inverted. covisible: share of pixels that fall into the
     other view.
     """
@@ -62,7 +62,7 @@ def check_poses(decoded: Decoded) -> None:
 def reprojection(decoded: Decoded) -> Reprojection:
     """Project the depth of each view into the first one and its predecessor, and compare.
 
-    The images are the input.
+    Depth and cameras are those of the network input.
     """
     n, (h, w) = len(decoded.cameras), decoded.depth.shape[1:]
     cameras = [camera.scaled(w / camera.width, h / camera.height) for camera in decoded.cameras]

@@ -43,7 +43,7 @@ class GraphFile:
 class Graph:
     """The graph of a role in up to three precisions, all with the same inputs and outputs.
 
-    inputs, outputs: names of tensors the graph must have; not checked if empty.
+    inputs, outputs: names of tensors that the graph must have; empty: not checked.
     """
 
     fp32: GraphFile | None = None
@@ -96,7 +96,7 @@ class FrameRange:
 
 @dataclass(frozen=True, slots=True)
 class PoseOutput:
-    """Encoding of the pose output. direction: which way the poses transform points.
+    """Encoding of the pose output. direction: camera to world, or world to camera.
 
     quaternion: component order of `t_quat`. rotation: of matrices; `nearest` if the network gives
     an arbitrary 3x3 matrix that must be projected to the nearest rotation.

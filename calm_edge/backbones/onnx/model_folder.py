@@ -31,7 +31,7 @@ _CHANNELS = {"rgb": 3, "bgr": 3, "gray": 1}
 
 
 def search_path() -> list[Path]:
-    """Folders with models, searched in this order: shipped, exported, the user's, the machine's.
+    """Folders with models in search order: shipped, exported, of the user, of the system.
 
     The last two: `calm-edge/models` in the data folders of the XDG Base Directory Specification.
     """
@@ -95,8 +95,8 @@ def read_manifest(folder: Path) -> Manifest:
 def verify(manifest: Manifest, precisions: Iterable[Precision] = PRECISIONS) -> int:
     """Compare files with their sha256; returns the number of files. Raises ManifestError.
 
-    precisions: of the graphs to verify. The golden values are always verified, and that there is
-    a LICENSE.
+    precisions: of the graphs to verify. The golden values and the presence of a LICENSE are always
+    verified.
     """
     if not (manifest.folder / LICENSE).is_file():
         raise ManifestError(f"{manifest.folder / LICENSE}: missing; add the model's licence")
@@ -121,7 +121,7 @@ def verify(manifest: Manifest, precisions: Iterable[Precision] = PRECISIONS) -> 
 
 
 def _mistakes(m: Manifest) -> Iterator[str]:
-    """Inconsistencies of a manifest that is valid by type, one line each."""
+    """Find contradictions between the values of a manifest, one line of text each."""
     if m.format != FORMAT:
         yield f"format = {m.format}: this calm-edge reads {FORMAT}; export the model again"
     yield from _graph_mistakes(m)

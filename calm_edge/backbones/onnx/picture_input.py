@@ -1,7 +1,8 @@
-"""Preprocess camera images to a network's input tensor, and map its pixels back to the images.
+"""Convert camera images to a network's input tensor, and pixels of the input back to the images.
 
-Each image is resized and centred in a canvas of the batch's common size: what exceeds it is
-cropped, what is left is padded. Pixel coordinates follow the convention of cv2.resize.
+Each image is resized and centred on a canvas, of the same size for the whole batch: it is cropped
+where it exceeds the canvas and padded where it is smaller. Pixel coordinates follow the convention
+of cv2.resize.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def _laid_in(spec: InputSpec, image: Bytes, fit: Fit) -> Float32:
 
 
 def _overlap(fit: Fit, axis: int) -> tuple[slice, slice]:
-    """Along an axis: slice of the canvas that the image covers, and the covered slice of it."""
+    """Slices, along an axis, of the canvas and of the resized image where the two overlap."""
     start, length, room = fit.offset[axis], fit.resized[axis], fit.input[axis]
     first, last = max(0, start), min(room, start + length)
     return slice(first, last), slice(first - start, last - start)

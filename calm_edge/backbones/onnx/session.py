@@ -69,7 +69,7 @@ class Session:
         needs_inputs: Iterable[str] = (),
         needs_outputs: Iterable[str] = (),
     ) -> None:
-        """threads: None for `default_threads`. needs_inputs, needs_outputs: tensors it must have.
+        """Load a graph. threads: None for `default_threads`. needs_*: names of required tensors.
 
         Raises BackboneError if the file cannot be loaded or lacks one of these.
         """
@@ -80,7 +80,7 @@ class Session:
         options.use_deterministic_compute = True
         # threads that busy-wait would take CPU time from capture
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        # window sizes vary, and ONNX Runtime would keep a memory plan for each
+        # the number of views varies, and ONNX Runtime would keep a memory plan for each
         options.enable_mem_pattern = False
         options.log_severity_level = 4
         self.path = path
@@ -136,7 +136,7 @@ class Session:
 
     def _spec(self, arg: Any) -> TensorSpec:
         if arg.type not in _DTYPES:
-            raise BackboneError(f"{self.path}: {arg.name} is a {arg.type}: not a known tensor")
+            raise BackboneError(f"{self.path}: {arg.name}: type {arg.type} is not supported")
         shape = tuple(d if isinstance(d, int) else None for d in arg.shape)
         return TensorSpec(arg.name, shape, np.dtype(_DTYPES[arg.type]))
 

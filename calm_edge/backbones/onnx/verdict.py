@@ -22,8 +22,8 @@ _RUNTIMES = ("onnxruntime", "onnxruntime-gpu")
 class Verdict:
     """Result of `model check`. refusal: reason not to run the model, empty if it passed.
 
-    precision: the one to run. max_views: maximum views per run by precision. why: one line on
-    how the precision was chosen.
+    precision: the chosen one. max_views: maximum number of views per run, by precision. why: one
+    line that gives the reason for the choice of precision.
     """
 
     refusal: str
@@ -39,7 +39,7 @@ def cache_folder() -> Path:
 
 
 def machine() -> str:
-    """Description of what a measurement depends on: processor, number of cores, ONNX Runtime."""
+    """Processor, number of cores and version of ONNX Runtime, for which a cached result holds."""
     model = platform.processor()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -65,7 +65,7 @@ def _path(manifest: Manifest) -> Path:
 
 
 def load(manifest: Manifest) -> Verdict | None:
-    """Read the cached verdict; None if this manifest was not checked here or it is unreadable."""
+    """Read the cached result; None if there is none for this manifest and machine."""
     try:
         table = json.loads(_path(manifest).read_text())
         verdict: Verdict = typed.record("", Verdict, table, ManifestError)

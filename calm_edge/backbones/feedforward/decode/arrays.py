@@ -26,7 +26,7 @@ def of_views(name: str, raw: NDArray[Any], views: int, shape: tuple[int | None, 
 
 
 def _squeezed(raw: NDArray[Any], ndim: int) -> Iterator[NDArray[Any]]:
-    """Candidates with `ndim` axes: batch axis removed, channel axis removed (last or second)."""
+    """Yield versions of an output with `ndim` axes, removing batch or channel axes of length 1."""
     of_batch = [raw] + ([raw[0]] if raw.ndim > ndim and raw.shape[0] == 1 else [])
     for value in of_batch:
         if value.ndim == ndim:
