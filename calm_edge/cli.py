@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("calm-edge: interrupted", file=sys.stderr)
         return ERROR
     except BrokenPipeError:
-        # the reader of stdout is gone: avoid a second error when Python flushes it at exit
+        # the process reading stdout has ended: avoid a second error when Python flushes at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ERROR
     except Exception as error:

@@ -1,4 +1,4 @@
-"""A timestamped image: what every camera driver produces."""
+"""A timestamped image of a camera driver."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Frame:
     """One image of one camera.
 
     sequence: the driver's frame counter; a gap is a dropped frame.
-    t_ns: host-monotonic nanoseconds; the time of exposure where the driver can tell it.
+    t_ns: host-monotonic nanoseconds; the time of exposure if the driver provides it.
     image: (H, W, 3) uint8 BGR, or JPEG bytes exactly as the camera sent them.
     """
 

@@ -89,9 +89,9 @@ class SerialPort:
         return True
 
     def stop(self) -> None:
-        """Send what is queued if the receiver accepts it, then close, within a third of a second.
+        """Send the queued messages if the receiver accepts them, then close the port.
 
-        May be called repeatedly.
+        Takes at most a third of a second; may be called repeatedly.
         """
         with self._lock:
             self._stopping.set()

@@ -230,7 +230,7 @@ def test_map_without_matplotlib_writes_all_but_the_report(
         "trajectory.kitti",
         "summary.json",
     }
-    assert "report.html: not written; it needs matplotlib" in capsys.readouterr().err
+    assert "report.html: not written; matplotlib is missing" in capsys.readouterr().err
 
 
 def test_a_truncated_recording_is_mapped_with_loss(

@@ -19,7 +19,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
     parser.add_argument(
-        "--identify", action="store_true", help="tell them apart by unplugging one at a time"
+        "--identify",
+        action="store_true",
+        help="find out which is which by unplugging one at a time",
     )
     parser.add_argument(
         "--write",

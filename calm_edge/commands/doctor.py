@@ -12,7 +12,7 @@ from pathlib import Path
 from calm_edge.commands.console import ERROR, OK
 
 PLAIN = "only the backbone without one works (--set backbone.name=bundle)"
-# module -> what does not work without it
+# module -> consequence if it is missing
 NEEDED = {
     "cv2": "no images can be decoded",
     "numpy": "nothing works",

@@ -16,7 +16,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--align",
         choices=("se3", "sim3"),
-        help="for the percentages and the map; default: se3 when the spacing was given",
+        help="alignment for the percentages and the map; default: se3 if the spacing was given",
     )
 
 

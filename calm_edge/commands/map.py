@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     if drawn:
         print(f"report      {out / REPORT}")
     else:
-        say(f"{out / REPORT}: not written; it needs matplotlib (pip install matplotlib)")
+        say(f"{out / REPORT}: not written; matplotlib is missing (pip install matplotlib)")
     print(f"took        {time.monotonic() - started:.0f} s")
     if drive.unsolved:
         say(f"windows {drive.unsolved} could not be solved; bridged by constant velocity")

@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def report(folder: Path, result: RecordResult) -> int:
-    """Print what was recorded and what was lost; return the exit code."""
+    """Print the counts of recorded and lost items; return the exit code."""
     poses = 0 if result.trajectory is None else len(result.trajectory.t_ns)
     age = result.pose_age_ms()
     aged = f", age p50 {age['p50']:.0f} ms p99 {age['p99']:.0f} ms" if age else ""

@@ -1,6 +1,6 @@
 """Read frames, poses, updates, windows and configuration from a recording.
 
-Finished, unfinished and truncated files are all accepted; `losses` lists what is missing.
+Finished, unfinished and truncated files are all accepted; `losses` lists the missing parts.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def flatten(value: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
         if isinstance(item, np.ndarray):
             arrays[name] = item
         elif dataclasses.is_dataclass(item):
-            # {} marks it as present: an optional dataclass may hold nothing but arrays
+            # {} marks an optional dataclass as present, even if all its fields are arrays
             header[name] = {}
             inner_header, inner_arrays = flatten(item, name + ".")
             header.update(inner_header)

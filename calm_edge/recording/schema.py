@@ -8,12 +8,12 @@
 | /pose/keyframes | foxglove.PosesInFrame | newest keyframe of the sub-map |
 | /tf | foxglove.FrameTransform: `primary` and `submap` in `world` | as its pose |
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
-| /window | calm_edge.Window: which frames the window held | its newest keyframe |
+| /window | calm_edge.Window: keys of the window's frames | its newest keyframe |
 | /clock, /status, /health | JSON | time of writing |
 | /log | foxglove.Log | time of logging |
 
-An update is stored exactly but for depth (fp16; beyond its range: 0, unknown) and confidence
-(uint8, steps of 1/255); storing these a second time changes nothing.
+An update is stored exactly except for depth (fp16; beyond its range: 0, unknown) and confidence
+(uint8, steps of 1/255); storing an update read from a recording changes nothing more.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class LogMessage:
 
     def __post_init__(self) -> None:
         if not 0 <= self.log_time < 1 << 63:
-            raise RecordingError(f"{self.topic}: time {self.log_time} ns cannot be recorded")
+            raise RecordingError(f"{self.topic}: time {self.log_time} ns is out of range for MCAP")
 
 
 @dataclass(frozen=True, slots=True)

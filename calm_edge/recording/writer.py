@@ -169,7 +169,7 @@ class RecordingWriter:
                 return
             except Exception as error:
                 # continue recording without the messages that may have caused the error
-                _log.exception("recording thread")
+                _log.exception("error in the recording thread; recording continues")
                 self._chain.fail(f"error in the writer: {error!r}")
                 self._unwritable += self._chain.drop_unwritten()
                 if self._mailbox.wait_closed(RETRY_S):

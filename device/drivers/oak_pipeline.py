@@ -93,7 +93,7 @@ class SharedPipeline:
                 self._end()
 
     def release(self, socket: str) -> None:
-        """Give up a socket; the pipeline is closed with the last one."""
+        """Release a socket; the pipeline is closed when its last socket is released."""
         with self._lock:
             self._active.discard(socket)
             if not self._active:

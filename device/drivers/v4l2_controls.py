@@ -114,7 +114,7 @@ def get_control(io: VideoIO, fd: int, control: int) -> int | None:
 
 
 def set_control(io: VideoIO, fd: int, control: int, value: int) -> bool:
-    """Write a control; False if the camera refuses it. Raises OSError if the camera is lost."""
+    """Write a control; False if the camera rejects it. Raises OSError if the camera is lost."""
     try:
         io.ioctl(fd, S_CTRL, bytearray(CONTROL.pack(control, value)))
     except OSError as error:

@@ -56,7 +56,7 @@ def _points_at(link: Path, path: str) -> bool:
     try:
         return str(link.readlink()) == path
     except OSError:
-        # the process closed the file meanwhile
+        # the process has closed the file since it was listed
         return False
 
 
