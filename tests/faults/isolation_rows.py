@@ -125,7 +125,7 @@ def slow_from_the_start(drive: Path, n: int, folder: Path) -> Row:
     return Row(
         f"estimator slow from the start: {FIRST_S:.0f} s, then {LATER_S:.0f} s per window",
         f"{when}, {result.poses} poses, {len(result.windows_left_to_map)} of {result.windows} "
-        "windows left to map",
+        "windows left for calm-edge map",
         f"no frame lost; a pose within {limit_s:.0f} s",
         kept and bool(first) and first[0] <= limit_s,
     )
