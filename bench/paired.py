@@ -1,7 +1,7 @@
-"""Paired comparison of two variants over drives and seeds: error ratio and its 95 % interval.
+"""Paired comparison of two variants over drives and seeds: error ratio with a 95 % interval.
 
-Errors of different drives differ by orders of magnitude, so ratios are averaged as logarithms.
-Runs of one drive are correlated, so the cluster bootstrap draws drives, then seeds within each.
+Errors of different drives differ by orders of magnitude, so logarithms of the ratios are averaged.
+Runs on one drive are correlated, so the cluster bootstrap draws drives, then seeds within each.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ import numpy as np
 from calm_edge.evaluation.errors import EvaluationError
 from calm_edge.types import Float
 
-# (drive, seed) -> error; None where the run failed.
+# (drive, seed) -> error; None after a failure.
 Errors = Mapping[tuple[str, int], float | None]
 
 SAMPLES = 10_000
 SEED = 0
-# Minimum number of pairs for a verdict.
+# Minimum number of pairs for a verdict other than `too few runs`.
 MIN_PAIRS = 5
 COLUMNS = ("compared", "ratio", "95 % from", "to", "drives", "pairs", "failed", "verdict")
 
 
 @dataclass(frozen=True, slots=True)
 class PairedRatio:
-    """Geometric mean of error / reference error, equal weight per drive, and its 95 % interval.
+    """Geometric mean of error / reference error and its 95 % interval, equal weight per drive.
 
-    ratio, low, high: below 1 the variant is better; None without a pair of finished runs.
-    drives, pairs: numbers used. failed: runs of the variant that failed where the reference did
-    not; reference_failed: the reverse.
+    ratio, low, high: below 1 the variant is better than the reference; None without a pair of
+    finished runs. drives, pairs: numbers used. failed: number of runs of the variant that failed
+    where the reference did not; reference_failed: the reverse.
     """
 
     ratio: float | None
@@ -45,7 +45,7 @@ class PairedRatio:
 
     @property
     def verdict(self) -> str:
-        """better, worse, or tie if the interval includes 1; `too few runs` below MIN_PAIRS."""
+        """`better`, `worse`, `tie` if the interval includes 1, `too few runs` below MIN_PAIRS."""
         if self.pairs < MIN_PAIRS or self.low is None or self.high is None:
             return "too few runs"
         if self.high < 1:
@@ -53,30 +53,30 @@ class PairedRatio:
         return "worse" if self.low > 1 else "tie"
 
     def within(self, target: float) -> bool:
-        """Whether the ratio, though not its whole interval, is at most `target`."""
+        """Whether the ratio is at most `target`; its interval is not considered."""
         return self.ratio is not None and self.ratio <= target
 
     def row(self, name: str) -> list[Any]:
-        """A row of COLUMNS; failures as `variant / reference`."""
+        """Table row with the columns COLUMNS; failures as `variant / reference`."""
         failed = f"{self.failed} / {self.reference_failed}"
         figures = [self.ratio, self.low, self.high, self.drives, self.pairs]
         return [name, *figures, failed, self.verdict]
 
     def to_dict(self) -> dict[str, Any]:
-        """Fields and verdict for JSON."""
+        """Fields and verdict as a dictionary for JSON."""
         return {name: getattr(self, name) for name in (*self.__slots__, "verdict")}
 
 
 def compare(errors: Errors, reference: Errors, samples: int = SAMPLES) -> PairedRatio:
-    """Compare errors with the reference over their common (drive, seed); deterministic.
+    """Compare the errors of a variant with those of a reference on their common (drive, seed).
 
     Interval: percentiles 2.5 and 97.5 of the cluster bootstrap (drives, then seeds, both with
-    replacement). With six drives it covered the true ratio in 88 % of 200 trials. Raises
-    EvaluationError for an error that is not positive, or without common runs.
+    replacement); deterministic. With six drives it covered the true ratio in 88 % of 200 trials.
+    Raises EvaluationError for an error that is not positive, or without common runs.
     """
     keys = sorted(errors.keys() & reference.keys())
     if not keys:
-        raise EvaluationError("the two variants share no drive and seed")
+        raise EvaluationError("the two variants have no run of the same drive and seed")
     by_drive: dict[str, list[float]] = {}
     failed = reference_failed = 0
     for key in keys:
@@ -98,12 +98,15 @@ def _finished(key: tuple[str, int], error: float | None) -> float | None:
     if error is None or math.isnan(error):
         return None
     if not 0 < error < math.inf:
-        raise EvaluationError(f"{key[0]}, seed {key[1]}: an error of {error:g} has no ratio")
+        raise EvaluationError(f"{key[0]}, seed {key[1]}: an error of {error:g} is not positive")
     return error
 
 
 def _bootstrap(logs: list[Float], samples: int) -> Float:
-    """(samples,) means over drives drawn with replacement of means over seeds so drawn."""
+    """Bootstrap means (samples,): over drives drawn with replacement, of means over seeds likewise.
+
+    logs: log ratios of the seeds of each drive.
+    """
     rng = np.random.default_rng(SEED)
     n = np.array([len(drive) for drive in logs])
     table = np.zeros((len(logs), n.max()))

@@ -1,7 +1,7 @@
-"""Add recording faults to a sequence folder: latency, jitter, clock drift, drops, cropping.
+"""Add faults to a sequence folder: latency, jitter, clock drift, lost frames, cropping.
 
-Only the recording is changed, not the ground truth: each picture keeps the pose of its exposure
-under its new stamp, and `calib.txt`, which only the evaluation reads, follows the crop.
+Only the recording changes, not the ground truth. Each picture keeps the pose of its exposure under
+its new stamp; `calib.txt`, which only the evaluation reads, is adapted to the crop.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from calm_edge.recording.sequence_folder import ORIGIN_NS, SequenceFolder
 from calm_edge.types import Int
 from device.frame import Eye
 
-# Minimum interval between stamps of a stream, whatever the jitter.
+# Minimum interval between the stamps of a stream, also with jitter.
 LEAST_GAP_NS = 1_000_000
 QUALITY = 95
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """Stamp errors; pairs are one value per eye.
+    """Stamp errors; pairs have one value per eye.
 
-    latency_ms: added to all stamps. jitter_ms: sigma of Gaussian noise. drift_ppm: error of
-    the clock's rate.
+    latency_ms: added to all stamps. jitter_ms: sigma of Gaussian noise. drift_ppm: rate error of
+    the clock.
     """
 
     latency_ms: tuple[float, float] = (0.0, 0.0)
@@ -40,12 +40,12 @@ class Clocks:
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:
-    """Faults to add; pairs are one value per eye. seed: of jitter and drops.
+    """Faults to add; pairs have one value per eye.
 
-    split: odd frames (1, 3 ...) to the primary, even ones to the assistant. drop: probability
-    that a frame is lost. crop: shift of the principal point to the left and up (negative: right
-    and down), as a share of the remaining width and height. blur_px: sigma of a Gaussian. gain:
-    factor on the brightness.
+    split: give odd frames (1, 3 ...) to the primary and even ones to the assistant. drop:
+    probability that a frame is lost. crop: shift of the principal point to the left and up
+    (negative: right and down), as a share of the remaining width and height. blur_px: sigma of a
+    Gaussian blur. gain: factor on the brightness. seed: of jitter and lost frames.
     """
 
     clocks: Clocks = Clocks()
@@ -58,7 +58,7 @@ class Perturbation:
 
 
 def stamped(t_ns: Int, clocks: Clocks, eye: int, rng: np.random.Generator) -> Int:
-    """Stamps (N,) that these clocks give exposures at t_ns (N,).
+    """Stamps (N,) that faulty clocks give to exposures at t_ns (N,).
 
     Drift starts at the first exposure. Where jitter would reverse the order, a stamp follows its
     predecessor by LEAST_GAP_NS.
@@ -72,7 +72,7 @@ def stamped(t_ns: Int, clocks: Clocks, eye: int, rng: np.random.Generator) -> In
 
 
 def survivors(n: int, eye: int, change: Perturbation, rng: np.random.Generator) -> Int:
-    """Indices of the frames of an eye, of n, that are not dropped; the first and last never are."""
+    """Indices of the frames of an eye, out of n, that are not lost; first and last never are."""
     start, step = (1 - eye, 2) if change.split else (0, 1)
     frames = np.arange(start, n, step)
     lost = rng.random(len(frames)) < change.drop[eye]
@@ -81,10 +81,10 @@ def survivors(n: int, eye: int, change: Perturbation, rng: np.random.Generator) 
 
 
 def crop_window(size: tuple[int, int], crop: tuple[float, float]) -> tuple[int, int, int, int]:
-    """(left, top, right, bottom) px to cut so that the principal point moves by `crop` (x, y).
+    """Margins (left, top, right, bottom) px whose removal shifts the principal point by `crop`.
 
-    Cutting 2 d off one side moves the centre of the rest by d relative to the principal point;
-    d shall be `crop` times the remaining length.
+    crop: (x, y). Cutting 2 d off one side shifts the centre of the rest by d relative to the
+    principal point, where d is `crop` times the remaining length.
     """
     cut = [
         round(2 * part * length / (1 + 2 * abs(part)))
@@ -121,10 +121,10 @@ def _picture_writer(
 
 
 def perturbed(source: Path, out: Path, change: Perturbation) -> Path:
-    """Write the sequence folder `source` with faults to the folder `out`, which is replaced.
+    """Copy the sequence folder `source` with faults to the folder `out`, which is replaced.
 
-    Pictures are links unless they are cropped, blurred or brightened (then JPEG at QUALITY, or
-    PNG as before). `poses*.txt` keep one row for each picture. Raises SequenceError,
+    Pictures are links unless they are cropped, blurred or brightened; then they are encoded again,
+    as JPEG of QUALITY or PNG. `poses*.txt` keep one row for each picture. Raises SequenceError,
     EvaluationError.
     """
     sequence = SequenceFolder(source)
@@ -132,7 +132,7 @@ def perturbed(source: Path, out: Path, change: Perturbation) -> Path:
     calibration = []
     rows = _lines(source / "calib.txt")
     for eye in Eye:
-        # one random stream per eye: faults of one do not change those of the other
+        # one random stream per eye, so that faults of one eye do not change those of the other
         rng = np.random.default_rng((change.seed, int(eye)))
         kept = survivors(sequence.count(eye), int(eye), change, rng)
         t_ns = stamped(sequence.t_ns(eye), change.clocks, int(eye), rng)[kept] - ORIGIN_NS

@@ -1,4 +1,4 @@
-"""Drives of the comparison `bench pixels`: real, rendered, held out, with recording faults."""
+"""Drives of the comparison `bench pixels`: real, rendered, held out, and with added faults."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ from bench.perturb import Clocks, Perturbation, perturbed
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A drive. loose: input of ours. in_step: synchronised input of ORB-SLAM3; equal to `loose`
-    without clock faults. counts: whether it enters the targets on medians; real drives (inexact
-    truth) and added faults do not."""
+    """A drive of the comparison.
+
+    loose: prepares our input, unsynchronised. in_step: prepares the synchronised input of
+    ORB-SLAM3; the same as `loose` if the drive has no clock faults. counts: whether the drive
+    enters the medians of the targets; real drives (inexact truth) and drives with added faults do
+    not.
+    """
 
     name: str
     loose: Prepare
@@ -31,7 +35,7 @@ def _real(name: str, folder: str, spacing_m: float) -> Case:
 
 
 def made_worse(source: Prepare, change: Perturbation) -> Prepare:
-    """The drive of `source`, perturbed, in a separate folder."""
+    """Prepare function of the drive `source` with faults added, in a folder of its own."""
 
     def prepare(out: Path) -> Path | str:
         folder = source(out)
@@ -47,7 +51,7 @@ REAL = (
 CASES = (*REAL, *map(_rendered, DEVELOPMENT))
 UNSEEN = tuple(map(_rendered, HELD_OUT))
 
-# Stamp errors and shifted principal points on one drive with true stamps: each alone, then all.
+# Clock errors and shifted principal points on a drive without clock faults: one by one, then all.
 _PLAIN = next(drive for drive in DEVELOPMENT if not drive.timing)
 _CROP = ((0.03, 0.03), (-0.03, 0.03))
 _FAULTS = {

@@ -1,4 +1,4 @@
-"""Targets of the comparison `bench pixels`, and whether the results meet them."""
+"""Targets of the comparison `bench pixels`, and the check whether results meet them."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 
 from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
 
-# (quantity, target, measured value, whether it passes; None: not measured yet).
+# (quantity, target, measured value, whether it meets the target or None if not measured yet)
 Verdict = tuple[str, str, Any, bool | None]
 Results = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
-# Below this share of frames with a pose, or of the path covered, the drive counts as lost.
+# A drive counts as lost if a smaller share of its frames has a pose, or of its path is covered.
 LOST_BELOW = 0.8
 KARLSRUHE_M = 1.07
 KITTI06_M = 0.2
 
-# Row of ORB-SLAM3, its title, and the largest ratio of our error to its error.
+# Method name of ORB-SLAM3, title, and the largest accepted ratio of our error to its error.
 RATIOS = (
     ("orbslam3", "ORB-SLAM3, true calibration", 1.3),
     ("orbslam3_yaw", "ORB-SLAM3, yaw half a degree wrong", 1 / 3),
@@ -27,7 +27,7 @@ RATIOS = (
 
 
 def error_m(figures: Mapping[str, Any], key: str = "ate_se3_m") -> float:
-    """The error [m]; infinite when the drive was lost or the method failed."""
+    """The error `key` of a run, m; infinite if the drive was lost or the method failed."""
     value, covered = figures.get(key), (figures.get("coverage_percent") or 0.0) / 100
     kept = min(covered, figures.get("placed", 1.0))
     return math.inf if value is None or kept < LOST_BELOW else float(value)
@@ -40,7 +40,7 @@ def focal_observed(figures: Mapping[str, Any]) -> bool:
 
 
 def ratio(ours: Mapping[str, Any], rival: Mapping[str, Any]) -> float:
-    """Our SE(3) error over the rival's; 0 where only it lost the drive, infinite where ours did."""
+    """Our SE(3) error over the rival's; 0 if only the rival lost the drive, inf if ours did."""
     mine, theirs = error_m(ours), error_m(rival)
     if math.isinf(mine):
         return math.inf
@@ -53,12 +53,12 @@ def verdicts(results: Results, counted: Collection[str]) -> list[Verdict]:
 
 
 def _measured(figures: Mapping[str, Any] | None) -> bool:
-    # a crash of a rival may be our handling of it: no win for us
+    # a failed rival does not count as beaten: the fault may lie in our use of it
     return figures is not None and not {"skipped", "failed"} & set(figures)
 
 
 def _counts(ours: Mapping[str, Any] | None) -> bool:
-    # a failed run of ours counts even though no focal was estimated
+    # a failed run of ours counts, although it has no focal sigma
     return ours is not None and ("failed" in ours or (_measured(ours) and focal_observed(ours)))
 
 

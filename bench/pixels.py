@@ -1,9 +1,10 @@
-"""Ours beside ORB-SLAM3, COLMAP and both chaining baselines, on pictures.
+"""Compare calm-edge with ORB-SLAM3, COLMAP and both chaining baselines, on pictures.
 
-Ours gets the drive with unsynchronised cameras and the spacing, nothing else; Sim(3) and SL(4)
-chaining get the sub-maps of that run. ORB-SLAM3 gets the same drive synchronised and the true
-calibration, then the same with one parameter wrong; COLMAP, on request, the pictures alone. Results
-are kept in build/eval/pixels.json by drive and method: a run of some updates these.
+calm-edge gets the drive with unsynchronised cameras and the camera spacing, nothing else. Sim(3)
+and SL(4) chaining get the sub-maps of that run. ORB-SLAM3 gets the same drive synchronised and the
+true calibration, then the same with one parameter wrong. COLMAP, on request, gets the pictures
+alone. Results are kept in build/eval/pixels.json by drive and method; a run of some replaces only
+their results.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ _KEPT = (
 )
 
 
-# Maps a drive and a work folder to the figures.
+# Maps a drive and a work folder to the figures of one method.
 Method = Callable[[Case, Path], dict[str, Any]]
 
 
@@ -58,7 +59,7 @@ def _prepared(prepare: Prepare, out: Path) -> Path:
 
 
 def ours(case: Case, out: Path) -> dict[str, Any]:
-    """`calm-edge record` in lockstep with the spacing, then `calm-edge eval`."""
+    """Record with calm-edge in lockstep, given the spacing, and evaluate."""
     sequence = _prepared(case.loose, out)
     recording = out / "recording"
     cost = steps.record(sequence, recording, ("--spacing-m", f"{case.spacing_m:g}"))
@@ -90,7 +91,7 @@ def _orbslam3(
         folder = _prepared(case.loose, out) if loose else in_step
         if loose and folder == in_step:
             raise RivalMissing("this drive has no clock faults")
-        # exact where both eyes have poses at the same instants
+        # from the synchronised drive, where both eyes have poses at the same times
         truth = true_calibration(in_step, case.spacing_m)
         return judged(orbslam3.run(folder, altered(truth), out, shift), folder)
 
@@ -106,7 +107,7 @@ def _chained(alignment: str) -> Method:
     def method(case: Case, out: Path) -> dict[str, Any]:
         sequence, recording = _prepared(case.loose, out), out.parent / "ours" / "recording"
         if not recording.is_dir():
-            raise RivalMissing("needs the sub-maps of ours; run --method ours first")
+            raise RivalMissing("no recording of our method; run --method ours first")
         result = compare(chained(recording, alignment), read_truth(sequence), "se3")
         return {key: result[key] for key in _KEPT[:6]}
 
@@ -124,12 +125,12 @@ METHODS: dict[str, Method] = {
     "orbslam3_loose": _orbslam3(loose=True),
     "colmap": _colmap,
 }
-# Minutes of CPU for a few dozen pairs: only when named.
+# Methods that take minutes of CPU for a few dozen pictures: run only if named.
 EXPENSIVE = frozenset({"colmap"})
 
 
 def measure(case: Case, method: str, out: Path) -> dict[str, Any]:
-    """Figures of one method on one drive, or the reason under `skipped` or `failed`."""
+    """Run one method on one drive; return figures, or the reason under `skipped` or `failed`."""
     work = out / case.name / method
     work.mkdir(parents=True, exist_ok=True)
     try:
@@ -141,7 +142,7 @@ def measure(case: Case, method: str, out: Path) -> dict[str, Any]:
 
 
 def read_results(path: Path) -> dict[str, dict[str, Any]]:
-    """{drive: {method: figures}} of earlier runs; empty when there are none."""
+    """Read {drive: {method: figures}} of earlier runs; empty if there are none."""
     if not path.is_file():
         return {}
     found = json.loads(path.read_text()).get("drives", {})
@@ -150,7 +151,7 @@ def read_results(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def table(results: Mapping[str, Mapping[str, Any]]) -> list[list[Any]]:
-    """Rows of drive, method, SE(3) m, % of path, Sim(3) m, placed, CPU s, a note."""
+    """Table rows: drive, method, SE(3) m, % of path, Sim(3) m, placed, CPU s, note."""
     rows: list[list[Any]] = []
     for name, methods in results.items():
         for method in METHODS:
@@ -181,7 +182,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print table and verdicts, save pixels.json; return 1 if a target is missed."""
+    """Run methods on drives, print and save the table; return 1 if a target is missed."""
     cases = UNSEEN if options.held_out else WORSE if options.worse else CASES
     names = options.only or [case.name for case in cases]
     methods = options.method or [m for m in METHODS if m not in EXPENSIVE]
@@ -200,7 +201,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def as_table(results: Mapping[str, Mapping[str, Any]], checks: Sequence[Verdict]) -> Table:
-    """Table of all figures, with the targets that could be evaluated."""
+    """Make the table of all figures, with the targets that could be evaluated."""
     unjudged = "; ".join(what for what, _, _, passed in checks if passed is None)
     return Table(
         name="40_pixels",
@@ -223,7 +224,7 @@ def as_table(results: Mapping[str, Mapping[str, Any]], checks: Sequence[Verdict]
 
 
 def keep(file: Path, results: Mapping[str, Mapping[str, Any]]) -> list[Verdict]:
-    """Write {drives, targets} to `file` and return the verdicts."""
+    """Write the results and targets to `file` as {drives, targets}; return the verdicts."""
     checks = verdicts(results, {case.name for case in EVERY.values() if case.counts})
     keys = ("what", "asked", "measured", "passed")
     content = {"drives": results, "targets": [dict(zip(keys, c, strict=True)) for c in checks]}

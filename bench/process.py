@@ -6,6 +6,6 @@ import subprocess
 
 
 def last_line(done: subprocess.CompletedProcess[str]) -> str:
-    """Return the last line of stderr, or of stdout where that is empty."""
+    """Last line of stderr, or of stdout if stderr is empty."""
     lines = (done.stderr or done.stdout).strip().splitlines()
     return lines[-1] if lines else "no output"

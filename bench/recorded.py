@@ -13,12 +13,13 @@ from calm_edge.offline.submaps import Drive, gather
 from calm_edge.recording.reader import Recording
 from calm_edge.types import Bytes, Float32, Submap
 
-# A sub-map with depth and confidence (N, h, w), raw unit, and pictures (H, W, 3) BGR, batch order.
+# A sub-map, its depth and confidence (N, h, w) in the raw unit, and its pictures (H, W, 3) BGR, in
+# batch order.
 Dense = tuple[Submap, Float32, Float32, list[Bytes]]
 
 
 class Recorded(NamedTuple):
-    """A recording and its placed windows, solved again where `record` did not finish them."""
+    """A recording and its placed windows; those that `record` left unsolved are solved."""
 
     path: Path
     recording: Recording
@@ -27,7 +28,10 @@ class Recorded(NamedTuple):
 
 
 def read(path: Path, assignments: Sequence[str] = ()) -> Recorded:
-    """Read a recording; assignments: SECTION.KEY=VALUE over its configuration."""
+    """Read a recording and solve its pending windows.
+
+    assignments: SECTION.KEY=VALUE over the configuration of the recording.
+    """
     recording = Recording(path)
     config = recording.config
     for text in assignments:
@@ -37,7 +41,7 @@ def read(path: Path, assignments: Sequence[str] = ()) -> Recorded:
 
 
 def dense(recorded: Recorded) -> Iterator[Dense | str]:
-    """Each window's sub-map with depth, or the reason why it has none."""
+    """Yield each window's sub-map with depth, or the reason why it has no depth."""
     path, recording, config, drive = recorded
     depths = densified(path, config, drive.windows, drive.updates)
     for record, update, depth in zip(drive.windows, drive.updates, depths, strict=True):

@@ -1,4 +1,4 @@
-"""Steps of a measurement, each a `calm-edge` process as a user would run it."""
+"""Steps of a measurement, each run as a `calm-edge` process, as a user would."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from calm_edge.evaluation.errors import EvaluationError
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Time of one step. cpu_s: of its process and all children."""
+    """Time of one step. cpu_s: processor time of the process and all its children."""
 
     wall_s: float
     cpu_s: float
@@ -33,9 +33,10 @@ def _children_s() -> float:
 
 
 def calm_edge(*arguments: str, accept: Sequence[int] = (OK,)) -> tuple[str, Cost]:
-    """Run a command and return its stdout and cost.
+    """Run a calm-edge command; return its stdout and cost.
 
-    Raises EvaluationError with its last line of output for an exit code not in `accept`.
+    accept: exit codes that are no error. For any other one EvaluationError is raised with the last
+    line of output.
     """
     start, before = time.monotonic(), _children_s()
     done = subprocess.run(
@@ -55,7 +56,7 @@ def calm_edge(*arguments: str, accept: Sequence[int] = (OK,)) -> tuple[str, Cost
 def record(sequence: Path, out: Path, options: Sequence[str] = ()) -> Cost:
     """Record a sequence folder in lockstep into `out`, which is replaced.
 
-    Exit code 3 is accepted: the recording is complete, but some frames have no pose.
+    Exit code 3 is accepted: then the recording is complete, but some frames have no pose.
     """
     shutil.rmtree(out, ignore_errors=True)
     arguments = ("--sequence", str(sequence), "--out", str(out), "--pace", "lockstep", *options)
@@ -69,7 +70,7 @@ def dense_map(recording: Path, out: Path) -> Cost:
 
 
 def figures(target: Path, truth: Path) -> dict[str, Any]:
-    """Return the result of `calm-edge eval --json` for a recording or a map."""
+    """Result of `calm-edge eval --json` for a recording or a map."""
     result = json.loads(calm_edge("eval", str(target), "--truth", str(truth), "--json")[0])
     assert isinstance(result, dict)
     return result

@@ -1,4 +1,4 @@
-"""Tables of `make eval`: printed, kept as JSON under build/eval, and gathered on one page."""
+"""Tables of measurements: printed, stored as JSON under build/eval, and joined on one page."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ FOLDER = "tables"
 
 
 class TableError(CalmEdgeError):
-    """A kept table cannot be read."""
+    """A stored table cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One requirement: the quantity, its target, the measured value, and whether that meets it."""
+    """One requirement: quantity, target, measured value, and whether the value meets the target."""
 
     what: str
     asked: str
@@ -35,10 +35,11 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A measured table. name: of its file, and sort key on the page. command: to make it again.
+    """Table of a measurement.
 
-    rows: values in column order, None where there is none. checks: requirements on these values.
-    notes: conditions of the measurement.
+    name: of its file, also the sort key on the page. command: command line that makes the table.
+    rows: values in order of columns, None if missing. checks: requirements on the values. notes:
+    conditions of the measurement.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Table:
 
 
 def print_rows(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> None:
-    """Print a table with a header on stdout. rows: values in the order of columns."""
+    """Print a table with a header to stdout."""
     from rich.console import Console
     from rich.table import Table
 
@@ -62,7 +63,7 @@ def print_rows(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str
 
 
 def publish(table: Table, out: Path = OUT) -> int:
-    """Print a table and keep it as `out`/tables/NAME.json; 1 for a missed requirement, else 0."""
+    """Print a table and write it to `out`/tables/NAME.json; return 1 if a requirement is missed."""
     print_rows(table.columns, table.rows, table.title)
     if table.checks:
         rows = [(c.what, c.asked, c.measured, c.passed) for c in table.checks]
@@ -77,12 +78,12 @@ def publish(table: Table, out: Path = OUT) -> int:
 
 
 def exit_code(tables: Iterable[Table]) -> int:
-    """1 when a requirement of any table is not met, else 0."""
+    """1 if a requirement of any table is not met, else 0."""
     return int(not all(check.passed for table in tables for check in table.checks))
 
 
 def kept(out: Path = OUT) -> list[Table]:
-    """All kept tables, by name; raises TableError."""
+    """Read all stored tables, in order of name; raises TableError."""
     found = []
     for file in sorted((out / FOLDER).glob("*.json")):
         try:
@@ -97,7 +98,7 @@ def kept(out: Path = OUT) -> list[Table]:
 
 
 def render(tables: Iterable[Table]) -> str:
-    """HTML page of all tables, requirements first."""
+    """HTML page of all tables, with a list of all requirements first."""
     tables = list(tables)
     checks = [(table, check) for table in tables for check in table.checks]
     broken = sum(not check.passed for _, check in checks)
@@ -129,7 +130,7 @@ def _cell(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Values for JSON: NaN and infinity, which it lacks, become null."""
+    """Convert a value for JSON: NaN and infinity, which JSON lacks, become None."""
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -145,7 +146,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write report.html and report.json of saved tables; return 1 if a requirement is not met."""
+    """Write report.html and report.json of the stored tables; return 1 for a missed requirement."""
     out = options.out
     tables = kept(out)
     out.mkdir(parents=True, exist_ok=True)

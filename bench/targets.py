@@ -1,7 +1,7 @@
 """Accuracy targets of calm-edge on whole drives.
 
-Each row runs the commands a user would (`steps`): `record` in lockstep, `map`, `eval`. Results are
-kept in build/eval/targets.json: a run of some rows updates these and leaves the others.
+Each row runs the commands that a user would: `record` in lockstep, `map`, `eval`. Results are kept
+in build/eval/targets.json; a run of some rows replaces only their results.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ RESULTS = "targets.json"
 
 
 class TargetError(CalmEdgeError):
-    """A requirement cannot be evaluated."""
+    """A requirement cannot be checked."""
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One requirement. key: of `eval --json`; of a list, the entry largest in magnitude counts.
+    """One requirement.
 
-    most: largest value that passes. least: value that all entries must exceed, null being
-    infinite (a sigma). may_be_null: null entries pass, since nothing was claimed.
+    key: of `eval --json`; if its value is a list, the entry largest in magnitude counts. most:
+    largest value that passes. least: value that all entries must exceed, where null is an infinite
+    sigma. may_be_null: null entries pass, for quantities that are reported only if observed.
     """
 
     key: str
@@ -47,9 +48,10 @@ class Metric:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One drive. prepare: gives its sequence folder, or why there is none. options: of `record`.
+    """One drive and its requirements.
 
-    twice: record it a second time and compare the bytes of the trajectories.
+    prepare: returns the sequence folder, or the reason why it is missing. options: of `record`.
+    twice: record a second time and compare the bytes of the trajectories.
     """
 
     name: str
@@ -61,7 +63,10 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Outcome of a row. result: of `eval --json`. seconds: by step. note: why there is none."""
+    """Outcome of a row.
+
+    result: of `eval --json`. seconds: by step. note: reason why there is no result.
+    """
 
     checks: tuple[Check, ...] = ()
     result: Mapping[str, Any] = field(default_factory=dict)
@@ -129,9 +134,12 @@ ROWS = (
 
 
 def judge(metric: Metric, result: Mapping[str, Any]) -> tuple[Any, bool]:
-    """(measured value, whether it passes); raises TargetError when the key is missing."""
+    """Check a requirement: (measured value, whether it passes).
+
+    Raises TargetError if the result lacks the key.
+    """
     if metric.key not in result:
-        raise TargetError(f"eval --json has no {metric.key}")
+        raise TargetError(f"eval --json: no key {metric.key}")
     value = result[metric.key]
     entries = value if isinstance(value, list) else [value]
     known = [abs(entry) for entry in entries if entry is not None]
@@ -142,7 +150,7 @@ def judge(metric: Metric, result: Mapping[str, Any]) -> tuple[Any, bool]:
 
 
 def with_honesty(result: dict[str, Any]) -> dict[str, Any]:
-    """The result with `focal_error_in_sigma` for each eye; None where the focal is unobserved."""
+    """Add `focal_error_in_sigma` to a result, per eye; None where the focal is not observed."""
     errors, sigmas = result.get("focal_error_percent"), result.get("focal_sigma_percent")
     ratio = [
         abs(e) / s if e is not None and s else None
@@ -157,7 +165,7 @@ def _trajectory(recording: Path) -> str:
 
 
 def run_row(row: Row, out: Path) -> Measured:
-    """Record, map and evaluate one row under `out`; raises CalmEdgeError when a step fails."""
+    """Record, map and evaluate the drive of one row in `out`; raises CalmEdgeError."""
     out.mkdir(parents=True, exist_ok=True)
     sequence = row.prepare(out)
     if isinstance(sequence, str):
@@ -178,7 +186,7 @@ def run_row(row: Row, out: Path) -> Measured:
 
 
 def read_results(file: Path) -> dict[str, Measured]:
-    """Results of earlier runs by row; empty when there are none."""
+    """Read the results of earlier runs by row; empty if there are none."""
     if not file.is_file():
         return {}
     found = json.loads(file.read_text())
@@ -188,7 +196,7 @@ def read_results(file: Path) -> dict[str, Measured]:
     }
 
 
-# Column title, and key of `eval --json`.
+# (column title, key of `eval --json`)
 FIGURES = (
     ("SE(3) m", "ate_se3_m"),
     ("Sim(3) m", "ate_sim3_m"),
@@ -200,7 +208,7 @@ FIGURES = (
 
 
 def table(results: Mapping[str, Measured]) -> Table:
-    """All rows measured so far, in the order of ROWS, with their requirements."""
+    """Table of all rows measured so far, in the order of ROWS, with their requirements."""
     known = [(row.name, results[row.name]) for row in ROWS if row.name in results]
     return Table(
         "10_targets",
@@ -228,7 +236,7 @@ def table(results: Mapping[str, Measured]) -> Table:
 
 
 def run_all(rows: Iterable[Row], out: Path) -> dict[str, Measured]:
-    """Run rows and keep each result at once; a failed row is a missed requirement."""
+    """Run rows, writing each result to disk at once; a failed row is a missed requirement."""
     done: dict[str, Measured] = {}
     for row in rows:
         print(f"{row.name} ...", file=sys.stderr, flush=True)
@@ -250,7 +258,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the rows, print and save the table; return 1 if one of them misses a requirement."""
+    """Run the rows, print and save the table; return 1 if a requirement is missed."""
     done = run_all((row for row in ROWS if row.name in (options.only or [row.name])), options.out)
     publish(table(read_results(options.out / RESULTS)), options.out)
     return 0 if all(check.passed for m in done.values() for check in m.checks) else 1

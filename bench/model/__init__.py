@@ -1,1 +1,1 @@
-"""The learned model beside classical methods: correspondences, depth, places, whole drives."""
+"""The learned model against classical methods: correspondences, depth, places, whole drives."""

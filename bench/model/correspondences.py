@@ -1,4 +1,4 @@
-"""Shares of correct correspondences of several matchers at the same query points."""
+"""Measure the share of correct correspondences of several matchers at the same query points."""
 
 from __future__ import annotations
 
@@ -18,24 +18,25 @@ from bench.model.truth import transfer
 from bench.paired import PairedRatio, compare
 from calm_edge.types import Bytes, CalmEdgeError, Float
 
-# Query points of each kind: SIFT keypoints and Shi-Tomasi corners, to favour neither method.
+# Query points of each kind. Both kinds are used so as to favour neither SIFT nor corner tracking.
 QUERIES = 200
 KINDS = ("SIFT", "corner")
 ALL = "all"
 THRESHOLDS_PX = (1.0, 3.0)
-# Cases that are also measured on degraded pictures.
+# Cases measured on degraded pictures as well.
 DEGRADED_CASES = ("3 on", "eyes")
-# Minimum number of visible query points of a pair.
+# A pair with fewer visible query points is skipped.
 MIN_QUERIES = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Result of a matcher on one pair, over visible queries of one kind or ALL.
+    """Result of one matcher on one pair, over the visible query points of one kind, or of ALL.
 
-    queries: their number. within: numbers found within each of THRESHOLDS_PX of the truth. found:
-    number reported as found. error_px: median error of those within the last threshold. claimed:
-    root mean square of error over sigma per axis of these; NaN without a claimed sigma.
+    queries: number of query points. within: numbers found within each of THRESHOLDS_PX of the
+    truth. found: number that the matcher reports as found. error_px: median error of those within
+    the last threshold. claimed: their root mean square of error over reported sigma, per axis; NaN
+    if the matcher reports no sigma.
     """
 
     matcher: str
@@ -51,12 +52,15 @@ class Score:
     claimed: float
 
     def share(self, threshold: int = 0) -> float:
-        """Share of correct matches, kept half a query away from 0 and 1 so that ratios exist."""
+        """Share of correct matches; half a query added on both sides keeps ratios finite."""
         return (self.within[threshold] + 0.5) / (self.queries + 1)
 
 
 def query_points(pair: Pair) -> tuple[Float, NDArray[np.int64]]:
-    """Query points (N, 2) px in picture a, up to QUERIES of each kind, and kinds (N,) in KINDS."""
+    """Choose query points (N, 2) px in picture a that are visible in b.
+
+    Up to QUERIES of each kind. Also returns the kinds (N,), as indices of KINDS.
+    """
     chosen = []
     for points in candidates(pair.a.image, pair.a.seed):
         _, seen = transfer(pair.a.truth, pair.b.truth, points)
@@ -66,7 +70,10 @@ def query_points(pair: Pair) -> tuple[Float, NDArray[np.int64]]:
 
 
 def candidates(image: Bytes, seed: int) -> list[Float]:
-    """Points (N, 2) px of each of KINDS in a picture (H, W, 3), in random order by the seed."""
+    """Detect the points (N, 2) px of each of KINDS in a picture (H, W, 3).
+
+    They are in random order, by the seed.
+    """
     gray, rng = described.gray_of(image), np.random.default_rng(seed)
     own = np.array([p.pt for p in described.keypoints(gray, 4 * QUERIES)]).reshape(-1, 2)
     kinds = np.unique(own, axis=0), described.corners(gray, 2 * QUERIES)
@@ -74,7 +81,7 @@ def candidates(image: Bytes, seed: int) -> list[Float]:
 
 
 def judge(matches: Matches, true_uv: Float) -> tuple[tuple[int, ...], int, float, float]:
-    """Compute within, found, error_px and claimed of Score against the truth (N, 2) px."""
+    """Compute `within`, `found`, `error_px` and `claimed` of Score. true_uv: (N, 2) px."""
     off = np.where(matches.found, np.linalg.norm(matches.uv_b - true_uv, axis=1), np.inf)
     right = off <= THRESHOLDS_PX[-1]
     error = float(np.median(off[right])) if right.any() else float("nan")
@@ -87,7 +94,7 @@ def judge(matches: Matches, true_uv: Float) -> tuple[tuple[int, ...], int, float
 
 
 def measure_pair(pair: Pair, matchers: Mapping[str, Matcher]) -> list[Score]:
-    """Scores of all matchers on a pair and, for DEGRADED_CASES, on its degraded pictures."""
+    """Score all matchers on a pair, and in DEGRADED_CASES also on its degraded pictures."""
     uv, kind = query_points(pair)
     if len(uv) < MIN_QUERIES:
         return []
@@ -114,7 +121,10 @@ def measure_pair(pair: Pair, matchers: Mapping[str, Matcher]) -> list[Score]:
 def measure(
     scenes: Iterable[Scene], matchers: Mapping[str, Matcher], out: Path
 ) -> tuple[list[Score], list[str]]:
-    """All scores, and the reasons of skipped drives."""
+    """Score all matchers on all drives.
+
+    Also returns notes on the drives that were skipped or stopped by an error.
+    """
     scores: list[Score] = []
     skipped: list[str] = []
     by_name = {scene.name: scene for scene in scenes}
@@ -129,7 +139,10 @@ def measure(
 
 
 def rows(scores: Sequence[Score]) -> list[tuple[Any, ...]]:
-    """One row per case, degradation and matcher: shares over the queries of all pairs, percent."""
+    """Table rows, one for each case, degradation and matcher.
+
+    Shares [percent] are over the query points of all pairs.
+    """
     out: list[tuple[Any, ...]] = []
     keys = dict.fromkeys((s.case, s.degraded, s.matcher) for s in scores)
     order = list(dict.fromkeys((case, degraded) for case, degraded, _ in keys))
@@ -158,7 +171,10 @@ COLUMNS = (
 def against(
     scores: Sequence[Score], ours: str, other: str, case: str, threshold: int
 ) -> PairedRatio | None:
-    """Ratio of the share of `other` to ours on clean pairs of a case; below 1 ours is better."""
+    """Ratio of the share of correct matches of `other` to that of `ours`, on clean pairs of a case.
+
+    Below 1 `ours` is better. threshold: index into THRESHOLDS_PX. None without common pairs.
+    """
     mine, theirs = (_shares(scores, name, case, "", threshold) for name in (ours, other))
     return compare(theirs, mine) if mine.keys() & theirs.keys() else None
 
@@ -166,7 +182,10 @@ def against(
 def retained_against(
     scores: Sequence[Score], ours: str, other: str, degraded: str
 ) -> PairedRatio | None:
-    """Ratio of `other` to ours of the part of the 1 px share that is kept on degraded pictures."""
+    """Ratio of `other` to `ours` of the part of correct matches kept on degraded pictures.
+
+    A match is correct within 1 px. Below 1 `ours` is better. None without common pairs.
+    """
     kept = []
     for name in (other, ours):
         both: dict[tuple[str, int], float | None] = {}

@@ -1,4 +1,4 @@
-"""Degraded pictures: night, motion blur, JPEG; repeatable by a seed."""
+"""Degrade pictures by night, motion blur or JPEG, repeatably by a seed."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from calm_edge.types import Bytes
 
 Degrade = Callable[[Bytes, int], Bytes]
 
-# Electrons at white, read noise [electrons], and brightness of the result.
+# Electrons of a white pixel, read noise [electrons], and brightness of the result.
 NIGHT_WHITE, NIGHT_READ, NIGHT_LEVEL = 300.0, 5.0, 0.4
 GAMMA = 2.2
-BLUR_SHARE = 1 / 80  # of the picture's width
+BLUR_SHARE = 1 / 80  # as a share of the picture's width
 JPEG_QUALITY = 50
 
 
 def night(image: Bytes, seed: int) -> Bytes:
-    """Add shot and read noise of a dark scene, gain and gamma. (H, W, 3) BGR."""
+    """Simulate night: shot and read noise of a dark scene, gain and gamma. (H, W, 3) BGR."""
     rng = np.random.default_rng((seed, 1))
     electrons = NIGHT_WHITE * (image / 255.0) ** GAMMA
     read = rng.poisson(electrons) + rng.normal(0.0, NIGHT_READ, image.shape)
@@ -28,7 +28,10 @@ def night(image: Bytes, seed: int) -> Bytes:
 
 
 def motion_blur(image: Bytes, seed: int) -> Bytes:
-    """Blur along a line of BLUR_SHARE of the width in a random direction. (H, W, 3) BGR."""
+    """Blur along a line in a random direction. (H, W, 3) BGR.
+
+    The line has a length of BLUR_SHARE of the width.
+    """
     length = max(3, round(image.shape[1] * BLUR_SHARE)) | 1
     angle = np.random.default_rng((seed, 2)).uniform(0, 180)
     line = np.zeros((length, length), np.float32)
@@ -39,7 +42,7 @@ def motion_blur(image: Bytes, seed: int) -> Bytes:
 
 
 def jpeg(image: Bytes, _seed: int) -> Bytes:
-    """Encode and decode as JPEG of JPEG_QUALITY. (H, W, 3) BGR."""
+    """Encode as JPEG of JPEG_QUALITY and decode again. (H, W, 3) BGR."""
     _, packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     return np.asarray(cv2.imdecode(packed, cv2.IMREAD_COLOR), np.uint8)
 

@@ -1,4 +1,7 @@
-"""Depth of the learned model and of classical methods from the same pictures, cameras and poses."""
+"""Compare depth of the learned model and of classical methods.
+
+All get the same pictures, cameras and poses.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ from device.frame import Eye
 RIVAL, SWEEP = "SGBM", "plane sweep"
 PLACES, KEYFRAMES = 3, 5
 NEAREST_M, FARTHEST_M = 1.0, 60.0
-# Target: our relative error over that of semi-global matching.
+# Target: error of ours over that of semi-global matching.
 ASKED = 0.7
 COLUMNS = (
     "maker", "coverage %", "abs-rel", "within 5 %", "both: abs-rel", "both: within 5 %",
@@ -40,8 +43,9 @@ COLUMNS = (
 class Scored:
     """Scores of one method on one picture.
 
-    own: where it has depth. common: where all methods have. equal: its most confident pixels, as
-    many as the sparsest method has.
+    own: over the pixels where this method has depth. common: where all methods have depth. equal:
+    over its most confident pixels, as many as the method with the fewest has. coverage: share of
+    pixels with depth.
     """
 
     maker: str
@@ -56,7 +60,10 @@ class Scored:
 def measure_place(
     drive: scenes.Pictures, name: str, place: int, frame: int, makers: Mapping[str, DepthMaker]
 ) -> list[Scored]:
-    """Scores of all methods on the middle one of KEYFRAMES keyframes from `frame` on."""
+    """Score all methods on one keyframe: the middle one of KEYFRAMES keyframes.
+
+    frame: first frame searched for keyframes. place: index along the drive.
+    """
     frames = drive.keyframes(frame)[:KEYFRAMES]
     sides = [drive.side(eye, k) for eye in (0, 1) for k in frames]
     reference = len(frames) // 2
@@ -80,7 +87,10 @@ def _pixels(picture: Any, mask: Any) -> Float:
 def compared(
     name: str, place: int, true_z: Float, made: Mapping[str, tuple[Float, Float]]
 ) -> list[Scored]:
-    """Score depths and confidences (M,) against the truth (M,); empty if a method has no depth."""
+    """Score depths and confidences (M,) of each method against the true depth (M,).
+
+    Empty if no pixel has depth by all methods.
+    """
     known = {label: z > 0 for label, (z, _) in made.items()}
     both = np.logical_and.reduce(list(known.values()))
     least = min(int(k.sum()) for k in known.values())
@@ -96,7 +106,7 @@ def compared(
 
 
 def table(scored: Sequence[Scored], notes: Sequence[str], held_out: bool) -> Table:
-    """Means over pictures, then each method against RIVAL, paired."""
+    """Make the table: means over pictures, and in the notes each method paired with RIVAL."""
     rows: list[tuple[Any, ...]] = []
     for label in dict.fromkeys(s.maker for s in scored):
         own = [s for s in scored if s.maker == label]
@@ -165,7 +175,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         makers = {OURS: ours, **makers}
     if options.ours is None:
-        # the shipped model's depth is this plane sweep: do not list it twice
+        # the depth of the shipped model is this same plane sweep: list it only once
         del makers[SWEEP]
     chosen = scenes.UNSEEN if options.held_out else scenes.DEVELOPMENT
     drives = {scene.name: scene.prepare for scene in chosen}

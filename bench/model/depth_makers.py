@@ -14,7 +14,7 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 
-# Nearest depth searched, in camera distances; the disparity range is rounded up to 16 px.
+# Smallest depth searched, in distances between the cameras.
 NEAREST_SPACINGS = 4.0
 BLOCK_PX, UNIQUENESS = 5, 10
 CONSISTENT_PX = 1.0
@@ -22,16 +22,17 @@ STEP_NS = 100_000_000
 
 
 def partner(T_w_c: Float, eyes: Int, reference: int) -> int:
-    """Index of the other eye's view whose camera is nearest."""
+    """Index of the view of the other eye whose camera centre is nearest to the reference view's."""
     other = np.flatnonzero(eyes != eyes[reference])
     away = np.linalg.norm(T_w_c[other, :3, 3] - T_w_c[reference, :3, 3], axis=1)
     return int(other[away.argmin()])
 
 
 class SgbmDepth:
-    """OpenCV's StereoSGBM on a pair of both eyes, rectified by the given cameras and poses.
+    """OpenCV's StereoSGBM on one picture of each eye, rectified by the given cameras and poses.
 
-    Confidence falls with the left-right difference of disparity; beyond CONSISTENT_PX depth is 0.
+    Confidence falls with the difference between left and right disparity. Beyond CONSISTENT_PX the
+    depth is 0.
     """
 
     def depth(
@@ -42,7 +43,10 @@ class SgbmDepth:
         eyes: Int,
         reference: int,
     ) -> tuple[Float32, Float32]:
-        """See DepthMaker. Depth is 0 where the cameras are above each other, not side by side."""
+        """Compute the depth, see DepthMaker.
+
+        0 everywhere if the cameras are one above the other instead of side by side.
+        """
         other = partner(T_w_c, eyes, reference)
         a, b = gray_of(images[reference]), gray_of(images[other])
         size = (a.shape[1], a.shape[0])
@@ -54,7 +58,7 @@ class SgbmDepth:
             flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1,
         )  # fmt: skip
         R_a, R_b, P_a, P_b = (np.asarray(m, np.float64) for m in found[:4])
-        shift = float(P_b[0, 3])  # disparity times depth, negative
+        shift = float(P_b[0, 3])  # disparity times depth, negative if the reference is the left eye
         if abs(P_b[1, 3]) > abs(shift):
             return np.zeros(a.shape, np.float32), np.zeros(a.shape, np.float32)
         flat_a, flat_b = (
@@ -62,7 +66,7 @@ class SgbmDepth:
         )
         nearest = NEAREST_SPACINGS * float(np.linalg.norm(T[:3, 3]))
         most = max(16, int(np.ceil(abs(shift) / nearest / 16)) * 16)
-        if shift > 0:  # the reference is the right eye: mirrored, it is the left one
+        if shift > 0:  # mirrored, the right eye becomes the left one
             flat_a, flat_b = flat_a[:, ::-1], flat_b[:, ::-1]
         disparity, off = _consistent(flat_a, flat_b, most)
         if shift > 0:
@@ -77,9 +81,13 @@ def _rectified(gray: Bytes, K: Float, R: Float, P: Float, size: tuple[int, int])
 
 
 def _consistent(left: Bytes, right: Bytes, most: int) -> tuple[Float32, Float32]:
-    """Disparity (h, w) of the left picture, 0 unknown, and its difference from the right's, px."""
+    """Disparity (h, w) of the left picture after the left-right check, 0 if unknown.
+
+    Also returns its difference (h, w) from the right picture's disparity, px. most: number of
+    disparities.
+    """
     ahead = _disparity(left, right, most)
-    # mirrored, the right picture is the left one
+    # mirrored, the right picture becomes the left one
     back = _disparity(right[:, ::-1], left[:, ::-1], most)[:, ::-1]
     x = np.arange(left.shape[1], dtype=np.float32)[None] - ahead
     y = np.broadcast_to(np.arange(left.shape[0], dtype=np.float32)[:, None], x.shape)
@@ -99,7 +107,7 @@ def _disparity(left: Bytes, right: Bytes, most: int) -> Float32:
         P2=32 * BLOCK_PX**2, uniquenessRatio=UNIQUENESS, speckleWindowSize=100, speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_SGBM,
     )  # fmt: skip
-    # StereoSGBM leaves the first `most` columns out
+    # StereoSGBM computes no disparity in the first `most` columns: pad them
     pad = [cv2.copyMakeBorder(p, 0, 0, most, 0, cv2.BORDER_REPLICATE) for p in (left, right)]
     return np.asarray(matcher.compute(*pad)[:, most:] / 16, np.float32)
 
@@ -107,7 +115,11 @@ def _disparity(left: Bytes, right: Bytes, most: int) -> Float32:
 def _brought_back(
     z: Float, off: Float32, camera: Camera, R: Float, rectified: Camera
 ) -> tuple[Float32, Float32]:
-    """z-depth and confidence (h, w) of the camera from depth (h, w) of its rectified camera."""
+    """Resample depth (h, w) of a rectified camera to its original camera.
+
+    off: (h, w) left-right differences, px. R: original -> rectified. Returns z-depth (h, w) and
+    confidence (h, w).
+    """
     height, width = z.shape
     v, u = np.mgrid[:height, :width]
     uv = np.stack([u, v], -1).astype(np.float64)
@@ -125,7 +137,7 @@ def _brought_back(
 
 
 class SweepDepth:
-    """Bundle's plane sweep under the given cameras and poses."""
+    """The plane sweep of bundle, with the given cameras and poses."""
 
     def depth(
         self,
@@ -135,7 +147,7 @@ class SweepDepth:
         eyes: Int,
         reference: int,
     ) -> tuple[Float32, Float32]:
-        """See DepthMaker."""
+        """Compute the depth, see DepthMaker."""
         other = partner(T_w_c, eyes, reference)
         spacing = float(np.linalg.norm(T_w_c[other, :3, 3] - T_w_c[reference, :3, 3]))
         T_s_c = se3.inverse(T_w_c[reference]) @ T_w_c

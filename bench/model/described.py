@@ -1,4 +1,4 @@
-"""SIFT descriptors at SIFT keypoints and at any other given points."""
+"""SIFT descriptors at SIFT keypoints, and at other given points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calm_edge.backbones.bundle.tracks import detect_corners
 from calm_edge.geometry.sift import CONTRAST
 from calm_edge.types import Bytes, Float, Float32, Int
 
-# Second scale-space layer of octaves 0, 1 and 2, with the keypoint diameters of SIFT there.
+# Second scale-space layer of octaves 0, 1 and 2, and the diameters of SIFT keypoints there.
 OCTAVES = (0, 1, 2)
 LAYER = 1
 BASE_SIGMA, LAYERS = 1.6, 3
@@ -24,9 +24,10 @@ NO_CORNERS = np.zeros((0, 2), np.float32)
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """Pixels uv (N, 2) and unit descriptors (N, 128); a point may have several.
+    """Descriptors of points; a point may have several.
 
-    index: (N,) row of the given point.
+    uv: (N, 2) px. vector: (N, 128) unit vectors. index: (N,) row of the described point in the
+    caller's array.
     """
 
     uv: Float32
@@ -35,17 +36,17 @@ class Described:
 
 
 def gray_of(image: Bytes) -> Bytes:
-    """(H, W, 3) BGR -> (H, W)."""
+    """Convert a picture (H, W, 3) BGR to grey (H, W)."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def keypoints(gray: Bytes, count: int) -> Sequence[cv2.KeyPoint]:
-    """SIFT keypoints, strongest first; one with two orientations appears twice."""
+    """Detect SIFT keypoints, strongest first; one with two orientations appears twice."""
     return tuple(_sift(count).detect(gray, None))
 
 
 def corners(gray: Bytes, count: int) -> Float32:
-    """Shi-Tomasi corners (N, 2) px as detected by bundle's tracks, refined to subpixels."""
+    """Shi-Tomasi corners (N, 2) px with the settings of bundle's tracks, refined to subpixels."""
     uv = detect_corners(gray, NO_CORNERS, count)
     if len(uv) == 0:
         return uv
@@ -54,23 +55,23 @@ def corners(gray: Bytes, count: int) -> Float32:
 
 
 def at_points(gray: Bytes, uv: Float | Float32) -> list[cv2.KeyPoint]:
-    """Keypoints at uv (N, 2) px, one per octave of OCTAVES, oriented by their gradients.
+    """Make keypoints at uv (N, 2) px, one per octave in OCTAVES, oriented by the image gradient.
 
-    class_id is the row of uv.
+    class_id of a keypoint is its row in uv.
     """
     made = []
     for octave in OCTAVES:
         sigma = BASE_SIGMA * 2 ** (LAYER / LAYERS + octave)
         angles = _orientations(gray, np.asarray(uv, np.float32), sigma)
         for k, ((x, y), angle) in enumerate(zip(uv, angles, strict=True)):
-            # OpenCV packs the octave in the low byte and the layer in the next
+            # OpenCV packs the octave in the low byte and the layer in the second byte
             packed = octave | (LAYER << 8)
             made.append(cv2.KeyPoint(float(x), float(y), 2 * sigma, float(angle), 0, packed, k))
     return made
 
 
 def describe(gray: Bytes, points: Sequence[cv2.KeyPoint]) -> Described:
-    """RootSIFT descriptors; index is the class_id of each point.
+    """Compute RootSIFT descriptors of keypoints; `index` is taken from their class_id.
 
     Arandjelovic, Zisserman, "Three things everyone should know to improve object retrieval", 2012.
     """
@@ -88,7 +89,7 @@ def _sift(count: int) -> cv2.SIFT:
 
 
 def _orientations(gray: Bytes, uv: Float32, sigma: float) -> Float:
-    """Dominant gradient direction (N,), degrees in OpenCV's convention for keypoints."""
+    """Dominant gradient direction (N,) at uv, degrees in OpenCV's convention for keypoints."""
     if len(uv) == 0:
         return np.zeros(0)
     smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), sigma)

@@ -9,15 +9,16 @@ from calm_edge.evaluation.errors import EvaluationError
 
 
 def loaded(spec: str, method: str) -> Any:
-    """Return the factory's result, called without arguments; raises EvaluationError.
+    """Import MODULE, call FACTORY without arguments and return its result.
 
-    method: method that the result must have: `match`, `depth` or `describe`.
+    method: attribute that the result must have: `match`, `depth` or `describe`. Raises
+    EvaluationError.
     """
     module, _, factory = spec.partition(":")
     try:
         made = getattr(importlib.import_module(module), factory)()
     except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise EvaluationError(f"--ours {spec}: {error}; expected MODULE:FACTORY") from None
+        raise EvaluationError(f"--ours {spec}: {error}; give MODULE:FACTORY") from None
     if not hasattr(made, method):
-        raise EvaluationError(f"--ours {spec}: its result has no {method}()")
+        raise EvaluationError(f"--ours {spec}: the object it returns has no {method}()")
     return made

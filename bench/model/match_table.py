@@ -1,8 +1,8 @@
-"""Correspondences of the learned matcher and of classical ones, and the requirements on them.
+"""Correspondences of the learned matcher and of classical ones, with the requirements on them.
 
-Rendered drives give exact truth: of all query points visible in the other picture, the shares
-found within one and three pixels. The shipped model takes part where it is installed; another one
-is named by `--ours MODULE:FACTORY`.
+Rendered drives give the exact truth. Of all query points visible in the other picture, the shares
+found within one and three pixels are listed. The shipped model is measured if it is installed;
+`--ours MODULE:FACTORY` names another one.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from bench.paired import PairedRatio
 from bench.tables import Check, Table, publish
 from calm_edge.evaluation.errors import EvaluationError
 
-# Factor by which ours shall find more between eyes 20 degrees and twice the focal length apart.
+# Factor by which ours shall find more between eyes that differ by 20 degrees of roll and a factor
+# of two in focal length.
 HARD_GAIN = 1.5
-# Starts from SIFT matches and finds up to two thirds: ours shall only be better.
+# This matcher starts from SIFT matches and finds up to two thirds: here a factor of 1 suffices.
 HELPED = "KLT warped"
 
 
@@ -41,9 +42,10 @@ def table(
     out: Path,
     missing: str = "",
 ) -> Table:
-    """Measure on development or held-out drives; raises EvaluationError without any.
+    """Measure on development or held-out drives and make the table.
 
-    missing: a note on why ours is not measured.
+    only: names of drives, all if empty. missing: note on why our model is not measured. Raises
+    EvaluationError if nothing could be measured.
     """
     chosen = scenes.UNSEEN + scenes.HARD_UNSEEN if held_out else scenes.DEVELOPMENT + scenes.HARD
     unknown = set(only or ()) - {scene.name for scene in chosen}
@@ -76,7 +78,10 @@ def table(
 
 
 def requirements(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check, ...]:
-    """Ours against each other matcher: more found in all cases, more kept on degraded pictures."""
+    """Requirements on our model against each other matcher.
+
+    It finds more correct matches in all cases, and keeps more of them on degraded pictures.
+    """
     checks = []
     for case in dict.fromkeys(score.case for score in scores):
         for other in others:
@@ -93,7 +98,10 @@ def requirements(scores: Sequence[Score], others: Sequence[str]) -> tuple[Check,
 
 
 def ratio_check(what: str, ratio: PairedRatio | None, most: float) -> list[Check]:
-    """Requirement that the interval ends below 1 and the ratio is at most `most`."""
+    """Requirement that a ratio is at most `most` and its 95 % interval lies below 1.
+
+    Empty list without a ratio.
+    """
     if ratio is None or ratio.ratio is None or ratio.low is None or ratio.high is None:
         return []
     measured = f"{ratio.ratio:.3f} ({ratio.low:.3f} to {ratio.high:.3f}), {ratio.pairs} pairs"

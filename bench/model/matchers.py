@@ -1,4 +1,4 @@
-"""Classical matchers at given query points: SIFT, KLT, and KLT after a homography."""
+"""Classical matchers of given query points: SIFT, KLT, and KLT after a homography."""
 
 from __future__ import annotations
 
@@ -20,34 +20,35 @@ from calm_edge.types import Bytes, Float, Float32
 
 Bool = NDArray[np.bool_]
 
-# A query within this distance of a SIFT keypoint takes its scale and orientation.
+# A query point within this distance of a SIFT keypoint takes its scale and orientation.
 SAME_PX = 1.0
-# Candidates within this distance of the best are the same point; the ratio test skips them.
+# Candidates this near to the best one show the same point; the ratio test skips them.
 RIVAL_PX = 3.0
-# Number of best candidates searched for the second-best point of the ratio test.
+# Number of best candidates among which the ratio test seeks a second point.
 DEEP = 12
 MAX_KEYPOINTS, MAX_CORNERS = 4000, 1000
 KEPT_PICTURES = 4
 
 
 class SiftMatcher:
-    """RootSIFT and the ratio test, on SIFT keypoints and on corners at three scales.
+    """Match RootSIFT descriptors with the ratio test.
 
-    A query at a keypoint takes its scale and orientation. Any other query is described at three
-    scales, as are the corners of the other picture.
+    A query point at a SIFT keypoint takes its scale and orientation; any other is described at
+    three scales. Candidates in the other picture are its SIFT keypoints, and corners at three
+    scales.
     """
 
     def __init__(self) -> None:
         self._kept: OrderedDict[int, tuple[Bytes, described.Described]] = OrderedDict()
 
     def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
-        """See Matcher."""
+        """Find the query points in image_b, see Matcher."""
         query = self._queries(described.gray_of(image_a), query_uv)
         there = self._candidates(image_b)
         n = len(query_uv)
         uv_b, ratio = np.zeros((n, 2)), np.full(n, np.inf)
         if len(there.uv) > DEEP and len(query.uv):
-            # unit vectors: the squared distance is 2 - 2 likeness
+            # squared distance of unit vectors
             apart = 2 - 2 * (query.vector @ there.vector.T)
             near = np.argpartition(apart, DEEP, axis=1)[:, :DEEP]
             value = np.take_along_axis(apart, near, 1)
@@ -56,10 +57,11 @@ class SiftMatcher:
             value = np.maximum(np.take_along_axis(value, order, 1), 1e-9)
             at = there.uv[near]
             rival = np.linalg.norm(at - at[:, :1], axis=2) > RIVAL_PX
-            # no second point among them: the last one bounds its distance
+            # without a second point, the last candidate bounds its distance from below
             first = np.where(rival.any(1), rival.argmax(1), DEEP - 1)
             clear = value[:, 0] / value[np.arange(len(value)), first]
-            for row in clear.argsort()[::-1]:  # the best description of a query overwrites others
+            # worst first, so that the best description of a query point overwrites others
+            for row in clear.argsort()[::-1]:
                 uv_b[query.index[row]], ratio[query.index[row]] = at[row, 0], clear[row]
         return Matches(uv_b, ratio < RATIO**2, np.full(n, np.nan))
 
@@ -79,13 +81,16 @@ class SiftMatcher:
         return described.describe(gray, chosen)
 
     def _candidates(self, image: Bytes) -> described.Described:
-        """Descriptors of the other picture; the last few are cached, as pairs share pictures."""
+        """Describe the candidates in a picture.
+
+        The results of the last few pictures are cached, since several pairs share a picture.
+        """
         known = self._kept.get(id(image))
         if known is None or known[0] is not image:
             gray = described.gray_of(image)
             points = described.at_points(gray, described.corners(gray, MAX_CORNERS))
             found = described.describe(gray, [*described.keypoints(gray, MAX_KEYPOINTS), *points])
-            # the reference keeps the id from being reused
+            # holding the picture keeps its id from being reused
             known = self._kept[id(image)] = (image, found)
             while len(self._kept) > KEPT_PICTURES:
                 self._kept.popitem(last=False)
@@ -93,13 +98,13 @@ class SiftMatcher:
 
 
 class KltMatcher:
-    """Pyramidal Lucas-Kanade with a backward check, in the settings of bundle's tracks.
+    """Pyramidal Lucas-Kanade with a backward check, with the settings of bundle's tracks.
 
-    Two rounds: the second starts from the flow of neighbours found in the first.
+    A second round starts the points not found from the flow of their neighbours.
     """
 
     def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
-        """See Matcher."""
+        """Find the query points in image_b, see Matcher."""
         a, b = described.gray_of(image_a), described.gray_of(image_b)
         uv = np.asarray(query_uv, np.float32)
 
@@ -115,11 +120,12 @@ class KltMatcher:
 class WarpedKltMatcher:
     """Lucas-Kanade after a homography from SIFT matches, as bundle matches between the eyes.
 
-    The homography takes zoom and roll. Outliers to a fundamental matrix are dropped, as there.
+    The homography accounts for zoom and roll. Outliers to a fundamental matrix are dropped, as in
+    bundle.
     """
 
     def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
-        """See Matcher. None is found without enough SIFT matches."""
+        """Find the query points in image_b, see Matcher; none without enough SIFT matches."""
         a, b = described.gray_of(image_a), described.gray_of(image_b)
         uv, none = np.asarray(query_uv, np.float32), np.full(len(query_uv), np.nan)
         H_b_a = sift_homography(a, b) if len(uv) else None
@@ -135,7 +141,7 @@ class WarpedKltMatcher:
 
 
 def around(uv: Float32, flow: Float32, known: Bool) -> Float32:
-    """Median flow (N, 2) of the five known points nearest to each point; 0 without any."""
+    """Median flow (N, 2) of the five nearest known points, for each point; 0 if none is known."""
     if not known.any():
         return np.zeros_like(flow)
     k = min(5, int(known.sum()))

@@ -1,4 +1,4 @@
-"""The shipped model as a method to compare, unless another one is given by --ours."""
+"""The learned model to be compared: the shipped one, or another one given by --ours."""
 
 from __future__ import annotations
 
@@ -25,27 +25,32 @@ OURS = "ours"
 
 
 def add_arguments(parser: argparse.ArgumentParser, kind: str) -> None:
-    """Add the arguments that all comparisons of a learned `kind` with classical ones have."""
+    """Add the arguments common to all comparisons of a learned method with classical ones.
+
+    kind: of method, for the help text.
+    """
     parser.add_argument("--ours", metavar="MODULE:FACTORY", help=f"the learned {kind}")
-    parser.add_argument("--held-out", action="store_true", help="tracks nothing is tuned on")
+    parser.add_argument(
+        "--held-out", action="store_true", help="on tracks that were not used for tuning"
+    )
     parser.add_argument("--only", action="append", metavar="DRIVE")
     parser.add_argument("--out", type=Path, default=OUT)
 
 
 class ModelMatcher:
-    """Adapter of bundle's learned matching to Matcher."""
+    """Matcher that uses the learned matching of bundle."""
 
     def __init__(self, matching: LearnedMatching) -> None:
         self._matching = matching
 
     def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
-        """See Matcher; raises BackboneError."""
+        """Find the query points in image_b, see Matcher; raises BackboneError."""
         uv = np.asarray(query_uv, np.float32)
         found = self._matching.match(gray_of(image_a), gray_of(image_b), uv)
         return Matches(found.uv.astype(np.float64), found.sure, found.sigma_px.astype(np.float64))
 
 
-# lazy: classical methods run without ONNX Runtime
+# Imported on demand, so that the classical methods run without ONNX Runtime.
 def _matcher() -> ModelMatcher:
     from calm_edge.backbones.bundle import learned
 
@@ -58,14 +63,15 @@ def _place() -> LearnedPlace:
     return learned.place(MODEL)
 
 
-# By method name. The model has no depth of its own: its backbone uses the plane sweep.
+# By name of the method. The model computes no depth; its backbone uses the plane sweep.
 FACTORIES = {"match": _matcher, "depth": SweepDepth, "describe": _place}
 
 
 def contestant(spec: str | None, method: str) -> tuple[Any, str]:
-    """(ours, "") or (None, the reason why there is none); raises EvaluationError.
+    """Load the learned method to be compared: (method, ""), or (None, reason) if it is missing.
 
-    spec: MODULE:FACTORY, None for the shipped model. method: a key of FACTORIES.
+    spec: MODULE:FACTORY, None for the shipped model. method: a key of FACTORIES. Raises
+    EvaluationError.
     """
     if spec:
         return loaded(spec, method), ""

@@ -1,8 +1,8 @@
-"""Error and time of whole drives with and without the network.
+"""Error and time on whole drives, by `bundle` with and without the network.
 
-In lockstep, the same drives and seeds by `bundle` and by `bundle` with the network, in fp32 and
-int8: paired errors. In real time, both: seconds a window. Results are kept in
-build/eval/model_pipeline.json: a run of some updates these.
+Errors: lockstep runs of the same drives and seeds, the network in fp32 and int8, compared in pairs.
+Time: seconds per window in runs in real time. Results are kept in build/eval/model_pipeline.json; a
+run of some drives replaces only their results.
 """
 
 from __future__ import annotations
@@ -25,17 +25,18 @@ from calm_edge.backbones.onnx.precision import opened
 from calm_edge.config import BackboneConfig, Config
 
 COMMAND = "python -m bench model.pipeline"
-# Targets: error ratio, sigmas by which a drive may be worse, upper end of int8 over fp32.
+# Targets: error ratio, sigmas by which one drive may be worse, upper interval end of int8 / fp32.
 ASKED, WORSE_SIGMAS, INT8_END = 0.9, 2.0, 1.1
-# Target seconds of a window without depth, and of its depth.
+# Target seconds of a window without its depth, and of the depth.
 WINDOW_S, DEPTH_S = 0.8, 1.5
 
 
 def worst_drive(errors: Errors, reference: Errors) -> tuple[str, float] | None:
-    """The drive whose mean log ratio is the most sigmas above 0, and that number.
+    """Name of the drive on which a variant is worst, and by how many sigmas.
 
-    The sigma is pooled over all drives from the scatter between seeds; None if no drive has two
-    seeds. A drive that only the variant lost is infinitely worse.
+    By the mean log ratio of its errors to the reference. The sigma is pooled over all drives from
+    the scatter between seeds; None if no drive has two seeds. A drive lost by the variant alone
+    counts as infinitely worse.
     """
     logs: dict[str, list[float]] = {}
     for key in errors.keys() & reference.keys():
@@ -57,7 +58,7 @@ def worst_drive(errors: Errors, reference: Errors) -> tuple[str, float] | None:
 
 
 def ate_table(results: Mapping[str, Any]) -> Table:
-    """Paired errors and the requirements on them."""
+    """Table of error ratios, and the requirements on them."""
     plain, network, int8 = (runs.errors(results, v) for v in (runs.PLAIN, runs.NETWORK, runs.INT8))
     rows: list[tuple[Any, ...]] = []
     checks: list[Check] = []
@@ -113,7 +114,7 @@ def _shown(ratio: PairedRatio) -> str:
 
 
 def time_table(results: Mapping[str, Any]) -> Table:
-    """Seconds of a full window by stage, in real time, and the requirements on them."""
+    """Table of the seconds per full window by stage, in real time, and the requirements on them."""
     rows: list[tuple[Any, ...]] = []
     checks: list[Check] = []
     for variant in runs.TIMED:
@@ -181,7 +182,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and save the tables; return 1 if a requirement is not met.
+    """Run the drives, print and save the tables; return 1 if a requirement is not met.
 
     Without the network, print the reason and return 0.
     """

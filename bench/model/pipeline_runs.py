@@ -20,22 +20,22 @@ from calm_edge.recording.reader import Recording
 from calm_edge.types import CalmEdgeError, LocalizerUpdate
 
 RESULTS = "model_pipeline.json"
-# Name of the stage that computes depth; it is left out when there is no time for it.
+# Name of the stage that computes depth. It is skipped when there is no time for it.
 DEPTH_STAGE = "densify"
-# Share of frames dropped in runs other than seed 0; the solver's seed alone changes no result.
+# Share of frames dropped at seeds other than 0; the solver's seed alone does not vary the result.
 LOST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A configuration to record with. pace: of `record`."""
+    """A configuration for `record`: SECTION.KEY=VALUE settings, and its option --pace."""
 
     name: str
     settings: tuple[str, ...]
     pace: str = "lockstep"
 
     def options(self, seed: int) -> tuple[str, ...]:
-        """Options of `record`."""
+        """Options of `record` for this variant. seed: of the backbone."""
         settings = (*self.settings, f"backbone.seed={seed}")
         return ("--pace", self.pace, *(part for s in settings for part in ("--set", s)))
 
@@ -44,7 +44,7 @@ PLAIN = Variant("bundle", ("backbone.name=bundle",))
 _WITH = f"backbone.name=bundle:{MODEL}"
 NETWORK = Variant(f"bundle:{MODEL}", (_WITH, "backbone.precision=fp32"))
 INT8 = Variant(f"bundle:{MODEL} int8", (_WITH, "backbone.precision=int8"))
-# As a user runs it: in the precision that `model check` chose on this machine.
+# The precision is the one that `model check` chose for this machine, as for a user.
 TIMED = (
     Variant("bundle, real time", PLAIN.settings, "realtime"),
     Variant(f"bundle:{MODEL}, real time", (_WITH,), "realtime"),
@@ -53,7 +53,10 @@ TIMED = (
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A drive to record. options: of `record`. error: its error's key in `eval --json`."""
+    """A drive to record.
+
+    options: of `record`. error: key of the drive's error in `eval --json`.
+    """
 
     name: str
     prepare: Prepare
@@ -65,7 +68,10 @@ _REAL = ("karlsruhe", "karlsruhe_late", "kitti06")
 
 
 def _drives() -> dict[str, Drive]:
-    """Drives of `targets` and of `pixels`; the former win where names are equal."""
+    """Drives of the benches `targets` and `pixels`, by name.
+
+    A drive that both have is taken from `targets`.
+    """
     found = {}
     for case in (*pixel_cases.UNSEEN, *pixel_cases.CASES):
         error = "ate_sim3_m" if case.name in _REAL else "ate_se3_m"
@@ -73,7 +79,7 @@ def _drives() -> dict[str, Drive]:
         found[case.name] = Drive(case.name, case.loose, options, error)
     for row in targets.ROWS:
         if not row.twice:
-            # the scale of the real clips is inexact or not given
+            # the scale of the real clips is inexact or unknown
             error = "ate_sim3_m" if row.name in _REAL else "ate_se3_m"
             found[row.name] = Drive(row.name, row.prepare, row.options, error)
     return found
@@ -89,10 +95,10 @@ Results = dict[str, dict[str, dict[str, dict[str, Any]]]]
 
 
 def full_windows_s(updates: Iterable[LocalizerUpdate], most: int) -> list[dict[str, float]]:
-    """Seconds by stage of each full window, in its first solution.
+    """Seconds by stage of each full window when it was first solved.
 
-    most: number of primary, and of assistant, keyframes of a full window. The first one, which
-    overlaps with none, is left out.
+    most: number of keyframes of each eye in a full window. The first full window is left out, since
+    it overlaps with no earlier one.
     """
     found: dict[int, dict[str, float]] = {}
     for update in updates:
@@ -103,10 +109,10 @@ def full_windows_s(updates: Iterable[LocalizerUpdate], most: int) -> list[dict[s
 
 
 def run(drive: Drive, variant: Variant, seed: int, out: Path) -> dict[str, Any]:
-    """Figures of one run: `error_m`, None where the drive was lost, and `windows_s`.
+    """Record and evaluate one drive: `error_m` (None if the drive was lost) and `windows_s`.
 
-    Seed 0 is the whole drive; other seeds drop LOST of the frames of each eye at random. Without
-    figures the reason is under `skipped` or `failed`.
+    Seed 0 replays the whole drive; other seeds drop a share LOST of each eye's frames at random. If
+    there are no figures the reason is under `skipped` or `failed`.
     """
     work = out / "model_pipeline" / drive.name / variant.name.replace(":", "_")
     work.mkdir(parents=True, exist_ok=True)
@@ -133,7 +139,7 @@ def run(drive: Drive, variant: Variant, seed: int, out: Path) -> dict[str, Any]:
 
 
 def read_results(file: Path) -> Results:
-    """Results of earlier runs, empty without any; raises EvaluationError."""
+    """Read the results of earlier runs, empty if there are none; raises EvaluationError."""
     if not file.is_file():
         return {}
     try:
@@ -144,7 +150,7 @@ def read_results(file: Path) -> Results:
 
 
 def run_all(drives: Sequence[Drive], variants: Sequence[Variant], seeds: int, out: Path) -> Results:
-    """Run all variants on each drive and seed in turn, keeping each result at once."""
+    """Run all variants on each drive and seed, writing each result to disk at once."""
     out.mkdir(parents=True, exist_ok=True)
     results = read_results(out / RESULTS)
     for drive in drives:
@@ -158,7 +164,7 @@ def run_all(drives: Sequence[Drive], variants: Sequence[Variant], seeds: int, ou
 
 
 def errors(results: Mapping[str, Any], variant: Variant) -> dict[tuple[str, int], float | None]:
-    """(drive, seed) -> error, None where the run failed; skipped runs are left out."""
+    """Errors by (drive, seed), None after a failure; skipped runs are left out."""
     return {
         (drive, int(seed)): figures.get("error_m")
         for drive, variants in results.items()

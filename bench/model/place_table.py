@@ -28,10 +28,10 @@ from calm_edge.loops.descriptor import GradientLayout, PlaceDescriptor
 from calm_edge.trajectories import read_kitti
 
 RIVAL = "SIFT-VLAD"
-# At one picture a second: a return comes after 20 s at least.
+# Minimum difference in pictures, one per second, between two visits of a place.
 MIN_GAP = 20
 TRAINING_PICTURES = 40
-# The returns of a drive are split into stretches, the pairs of the comparison.
+# The returns of a drive are split into this number of stretches, the pairs of the comparison.
 STRETCHES = 6
 
 
@@ -42,14 +42,14 @@ def _laps(track: str, frames: int, seed: int) -> Prepare:
 
 DEVELOPMENT = {"g-track-1": _laps("g-track-1", 290, 31), "brondehach": _laps("brondehach", 600, 32)}
 UNSEEN = {"forza": _laps("forza", 800, 33), "e-track-6": _laps("e-track-6", 700, 34)}
-# The visual words are trained on another track.
+# Drive for training the visual words, on a track of its own.
 TRAINING = simulated("aalborg", "--track", "aalborg", "--frames", "600")
 
 
 def measured(folder: Path, descriptors: dict[str, PlaceDescriptor]) -> dict[str, NDArray[np.bool_]]:
-    """Whether each descriptor finds each of the R returns to a place, (R,) by name.
+    """For each descriptor, by name, the mask (R,) of returns to a place that it recognises.
 
-    Raises EvaluationError.
+    A return is a picture of a place visited earlier. Raises EvaluationError if there is none.
     """
     T_w_c = read_kitti(folder / "poses0.txt")
     images = [read_picture(file) for file in pictures(folder, 0)]
@@ -66,15 +66,15 @@ def measured(folder: Path, descriptors: dict[str, PlaceDescriptor]) -> dict[str,
 
 
 def requirements(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[Check, ...]:
-    """Check that ours finds more returns than RIVAL, paired over stretches; empty without ours.
+    """Requirement that ours recognises more returns than RIVAL; empty if ours is not measured.
 
-    found: results of `measured` by drive.
+    The comparison is paired over stretches of the drives. found: results of `measured` by drive.
     """
     recall: dict[str, dict[tuple[str, int], float | None]] = {OURS: {}, RIVAL: {}}
     for drive, by_name in found.items():
         for name in recall.keys() & by_name.keys():
             for k, stretch in enumerate(np.array_split(by_name[name], STRETCHES)):
-                # half a return counted as found and half as missed: no recall is 0, so ratios exist
+                # half a return added on both sides: no recall is 0, so ratios are finite
                 recall[name][drive, k] = float((stretch.sum() + 0.5) / (len(stretch) + 1))
     if not recall[OURS]:
         return ()

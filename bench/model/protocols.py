@@ -1,4 +1,4 @@
-"""Protocols of the methods compared: matchers and depth makers."""
+"""Interfaces of the methods compared: matchers and depth makers."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from calm_edge.types import Bytes, Float, Float32, Int
 class Matches:
     """Positions of N query points in the other picture.
 
-    uv_b: (N, 2) px, undefined where not found. found: (N,). sigma_px: (N,) one sigma per image
-    axis, NaN where the matcher gives none.
+    uv_b: (N, 2) px, undefined where not found. found: (N,). sigma_px: (N,) sigma per image axis,
+    NaN if the matcher gives none.
     """
 
     uv_b: Float
@@ -27,10 +27,13 @@ class Matches:
 
 
 class Matcher(Protocol):
-    """Finds given points of one picture in another; deterministic."""
+    """Finds given points of one picture in another one; deterministic."""
 
     def match(self, image_a: Bytes, image_b: Bytes, query_uv: Float) -> Matches:
-        """Match query_uv (N, 2) px of a. Pictures (H, W, 3) BGR may differ in size."""
+        """Find the points query_uv (N, 2) px of image_a in image_b.
+
+        Pictures (H, W, 3) BGR; they may differ in size.
+        """
         ...
 
 
@@ -45,10 +48,11 @@ class DepthMaker(Protocol):
         eyes: Int,
         reference: int,
     ) -> tuple[Float32, Float32]:
-        """z-depth (h, w), 0 unknown, in the poses' unit, and confidence (h, w), larger is better.
+        """Compute z-depth (h, w) and confidence (h, w) of the picture `reference`.
 
-        images: N of (H, W, 3) BGR, of one eye in order of time, then of the other. cameras: N.
-        T_w_c: (N, 4, 4). eyes: (N,). reference: index of the picture. h, w may be smaller than
-        the picture; pixel centres scale as in cv2.resize.
+        Depth is in the poses' unit, 0 if unknown; a larger confidence is better. h, w may be
+        smaller than the picture; pixel centres scale as in cv2.resize. images: N pictures (H, W, 3)
+        BGR, those of one eye in order of time, then those of the other. cameras: N. T_w_c: (N, 4,
+        4). eyes: (N,).
         """
         ...

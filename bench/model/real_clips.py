@@ -1,7 +1,7 @@
-"""Correspondences on real clips, by their distance from the true epipolar lines.
+"""Correspondences on real clips, measured by their distance from the true epipolar lines.
 
-Real clips have no true depth, so an error along the epipolar line stays unnoticed, and points that
-the other picture does not show cannot be excluded.
+Real clips have no true depth. So an error along the epipolar line is not noticed, and points that
+are invisible in the other picture cannot be excluded.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ THRESHOLDS_PX = (1.0, 3.0)
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """A rectified stereo clip. posed: its poses are accurate to a pixel."""
+    """A rectified stereo clip. posed: whether its poses are accurate to a pixel."""
 
     name: str
     spacing_m: float
     posed: bool
 
 
-# The poses of karlsruhe_town are those of an INS mounted at six degrees of pitch.
+# The poses of karlsruhe_town are those of its INS, which is mounted at six degrees of pitch.
 CLIPS = (
     Clip("kitti06_straight", 0.5372, posed=True),
     Clip("karlsruhe_town", 0.5712, posed=False),
@@ -52,7 +52,7 @@ CLIPS = (
 
 @dataclass(frozen=True, slots=True)
 class RealPair:
-    """Pictures a and b (H, W, 3) BGR with their true F (3, 3), `x_b^T F x_a = 0`."""
+    """Pictures a and b (H, W, 3) BGR and their true fundamental matrix F, `x_b^T F x_a = 0`."""
 
     case: str
     clip: str
@@ -64,10 +64,11 @@ class RealPair:
 
 @dataclass(frozen=True, slots=True)
 class LineScore:
-    """Result of a matcher on one pair.
+    """Result of one matcher on one pair.
 
-    within: numbers found within each of THRESHOLDS_PX of the line. error_px: median distance of
-    those within the last.
+    queries: number of query points. found: number reported as found. within: numbers found within
+    each of THRESHOLDS_PX of the epipolar line. error_px: median distance of those within the last
+    threshold.
     """
 
     matcher: str
@@ -80,12 +81,18 @@ class LineScore:
     error_px: float
 
     def share(self, threshold: int = 0) -> float:
-        """Share of the queries within a threshold, kept away from 0 and 1 so that ratios exist."""
+        """Share of query points within a threshold.
+
+        Half a query is added on both sides, to keep ratios finite.
+        """
         return (self.within[threshold] + 0.5) / (self.queries + 1)
 
 
 def line_distances(F: Float, uv_a: Float, uv_b: Float) -> Float:
-    """Distances (N,) px of matches (N, 2) from epipolar lines, the larger of both pictures."""
+    """Distances (N,) px of matches (N, 2) from their epipolar lines.
+
+    Of the distances in both pictures the larger one counts.
+    """
     x_a, x_b = epipolar.homogeneous(uv_a), epipolar.homogeneous(uv_b)
     lines_b, lines_a = x_a @ F.T, x_b @ F
     value = np.abs((x_b * lines_b).sum(1))
@@ -94,10 +101,13 @@ def line_distances(F: Float, uv_a: Float, uv_b: Float) -> Float:
 
 
 def pairs(clip: Clip, folder: Path) -> Iterator[RealPair]:
-    """Yield pairs of both eyes, and of keyframes if the clip is posed; raises CalmEdgeError."""
+    """Yield the picture pairs of a clip: both eyes, and keyframes if the clip is posed.
+
+    Raises CalmEdgeError.
+    """
     truth, sequence = read_truth(folder), SequenceFolder(folder)
     if truth.cameras is None:
-        raise EvaluationError(f"{folder}: no calib.txt")
+        raise EvaluationError(f"{folder}: no calib.txt, which holds the true cameras")
     T_p_a = np.eye(4)
     T_p_a[0, 3] = clip.spacing_m
     F_eyes = epipolar.from_motion(*truth.cameras, se3.inverse(T_p_a))
@@ -113,7 +123,7 @@ def pairs(clip: Clip, folder: Path) -> Iterator[RealPair]:
 
 
 def measure_pair(pair: RealPair, matchers: Mapping[str, Matcher]) -> list[LineScore]:
-    """Scores of all matchers at the same query points, half SIFT keypoints and half corners."""
+    """Score all matchers at the same query points, half of them SIFT keypoints, half corners."""
     uv = np.concatenate([points[:QUERIES] for points in candidates(pair.a, pair.place)])
     if len(uv) < MIN_QUERIES:
         return []
@@ -126,7 +136,7 @@ def measure_pair(pair: RealPair, matchers: Mapping[str, Matcher]) -> list[LineSc
 
 
 def judge(matches: Matches, uv: Float, F: Float) -> tuple[int, tuple[int, ...], float]:
-    """Compute found, within and error_px of LineScore for queries uv (N, 2) px."""
+    """Compute `found`, `within` and `error_px` of LineScore for query points uv (N, 2) px."""
     ok = matches.found
     off = line_distances(F, uv[ok], matches.uv_b[ok])
     near = off[off <= THRESHOLDS_PX[-1]]
@@ -141,7 +151,10 @@ COLUMNS = (
 
 
 def rows(scores: Sequence[LineScore]) -> list[tuple[Any, ...]]:
-    """One row per clip, case and matcher: shares over the queries of all pairs, percent."""
+    """Table rows, one for each clip, case and matcher.
+
+    Shares [percent] are over the query points of all pairs.
+    """
     out: list[tuple[Any, ...]] = []
     for clip, case, name in dict.fromkeys((s.clip, s.case, s.matcher) for s in scores):
         own = [s for s in scores if (s.clip, s.case, s.matcher) == (clip, case, name)]
@@ -157,7 +170,7 @@ def rows(scores: Sequence[LineScore]) -> list[tuple[Any, ...]]:
 
 
 def requirements(scores: Sequence[LineScore], others: Sequence[str]) -> tuple[Check, ...]:
-    """Ours finds more than each other matcher, in all cases and within both thresholds."""
+    """Requirement that ours finds more than each other matcher in all cases, at both thresholds."""
     checks = []
     for case in dict.fromkeys(score.case for score in scores):
         for other in others:
@@ -177,7 +190,7 @@ def requirements(scores: Sequence[LineScore], others: Sequence[str]) -> tuple[Ch
 
 
 def table(scores: Sequence[LineScore], notes: Sequence[str]) -> Table:
-    """Shares by clip and case, and the requirements where ours is measured."""
+    """Table of the shares by clip and case, with the requirements if ours is measured."""
     names = list(dict.fromkeys(score.matcher for score in scores))
     return Table(
         "53_model_real_clips",

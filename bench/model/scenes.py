@@ -1,4 +1,4 @@
-"""Picture pairs from rendered drives with their ground truth."""
+"""Picture pairs from rendered drives, with their ground truth."""
 
 from __future__ import annotations
 
@@ -20,14 +20,17 @@ from calm_edge.types import Bytes
 from device.frame import Eye, Frame
 
 GAPS = (1, 3, 8)
-# Places along a drive, and frames searched for the keyframes of GAPS.
+# Number of places along a drive; and of frames searched for the keyframes of GAPS.
 PLACES, HARD_PLACES = 5, 6
 SEARCHED = 60
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A drive to match on. hard: only between the eyes, which differ strongly in focal and roll."""
+    """A drive on which matchers are compared.
+
+    hard: match only between the eyes, which differ strongly in focal length and roll.
+    """
 
     name: str
     prepare: Prepare
@@ -36,7 +39,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One picture of a pair (H, W, 3) BGR, its truth, and a seed unique to the picture."""
+    """One picture of a pair, (H, W, 3) BGR, its truth, and a seed unique to it."""
 
     image: Bytes
     truth: PosedDepth
@@ -45,7 +48,10 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Query points are in a and searched for in b. place: index along the drive."""
+    """A picture pair. Query points lie in a and are searched for in b.
+
+    case: kind of pair. place: index of the pair's place along the drive.
+    """
 
     case: str
     scene: str
@@ -70,7 +76,7 @@ DEVELOPMENT = (
 )  # fmt: skip
 UNSEEN = tuple(Scene(drive.name, drive.loose) for drive in HELD_OUT)
 
-# Twice the focal length (90 and 53.13 degrees), and 20 degrees about an axis.
+# Focal lengths of ratio two (90 and 53.13 degrees), and 20 degrees about one axis.
 _TWICE = ["--frames", "60", "--hz", "4", "--hfov", "90", "53.13", "--rot-deg"]
 _TURNS = {"roll": "0 0 20", "yaw": "0 20 0"}
 
@@ -94,7 +100,10 @@ HARD_UNSEEN = (*_hard("forza", 800), *_hard("e-track-6", 800))
 def prepared(
     drives: Mapping[str, Prepare], only: Sequence[str] | None, out: Path, skipped: list[str]
 ) -> Iterator[tuple[str, Path]]:
-    """Names and folders of drives, all or those in `only`; why one is absent goes to `skipped`."""
+    """Prepare the drives and yield their names and folders.
+
+    only: names of drives, all if empty. Reasons why drives are missing are appended to `skipped`.
+    """
     for name, prepare in drives.items():
         if only and name not in only:
             continue
@@ -116,21 +125,21 @@ class Pictures:
         self._files = [pictures(folder, int(eye)) for eye in Eye]
 
     def side(self, eye: int, frame: int) -> Side:
-        """The picture of an eye and its truth."""
+        """Read the picture of an eye at a frame, with its truth."""
         image = read_picture(self._files[eye][frame])
         z = self._world.z_depth(eye, frame)
         truth = PosedDepth(self._cameras[eye], self._world.T_w_c[eye][frame], z)
         return Side(image, truth, 2 * frame + eye)
 
     def keyframes(self, start: int) -> list[int]:
-        """Frames that the front end selects as keyframes from `start` on, which is the first."""
+        """Frames that the front end selects as keyframes from `start` on; `start` is the first."""
         return keyframes(self.sequence, self._files[0], start)
 
 
 def keyframes(sequence: SequenceFolder, files: Sequence[Path], start: int) -> list[int]:
-    """Up to max(GAPS) + 1 primary frames that the front end selects as keyframes.
+    """Primary frames that the front end selects as keyframes from `start` on, up to max(GAPS) + 1.
 
-    The first is `start`. files: pictures of the primary.
+    `start` is the first. files: pictures of the primary.
     """
     selector = KeyframeSelector(FrontendConfig())
     t_ns, chosen = sequence.t_ns(Eye.PRIMARY), []
@@ -145,12 +154,12 @@ def keyframes(sequence: SequenceFolder, files: Sequence[Path], start: int) -> li
 
 
 def places(frames: int, count: int) -> list[int]:
-    """Indices of `count` frames spread over a drive of `frames`, away from its ends."""
+    """Indices of `count` frames spread evenly over a drive of `frames`, away from its ends."""
     return [int(k) for k in np.linspace(0.12, 0.85, count) * frames]
 
 
 def pairs(scene: Scene, folder: Path) -> Iterator[Pair]:
-    """Yield the pairs of a drive, place by place; raises EvaluationError."""
+    """Yield the pairs of a drive in order of place; raises EvaluationError."""
     drive = Pictures(folder)
     n = min(drive.sequence.count(eye) for eye in Eye)
     for place, frame in enumerate(places(n, HARD_PLACES if scene.hard else PLACES)):

@@ -1,7 +1,7 @@
-"""Exact depth of rendered drives, rendered again from their poses.
+"""Exact depth of rendered drives, by rendering again from their poses.
 
-`drive_sim.py` writes pictures and poses but no depth. `rig.json` holds its options and seed, from
-which the world and the pose of the first picture in it are built again.
+`drive_sim.py` writes pictures and poses but no depth. Its options and seed, stored in `rig.json`,
+suffice to rebuild the world and the pose of the first picture.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from calm_edge.types import Float, Float32
 from device.frame import Eye
 
 CACHE = "depth"
-# Step of the path's samples in the simulator.
+# Distance between the samples of the path in the simulator.
 STEP_M = 0.5
-# A path whose ends are within this distance is a circuit.
+# A path whose ends are nearer than this is a circuit.
 CLOSED_M = 150.0
 SAME_M = 1e-3
 
 
 def true_cameras(folder: Path) -> tuple[Camera, ...]:
-    """Cameras of a rendered drive, one per eye, with pixel centres at integers.
+    """Cameras of a rendered drive, one per eye, with pixel centres at integer coordinates.
 
-    The simulator counts the principal point from the picture's corner, half a pixel before the
+    The simulator's principal point is relative to the picture's corner, half a pixel before the
     centre of the first pixel.
     """
     rows = np.loadtxt(folder / "calib.txt", ndmin=2)
@@ -43,9 +43,9 @@ def true_cameras(folder: Path) -> tuple[Camera, ...]:
 
 
 class DriveWorld:
-    """World of one rendered drive; owns the renderer, created at first use.
+    """World of one rendered drive, with a renderer that is created at first use.
 
-    Depth is kept in `depth/` beside the drive.
+    Depth is cached in `depth/` in the folder of the drive.
     """
 
     def __init__(self, folder: Path, simulator: Path = SIMULATOR) -> None:
@@ -55,7 +55,7 @@ class DriveWorld:
         self._made: tuple[Any, Float, SimpleNamespace] | None = None
 
     def z_depth(self, eye: int, frame: int) -> Float32:
-        """z-depth (H, W) m at the pixel centres, 0 for sky; raises EvaluationError."""
+        """Z-depth (H, W) m at the pixel centres, 0 for sky; raises EvaluationError."""
         kept = self.folder / CACHE / f"cam{eye}" / f"{frame:06d}.npy"
         if kept.is_file():
             return np.asarray(np.load(kept), np.float32)
@@ -87,8 +87,8 @@ class DriveWorld:
             textures = [str(mesh.parent), *(str(root / "data" / d) for d in ("textures", "img"))]
             # one sample per pixel, at its centre
             renderer = tool.Renderer(triangles, textures, rig.width, rig.height, 1)
-        except Exception as error:  # whatever a graphics driver raises
-            raise EvaluationError(f"{self.folder}: no depth ({error})") from None
+        except Exception as error:  # a graphics driver may raise anything
+            raise EvaluationError(f"{self.folder}: depth cannot be rendered ({error})") from None
         path = tool.centreline(road)
         if rig.laps > 1 and np.linalg.norm(path[0] - path[-1]) < CLOSED_M:
             path = np.concatenate([path] * int(np.ceil(rig.laps)))
@@ -100,7 +100,7 @@ class DriveWorld:
         apart = (T_mesh_w @ self.T_w_c[0])[:, :3, 3] - T_mesh_c[:, :3, 3]
         if np.abs(apart).max() > SAME_M:
             raise EvaluationError(
-                f"{self.folder}: not made by this {self._simulator.name}; remove it"
+                f"{self.folder}: made by another version of {self._simulator.name}; remove it"
             )
         return renderer, np.asarray(T_mesh_w, np.float64), rig
 
@@ -110,17 +110,19 @@ def _rig(folder: Path) -> SimpleNamespace:
         return SimpleNamespace(**json.loads((folder / "rig.json").read_text()))
     except (OSError, ValueError, TypeError) as error:
         raise EvaluationError(
-            f"{folder / 'rig.json'}: no options of the simulator ({error})"
+            f"{folder / 'rig.json'}: not the simulator's options ({error})"
         ) from None
 
 
 def _module(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise EvaluationError(f"{path} is not here; depth of rendered drives needs it")
+        raise EvaluationError(f"{path}: missing; it is needed for the depth of rendered drives")
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except ImportError as error:
-        raise EvaluationError(f"{path}: {error}; depth of rendered drives needs it") from None
+        raise EvaluationError(
+            f"{path}: {error}; it is needed for the depth of rendered drives"
+        ) from None
     return module

@@ -13,17 +13,17 @@ from calm_edge.types import Float, Float32
 
 Bool = NDArray[np.bool_]
 
-# At a depth discontinuity the surface of a pixel is ambiguous. Inverse depth of a plane is linear
-# over the picture, so a second difference above this share marks a discontinuity.
+# At a depth discontinuity the surface of a pixel is ambiguous. The inverse depth of a plane is
+# linear over the picture, so a relative second difference above this marks a discontinuity.
 EDGE_SHARE = 0.02
-# A point is visible if the other picture's depth there agrees within this share.
+# A point is visible if its depth agrees with the other picture's depth within this share.
 VISIBLE_SHARE = 0.02
 MARGIN_PX = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class PosedDepth:
-    """camera, T_w_c (4, 4) m and z-depth (H, W) m of one picture, 0 for sky."""
+    """Truth of one picture: camera, T_w_c (4, 4) m, and z-depth (H, W) m, 0 for sky."""
 
     camera: Camera
     T_w_c: Float
@@ -31,9 +31,10 @@ class PosedDepth:
 
 
 def transfer(a: PosedDepth, b: PosedDepth, uv: Float) -> tuple[Float, Bool]:
-    """Positions (N, 2) px in b of pixels uv (N, 2) of a, and whether they are valid (N,).
+    """Transfer pixels uv (N, 2) of a to positions (N, 2) px in b.
 
-    Invalid: sky, depth discontinuities, points behind b, less than MARGIN_PX inside b, or occluded.
+    Also returns whether each is valid (N,). Invalid are sky, depth discontinuities, points behind b
+    or less than MARGIN_PX inside its picture, and occluded points.
     """
     zeta, safe = _inverse_depth(a.z, uv)
     known = safe & (zeta > 0)
@@ -50,7 +51,7 @@ def transfer(a: PosedDepth, b: PosedDepth, uv: Float) -> tuple[Float, Bool]:
 
 
 def _corners(zeta: Float, uv: Float) -> tuple[Float, Float]:
-    """The four samples (N, 4) around pixels (N, 2) and their bilinear weights (N, 4)."""
+    """The four samples (N, 4) around each of N pixels, and their bilinear weights (N, 4)."""
     height, width = zeta.shape
     low = np.clip(np.floor(uv).astype(np.int64), 0, [width - 2, height - 2])
     s, t = (uv - low).T
@@ -65,7 +66,7 @@ def _inverse(z: Float32) -> Float:
 
 
 def _inverse_depth(z: Float32, uv: Float) -> tuple[Float, Bool]:
-    """Inverse depth (N,) at pixels (N, 2), and whether their four neighbours are one surface."""
+    """Inverse depth (N,) at pixels (N, 2); also whether their four neighbours are one surface."""
     zeta = _inverse(z)
     bend: Float = np.zeros_like(zeta)
     bend[:, 1:-1] = np.abs(zeta[:, :-2] - 2 * zeta[:, 1:-1] + zeta[:, 2:])
@@ -77,7 +78,7 @@ def _inverse_depth(z: Float32, uv: Float) -> tuple[Float, Bool]:
 
 
 def _seen(z: Float32, uv: Float, zeta: Float) -> Bool:
-    """Whether points at pixels uv (N, 2) and inverse depth zeta (N,) are not occluded."""
+    """Whether points at pixels uv (N, 2) with inverse depth zeta (N,) are visible, not occluded."""
     four, weights = _corners(_inverse(z), uv)
     around = np.concatenate([four, (four * weights).sum(1, keepdims=True)], 1)
     off = np.abs(around - zeta[:, None]).min(1)

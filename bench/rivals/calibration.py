@@ -1,4 +1,4 @@
-"""Calibration given to a rival: the true one, or with one parameter wrong."""
+"""Calibration given to a rival: the true one, or one with a wrong parameter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from device.frame import Eye
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """cameras: one an eye. T_p_a: (4, 4) assistant->primary, metres. size: (w, h) px."""
+    """Calibration of a stereo rig.
+
+    cameras: one per eye. T_p_a: (4, 4) assistant -> primary, metres. size: (width, height) px.
+    """
 
     cameras: tuple[Camera, Camera]
     T_p_a: Float
@@ -31,7 +34,7 @@ class Calibration:
         return replace(self, cameras=(primary, assistant))
 
     def with_yaw(self, degrees: float) -> Calibration:
-        """Turn the assistant to the right by this angle."""
+        """Rotate the assistant to the right by an angle."""
         T = self.T_p_a.copy()
         T[:3, :3] = T[:3, :3] @ se3.so3_exp(np.array([0.0, np.radians(degrees), 0.0]))
         return replace(self, T_p_a=T)
@@ -40,16 +43,16 @@ class Calibration:
 def true_calibration(folder: Path, spacing_m: float | None = None) -> Calibration:
     """Calibration of a sequence folder from `calib.txt` and `poses1.txt`.
 
-    The rig is the mean of T_w_p(t1)^-1 T_w_a(t1) with the primary interpolated at the
-    assistant's stamps. Without `poses1.txt` the pictures are assumed rectified, `spacing_m` apart
-    along x. Raises EvaluationError without either.
+    The rig is the mean of T_w_p(t1)^-1 T_w_a(t1) over the assistant's stamps t1, with the primary's
+    poses interpolated. Without `poses1.txt` the pictures are assumed rectified, with cameras
+    `spacing_m` apart along x. Raises EvaluationError if neither is given.
     """
     truth, sequence = read_truth(folder), SequenceFolder(folder)
     if truth.cameras is None:
         raise EvaluationError(f"{folder / 'calib.txt'}: missing; a rival needs the calibration")
     size = sequence.size(Eye.PRIMARY)
     if sequence.size(Eye.ASSISTANT) != size:
-        raise EvaluationError(f"{folder}: the eyes differ in size; the rivals need equal sizes")
+        raise EvaluationError(f"{folder}: the pictures of both cameras must have the same size")
     if (folder / "poses1.txt").is_file():
         T_w_a = read_kitti(folder / "poses1.txt")
         t = sequence.t_ns(Eye.ASSISTANT)
@@ -58,16 +61,17 @@ def true_calibration(folder: Path, spacing_m: float | None = None) -> Calibratio
         T_w_p = se3.interpolate_at(seconds, truth.T_w_c, (t[inside] - truth.t_ns[0]) / 1e9)
         return Calibration(truth.cameras, se3.mean(se3.inverse(T_w_p) @ T_w_a[inside]), size)
     if spacing_m is None:
-        raise EvaluationError(f"{folder}: no poses1.txt and no spacing given: the rig is unknown")
+        raise EvaluationError(f"{folder}: no poses1.txt and no spacing, so the rig is unknown")
     T_p_a = np.eye(4)
     T_p_a[0, 3] = spacing_m
     return Calibration(truth.cameras, T_p_a, size)
 
 
 def nearest_pairs(t_primary: Int, t_assistant: Int, shift: int = 0) -> Int:
-    """Indices (N, 2) of primary frames and the nearest assistant frames plus `shift`.
+    """Indices (N, 2) of primary frames and of the assistant frames nearest in time.
 
-    t_primary (P,), t_assistant (A,): ns, sorted. Pairs beyond the assistant's stream are left out.
+    shift: added to the assistant's index. t_primary (P,), t_assistant (A,): ns, sorted. Pairs
+    outside the assistant's stream are left out.
     """
     right = np.clip(np.searchsorted(t_assistant, t_primary), 1, max(len(t_assistant) - 1, 1))
     right = np.minimum(right, len(t_assistant) - 1)

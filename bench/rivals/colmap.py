@@ -14,13 +14,13 @@ from device.frame import Eye
 PACKAGES = ("pycolmap==4.2.1", "numpy")
 SCRIPT = Path(__file__).with_name("colmap_process.py")
 
-# Frame distances matched within an eye, and half-width of the window matched in the other eye.
+# Distances in frames of the pictures matched within an eye; and between the eyes, the largest one.
 STEPS = (1, 2, 3, 5, 8)
 ACROSS = 2
 
 
 def picture_pairs(primary: Sequence[str], assistant: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Names of picture pairs to match, within each eye and between the eyes."""
+    """Yield the names of picture pairs to match, within each eye and between the eyes."""
     for names in (primary, assistant):
         for step in STEPS:
             yield from zip(names, names[step:], strict=False)
@@ -32,7 +32,7 @@ def picture_pairs(primary: Sequence[str], assistant: Sequence[str]) -> Iterator[
 def run(folder: Path, work: Path) -> RivalRun:
     """Run COLMAP on a sequence folder with one unknown focal length per eye.
 
-    Returns its largest model. Raises RivalMissing, EvaluationError.
+    Returns the poses of its largest model. Raises RivalMissing, EvaluationError.
     """
     folder = folder.resolve()
     python = environment("colmap", *PACKAGES)

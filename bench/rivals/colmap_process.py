@@ -1,4 +1,4 @@
-"""Child process that runs COLMAP on a job, by file name in COLMAP's environment."""
+"""Child process that runs COLMAP on a job; started by file name in COLMAP's environment."""
 
 import importlib
 import json
@@ -11,7 +11,11 @@ import numpy as np
 
 
 def main(job_file: str, answer: str) -> None:
-    """Run a job: `images` (folder with cam0/, cam1/), `pairs` (file), `work`, `names`, `t_ns`."""
+    """Run the job in job_file and write the result to `answer`.
+
+    Job: `images` (folder with cam0/, cam1/), `pairs` (file), `work` (folder), `names` and `t_ns` of
+    the primary pictures.
+    """
     job = json.loads(Path(job_file).read_text())
     colmap = importlib.import_module("pycolmap")
     colmap.set_random_seed(0)

@@ -26,16 +26,16 @@ RUN_LIMIT_S = 3 * 3600
 
 
 class RivalMissing(EvaluationError):
-    """A rival or its input is missing on this machine; its rows are skipped."""
+    """A rival or its input is missing on this machine, so its rows are skipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class RivalRun:
     """Result of a rival on a drive.
 
-    t_ns: (N,) stamps of the primary frames with a pose, on SequenceFolder's clock. T_w_c:
-    (N, 4, 4) camera -> world, any unit; of ORB-SLAM3's rectified camera. frames: number of input
-    frames. cpu_s: of all threads, without start-up.
+    t_ns: (N,) stamps of the primary frames with a pose, on SequenceFolder's clock. T_w_c: (N, 4,
+    4), any unit; of ORB-SLAM3, of its rectified camera. frames: number of input frames. cpu_s:
+    processor time of all threads, without start-up.
     """
 
     t_ns: Int
@@ -47,9 +47,9 @@ class RivalRun:
 
 
 def environment(name: str, *packages: str) -> Path:
-    """Python of the environment build/rivals/`name` with `packages`; raises RivalMissing.
+    """Make the Python environment build/rivals/`name` with `packages`; return its interpreter.
 
-    Made again only when the packages differ from those in its `ready` file.
+    An existing one is used again if its file `ready` lists the same packages. Raises RivalMissing.
     """
     folder = RIVALS / name
     python, ready = folder / "bin" / "python", folder / "ready"
@@ -75,10 +75,10 @@ def environment(name: str, *packages: str) -> Path:
 
 
 def run_process(python: Path, script: Path, job: Mapping[str, Any], work: Path) -> RivalRun:
-    """Run `script` on work/job.json and read its work/result.json.
+    """Run `script` on the job, written to work/job.json, and read its work/result.json.
 
-    result.json: `t_ns` [N], `T_w_c` [N][16] row-major, `frames`, `cpu_s`, `focal_px` [].
-    Raises EvaluationError without one.
+    result.json: `t_ns` [N], `T_w_c` [N][16] row-major, `frames`, `cpu_s`, `focal_px` []. Raises
+    EvaluationError if the file is missing.
     """
     work.mkdir(parents=True, exist_ok=True)
     answer = work / "result.json"
@@ -95,9 +95,9 @@ def run_process(python: Path, script: Path, job: Mapping[str, Any], work: Path) 
                 timeout=RUN_LIMIT_S,
             )
         except subprocess.TimeoutExpired:
-            raise EvaluationError(f"{script.stem}: not done after {RUN_LIMIT_S} s") from None
+            raise EvaluationError(f"{script.stem}: not finished after {RUN_LIMIT_S} s") from None
     wall_s = time.monotonic() - start
-    # a crash at shutdown, after the result is written, does not matter
+    # with a result, a crash at shutdown does not matter
     if not answer.is_file():
         raise EvaluationError(
             f"{script.stem}: exit {done.returncode} without a result; see {work / 'log.txt'}"

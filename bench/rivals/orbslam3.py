@@ -19,7 +19,7 @@ from device.frame import Eye
 PACKAGES = ("pyorbslam3==0.1.1", "numpy", "opencv-python-headless")
 SCRIPT = Path(__file__).with_name("orbslam3_process.py")
 
-# Values of its KITTI settings.
+# Values from ORB-SLAM3's settings for KITTI.
 _FEATURES = {
     "ORBextractor.nFeatures": 2000,
     "ORBextractor.scaleFactor": 1.2,
@@ -28,7 +28,7 @@ _FEATURES = {
     "ORBextractor.minThFAST": 7,
     "Stereo.ThDepth": 60.0,
 }
-# Required even without a viewer.
+# ORB-SLAM3 requires these even without a viewer.
 _VIEWER = {
     "KeyFrameSize": 0.05,
     "KeyFrameLineWidth": 1.0,
@@ -45,7 +45,7 @@ _VIEWER = {
 
 
 def settings(calibration: Calibration, rate_hz: float) -> str:
-    """Text of its settings file: two pinhole cameras and the rig, without loop closing."""
+    """Text of ORB-SLAM3's settings file: two pinhole cameras and the rig, without loop closing."""
     width, height = calibration.size
     lines = ["%YAML:1.0", 'File.version: "1.0"', 'Camera.type: "PinHole"']
     for eye, camera in enumerate(calibration.cameras, 1):
@@ -58,17 +58,17 @@ def settings(calibration: Calibration, rate_hz: float) -> str:
     lines += ["Stereo.T_c1_c2: !!opencv-matrix", "  rows: 4", "  cols: 4", "  dt: f"]
     lines += [f"  data: [{data}]"]
     lines += [f"{name}: {value}" for name, value in _FEATURES.items()]
-    # a vocabulary of one drive gives false loops, which can crash it
+    # the vocabulary of one drive gives false loops, which can crash ORB-SLAM3
     lines += ["loopClosing: 0"]
     lines += [f"Viewer.{name}: {value}" for name, value in _VIEWER.items()]
     return "\n".join(lines) + "\n"
 
 
 def run(folder: Path, calibration: Calibration, work: Path, shift: int = 0) -> RivalRun:
-    """Run ORB-SLAM3 on each primary frame with the assistant frame nearest in time.
+    """Run ORB-SLAM3 on each primary frame and the assistant frame nearest in time.
 
-    shift: frames by which the assistant's stream is off. Returns the final trajectory, after all
-    its corrections. Raises RivalMissing, EvaluationError.
+    shift: number of frames by which the assistant's stream is shifted. Returns the final
+    trajectory, after all corrections. Raises RivalMissing, EvaluationError.
     """
     folder = folder.resolve()
     python = environment("orbslam3", *PACKAGES)

@@ -1,4 +1,4 @@
-"""Child process that runs ORB-SLAM3 on a job, by file name in ORB-SLAM3's environment."""
+"""Child process that runs ORB-SLAM3 on a job; started by file name in ORB-SLAM3's environment."""
 
 import importlib
 import json
@@ -11,7 +11,11 @@ import numpy as np
 
 
 def main(job_file: str, answer: str) -> None:
-    """Run a job: `settings`, `vocabulary`, `pairs` [[left, right, t_ns], ...], `final`."""
+    """Run the job in job_file and write the result to `answer`.
+
+    Job: `settings`, `vocabulary` (files), `pairs` [[left, right, t_ns], ...], `final` (file for the
+    trajectory).
+    """
     job = json.loads(Path(job_file).read_text())
     orb = importlib.import_module("pyorbslam3")
     slam = orb.Slam(job["vocabulary"], job["settings"], orb.Sensor.STEREO, use_viewer=False)
@@ -40,7 +44,10 @@ def main(job_file: str, answer: str) -> None:
 
 
 def read_final(path: Path, stamps: list[int]) -> dict[int, np.ndarray]:
-    """Read rows `t_ns x y z qx qy qz qw`; stamps, rounded in seconds, become the nearest given."""
+    """Read trajectory rows `t_ns x y z qx qy qz qw` as {stamp: T_w_c}.
+
+    ORB-SLAM3 rounds stamps; each is replaced by the nearest of `stamps`.
+    """
     out: dict[int, np.ndarray] = {}
     known = np.array(stamps)
     for line in path.read_text().splitlines() if path.is_file() else ():

@@ -1,7 +1,8 @@
-"""Vocabulary tree of binary words in DBoW2's text format, from the frames of one drive.
+"""Vocabulary tree of binary words in DBoW2's text format, trained on frames of one drive.
 
-ORB-SLAM3 requires a vocabulary; its own of 139 MB is not in the pip package. That of one drive
-serves tracking (reference keyframes, relocalisation), not loop closing.
+ORB-SLAM3 requires a vocabulary, and the pip package does not contain the published one of 139 MB.
+One of a single drive suffices for tracking (reference keyframes, relocalisation), not for loop
+closing.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ FEATURES = 1000
 
 
 def describe(pictures: Sequence[Path], features: int = FEATURES) -> tuple[Bytes, Int]:
-    """ORB descriptors (M, 32) of the pictures, and the index of the picture of each (M,)."""
+    """ORB descriptors (M, 32) of pictures, and the index (M,) of the picture of each."""
     orb = cv2.ORB_create(nfeatures=features)  # type: ignore[attr-defined]
     rows, source = [], []
     for k, path in enumerate(pictures):
@@ -37,23 +38,27 @@ def describe(pictures: Sequence[Path], features: int = FEATURES) -> tuple[Bytes,
 
 
 def _split(bits: np.ndarray, rng_state: int) -> tuple[Bytes, Int]:
-    """Up to BRANCHES binary centres (k, 32) of bits (M, 256) in {0, 1}, and each row's centre."""
+    """Cluster descriptor bits (M, 256) in {0, 1} into up to BRANCHES binary centres (k, 32).
+
+    Also returns the centre's index of each row (M,).
+    """
     k = min(BRANCHES, len(bits))
     cv2.setRNGSeed(rng_state)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 10, 1e-3)
     centre_bits = cv2.kmeans(bits, k, None, stop, 1, cv2.KMEANS_PP_CENTERS)[2]  # type: ignore[call-overload]
     words = np.packbits(np.asarray(centre_bits) > 0.5, axis=1)
-    # assign rows to the nearest of the rounded centres, as ORB-SLAM3 will
+    # assign rows to the nearest of the rounded centres, as ORB-SLAM3 does
     distance = bits @ (1 - 2 * np.unpackbits(words, axis=1).astype(np.float32)).T
     distance += np.unpackbits(words, axis=1).sum(1)
     return words, distance.argmin(1)
 
 
 def grow(descriptors: Bytes, source: Int) -> str:
-    """Text of the tree: `k L scoring weighting`, then `parent leaf 32-bytes weight` per node.
+    """Text of the vocabulary tree: `k L scoring weighting`, then a line for each node.
 
-    descriptors: (M, 32). source: (M,) index of the picture. The weight of a word is its inverse
-    document frequency, log(pictures / pictures that contain it).
+    Node: `parent leaf 32-bytes weight`. descriptors: (M, 32). source: (M,) index of the picture.
+    The weight of a word is its inverse document frequency, log(pictures / pictures that contain
+    it).
     """
     bits = np.unpackbits(descriptors, axis=1).astype(np.float32)
     pictures = len(np.unique(source))
@@ -77,7 +82,10 @@ def grow(descriptors: Bytes, source: Int) -> str:
 
 
 def vocabulary_of(pictures: Sequence[Path], where: Path) -> Path:
-    """Write the vocabulary of FRAMES evenly spread pictures to `where`, unless it exists."""
+    """Write a vocabulary of FRAMES evenly spread pictures to `where`, unless it exists.
+
+    Returns `where`.
+    """
     if not where.is_file():
         some = [pictures[i] for i in np.linspace(0, len(pictures) - 1, FRAMES).astype(int)]
         where.parent.mkdir(parents=True, exist_ok=True)

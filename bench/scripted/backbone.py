@@ -1,4 +1,4 @@
-"""Backbone that computes predictions from ground truth with configured errors."""
+"""Backbone that computes its predictions from ground truth, with configured errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from calm_edge.types import Float32, Hints, Int, Prediction
 
 
 class ScriptedBackbone:
-    """Predictions of a scene under errors. Ignores images; all draws are seeded by the stamps."""
+    """Backbone with scripted predictions of a scene.
+
+    It ignores the images. All random values are seeded by the stamps.
+    """
 
     def __init__(self, scene: ScriptedScene, errors: ScriptedErrors | None = None) -> None:
         self._scene = scene
@@ -26,18 +29,19 @@ class ScriptedBackbone:
 
     @classmethod
     def from_config(cls, config: Config) -> ScriptedBackbone:
-        """Open `scripted:FOLDER` with poses0.txt and, if present, times0.txt and calib.txt.
+        """Read the ground truth in FOLDER of `scripted:FOLDER`; raises BackboneError.
 
-        Rig: T_p_a.txt (12 numbers, a KITTI row), or one unit to the right. Raises BackboneError.
+        Files: poses0.txt and, if present, times0.txt, calib.txt, and T_p_a.txt for the rig (12
+        numbers, a KITTI row). Without the latter the assistant is one unit to the right.
         """
         folder = config.backbone.name.partition(":")[2]
         if not folder:
-            raise BackboneError("backbone.name = 'scripted': name a folder, scripted:FOLDER")
+            raise BackboneError("backbone.name = 'scripted': no folder; give scripted:FOLDER")
         scene = read_scene(Path(folder), config)
         return cls(scene, ScriptedErrors(seed=config.backbone.seed))
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """Poses, cameras and landmarks, without depth; raises BackboneError."""
+        """Compute poses, cameras and landmarks of a batch, without depth; raises BackboneError."""
         return Batch(self._scene, self._errors, hints).prediction()
 
     def densify(
@@ -50,5 +54,5 @@ class ScriptedBackbone:
         return replace(prediction, depth=depth, confidence=confidence)
 
     def depth(self, hints: Hints, views: Int) -> tuple[Float32, Float32]:
-        """Depth and confidence (V, h, w) of some views of a batch, as `densify` gives them."""
+        """Depth and confidence (V, h, w) of the views with these indices, as in `densify`."""
         return Batch(self._scene, self._errors, hints).depth(views)

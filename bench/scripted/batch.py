@@ -1,4 +1,4 @@
-"""One batch of views: ground truth, its draw of errors, and the prediction from both."""
+"""One batch of views: its ground truth, its random errors, and the prediction from both."""
 
 from __future__ import annotations
 
@@ -15,20 +15,23 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
 
 DEPTH_STRIDE = 8
-# Cells of the feature grid: random positions in the cells on a street, their centres in a room.
+# Cells of the feature grid. A feature is at a random position of its cell on a street, and at its
+# centre in a room.
 _STREET_GRID, _ROOM_GRID = (5, 8), (6, 10)
-# A loop keyframe beyond this distance (world units) or angle shows another place.
+# Farther than this from all primary views, in world units or angle, a loop keyframe shows another
+# place.
 _SAME_PLACE, _SAME_WAY_RAD = 10.0, np.radians(60.0)
-# Sigma of its false pose relative to one of the batch's views.
+# Sigma of a false pose relative to a view of the batch: translation, rotation.
 _FALSE_TWIST = np.array([1.0, 0.2, 1.5, 0.02, 0.05, 0.02])
-# Minimum number of points shared with some view to place a loop keyframe.
+# Minimum number of points that a loop keyframe shares with one view, to be placed.
 _MIN_SHARED = 24
 
 
 def false_place(t_ns: int, n_primary: int) -> tuple[int, Float]:
-    """False pose of a picture of another place exposed at t_ns: view index and T_view_picture.
+    """Draw a false pose for a picture of another place, exposed at t_ns.
 
-    Shared with the scripted loop finder, for perceptual aliasing that affects both.
+    Returns a view's index and T_view_picture. The scripted loop finder also calls it, so that
+    perceptual aliasing misleads finder and backbone alike.
     """
     rng = np.random.default_rng([t_ns % (1 << 64), n_primary])
     view = int(rng.integers(n_primary))
@@ -36,7 +39,10 @@ def false_place(t_ns: int, n_primary: int) -> tuple[int, Float]:
 
 
 class Batch:
-    """Prediction for one batch of N views, determined by the hints."""
+    """Prediction for one batch of N views.
+
+    The hints determine it: they seed the random errors.
+    """
 
     def __init__(self, scene: ScriptedScene, errors: Errors, hints: Hints) -> None:
         self._scene, self._eyes, self._dials = scene, hints.eyes, errors.dials
@@ -73,13 +79,16 @@ class Batch:
         )
 
     def _bent(self) -> Float:
-        """Bend the path into an arc: half of each turn before the pose, half after."""
+        """Bend the path into an arc: turn each pose (N, 4, 4), half before and half after it."""
         half = np.zeros((len(self._eyes), 6))
         half[:, 4] = self._draw.bend / 2
         return np.asarray(se3.exp(half) @ self._T @ se3.exp(half))
 
     def depth(self, views: Int) -> tuple[Float32, Float32]:
-        """Depth and confidence (V, h, w) of some views at 1 / DEPTH_STRIDE of the image size."""
+        """Depth and confidence (V, h, w) of the views with these indices.
+
+        h, w: 1 / DEPTH_STRIDE of the picture's size.
+        """
         width, height = self._scene.size.min(0) // DEPTH_STRIDE
         small = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).reshape(-1, 2)
         out = np.zeros((2, len(views), height, width), np.float32)
@@ -94,7 +103,7 @@ class Batch:
         return out[0], out[1]
 
     def _depth_at(self, view: int, uv: Float) -> tuple[Float, Float]:
-        """z-depth (P,) of pixels (P, 2) in world units, 0 unknown, and confidence (P,)."""
+        """z-depth (P,) of pixels (P, 2), world units, 0 if unknown, and confidence (P,)."""
         one = slice(view, view + 1)
         (true,), (p_w,) = self._scene.surface(self._true[one], self._T_w_c[one], uv[None])
         known = np.isfinite(true)
@@ -114,7 +123,7 @@ class Batch:
         )
 
     def _place_false_loop(self) -> bool:
-        """Give a loop keyframe of another place a false pose; False if there is none."""
+        """Give a loop keyframe of another place a false pose; return whether there is one."""
         if not self._loop:
             return False
         rest = len(self._eyes) - 1
@@ -128,12 +137,12 @@ class Batch:
         return True
 
     def _sight(self) -> Sightings:
-        """Sightings of a grid of surface points of each view, in all views."""
+        """Project a grid of surface points of each view into all views."""
         scene, street = self._scene, self._scene.street is not None
         grid = _STREET_GRID if street else _ROOM_GRID
         uv = np.empty((len(self._eyes), grid[0] * grid[1], 2))
         for view, eye in enumerate(self._eyes):
-            # a picture has the same corners in every batch
+            # seeded by picture, so that it has the same corners in every batch
             seed = [int(self._t_ns[view]) % (1 << 64), int(eye)]
             jitter = np.random.default_rng(seed) if street else None
             width, height = scene.size[eye]
@@ -145,7 +154,7 @@ class Batch:
         return landmarks.sightings(p_w, seeded_by, self._true, self._T_w_c, self._size, zoom)
 
     def _poses(self) -> Float:
-        """T_s_c (N, 4, 4) in world units, before pose noise."""
+        """Poses T_s_c (N, 4, 4) in world units, before pose noise."""
         if not self._dials.coupled:
             return np.asarray(se3.inverse(self._T_w_c[0]) @ self._T_w_c)
         seen = rays(self._cameras, self._sightings.uv)
@@ -168,7 +177,7 @@ class Batch:
         return T if n == len(self._eyes) else np.concatenate([T, np.eye(4)[None]])
 
     def _landmarks(self) -> Landmarks:
-        """Landmarks: pixels with noise and outliers, and the model's points."""
+        """Landmarks with pixel noise and outliers, and with points from the predicted poses."""
         sightings, rng = self._sightings, self._draw.rng
         points, known = self._points()
         seen = sightings.seen & known
@@ -183,7 +192,7 @@ class Batch:
         return Landmarks(points[kept] * self._draw.scale, index, view, uv.astype(np.float32))
 
     def _points(self) -> tuple[Float, Bool]:
-        """Points (M, 3) of the sightings in the sub-map, world units, and whether each is known."""
+        """Points (M, 3) of the sightings in the sub-map, world units; also whether known (M,)."""
         sightings, draw = self._sightings, self._draw
         if not self._dials.coupled:
             points = se3.transform(se3.inverse(self._T_w_c[0]), sightings.p_w)

@@ -1,8 +1,8 @@
-"""Poses of a model with a wrong K: those with the least epipolar error under that K.
+"""Poses that a model with a wrong K predicts: those with the least epipolar error under it.
 
-Each primary view is solved relative to the previous one, a loop view relative to the view that
-shares most points with it; baseline lengths follow from the depths of points that neighbouring
-pairs share. Each assistant view is then solved against three primary views at once.
+Each primary view is solved relative to the previous one, and a loop view relative to the view that
+shares most points with it. Baseline lengths follow from depths of points that neighbouring pairs
+share. Each assistant view is then solved against three primary views at once.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 from device.frame import Eye
 
-# Matches of a pair of primary views, and of each of the three pairs of an assistant view.
+# Matches of each pair of primary views, and of each of the three pairs of an assistant view.
 MATCHES, _MATCHES_OF_THREE = 160, 80
 _MIN_MATCHES = 12
-# Distance in views of the first and last primary view an assistant view is solved against.
+# An assistant view is solved against the nearest primary view and those at this distance in views.
 _REACH = 2
 # Minimum baseline of a pair, world units.
 _MIN_STEP = 0.02
 
 
 class _Pairs(NamedTuple):
-    """Views a and b of each pair, and the parent: the pair that its baseline is relative to."""
+    """Pairs of views a and b. parent: index of the pair to which the baseline is relative."""
 
     a: Int
     b: Int
@@ -38,19 +38,19 @@ class _Pairs(NamedTuple):
 def poses(
     rays: Float, focals: Float, sightings: Sightings, T_w_c: Float, eyes: Int, t_ns: Int, n: int
 ) -> Float:
-    """T_s_c (N, 4, 4) that minimise the epipolar error of the sightings under wrong rays.
+    """Find T_s_c (N, 4, 4) that minimise the epipolar error of the sightings under a wrong K.
 
-    rays: (N, M, 3) pixels divided by the wrong K. focals: (N, 2) px of it. T_w_c: true poses, the
-    initial values; the path keeps their length. n: number of leading primary views. Raises
-    BackboneError.
+    rays: (N, M, 3) pixels back-projected by the wrong K. focals: (N, 2) px of it. T_w_c: true
+    poses, as initial values and for the length of the path. n: number of leading primary views.
+    Raises BackboneError.
     """
     if n < 2:
-        raise BackboneError("scripted: a batch needs two primary frames to have motion")
+        raise BackboneError("scripted: a batch needs at least 2 primary frames")
     pairs = _pairs(sightings, T_w_c, eyes, t_ns, n)
     T_b_a = se3.inverse(T_w_c[pairs.b]) @ T_w_c[pairs.a]
     true_step = np.linalg.norm(T_b_a[:, :3, 3], axis=1)
     if true_step.min() < _MIN_STEP:
-        raise BackboneError("scripted: two frames from one place show no direction of motion")
+        raise BackboneError("scripted: two frames to be matched have the same position")
     solved = epipolar.solve(T_b_a, _matches(pairs.a, pairs.b, rays, focals, sightings))
     ratio = _ratios(solved, pairs, rays, sightings)
     length = np.ones(len(ratio))
@@ -89,9 +89,9 @@ def _pairs(sightings: Sightings, T_w_c: Float, eyes: Int, t_ns: Int, n: int) -> 
 def _with_assistants(
     T: Float, n: int, rays: Float, focals: Float, sightings: Sightings, eyes: Int, t_ns: Int
 ) -> Float:
-    """Solve assistant views against several primary views at once, as multi-view models do.
+    """Solve each assistant view against several primary views at once, as multi-view models do.
 
-    Two views alone could explain a wrong ratio of their focals by a wrong motion.
+    With two views alone, a wrong motion could compensate for a wrong ratio of their focals.
     """
     (views,) = np.nonzero(eyes == Eye.ASSISTANT)
     if not len(views):
@@ -108,19 +108,19 @@ def _with_assistants(
 def _matches(
     a: Int, b: Int, rays: Float, focals: Float, sightings: Sightings, most: int = MATCHES
 ) -> epipolar.Matches:
-    """Common matches of views a (P,) and b (P,); raises BackboneError where they are too few."""
+    """Common matches of views a (P,) and b (P,); raises BackboneError if they are too few."""
     index, weight = _some(sightings.seen[a] & sightings.seen[b], most)
     x_a, x_b = rays[a[:, None], index], rays[b[:, None], index]
     return epipolar.Matches(x_a, x_b, focals[a], focals[b], weight)
 
 
 def _some(mask: Bool, most: int = MATCHES) -> tuple[Int, Float]:
-    """Up to `most` random columns of each row of a mask (P, M): indices and weights (P, C).
+    """Choose up to `most` random columns in each row of a mask (P, M): indices, weights (P, C).
 
-    Raises BackboneError where a row has too few.
+    Raises BackboneError if a row has too few.
     """
     if mask.sum(1).min() < _MIN_MATCHES:
-        raise BackboneError("scripted: two neighbouring frames share too little of the scene")
+        raise BackboneError("scripted: two neighbouring frames have too few common points")
     shuffle = np.random.default_rng(0).permutation(mask.shape[1])
     order = np.argsort(~mask[:, shuffle], axis=1, kind="stable")[:, :most]
     index = shuffle[order]
@@ -128,15 +128,15 @@ def _some(mask: Bool, most: int = MATCHES) -> tuple[Int, Float]:
 
 
 def _ratios(solved: Float, pairs: _Pairs, rays: Float, sightings: Sightings) -> Float:
-    """Ratios (P,) of the baseline of each pair to its parent's, 1 for the first pair.
+    """Ratios (P,) of the baseline of each pair to that of its parent, 1 for the first pair.
 
-    Estimated from depths in the view that both share.
+    They follow from the depths of common points in the view that both pairs contain.
     """
     child = np.arange(1, len(pairs.a))
     parent = pairs.parent[child]
     shared = pairs.a[child]
-    # a step along the path shares its parent's b; the parent of an assistant or loop view is the
-    # step that starts at its view a, or else the last step
+    # The next step along the path has the parent's view b as its view a. The parent of an assistant
+    # or loop view is the step that starts at its view a, or else the last step.
     as_b = pairs.b[parent] == shared
     other = np.where(as_b, pairs.a[parent], pairs.b[parent])
     seen = sightings.seen
@@ -148,6 +148,8 @@ def _ratios(solved: Float, pairs: _Pairs, rays: Float, sightings: Sightings) -> 
     good = (near > 0) & (far > 0)
     weight *= np.where(good, np.minimum(parallax * near**2, parallax_parent * far**2), 0.0)
     if weight.sum(1).min() <= 0:
-        raise BackboneError("scripted: under this K no point lies in front of its views")
+        raise BackboneError(
+            "scripted: with this focal error no common point lies in front of both views"
+        )
     log_ratio = np.log(np.where(good, near / np.where(good, far, 1.0), 1.0))
     return np.concatenate([[1.0], np.exp(epipolar.weighted_median(log_ratio, weight))])

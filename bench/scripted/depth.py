@@ -1,4 +1,4 @@
-"""Depth of a model with a wrong K: true correspondences triangulated with its poses."""
+"""Depth that a model with a wrong K predicts: exact matches triangulated with its poses."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from bench.scripted import epipolar
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
-# Number of views, nearest in time, to triangulate each picture with.
+# Number of views with which each picture is triangulated.
 _PARTNERS = 4
-# Sigma of correspondences, and relative depth error of confidence one half.
+# Sigma of correspondences, px; and the relative depth error at which confidence is one half.
 _MATCH_PX = 0.3
 _HALF_CONFIDENT = 0.1
 
 
 def partners(t_ns: Int) -> Int:
-    """Indices (N, P) of the views nearest in time to each of N views."""
+    """Indices (N, P) of the views nearest in time to each of N views, for triangulation."""
     apart = np.abs(t_ns[:, None] - t_ns).astype(np.float64)
     np.fill_diagonal(apart, np.inf)
     return np.argsort(apart, axis=1, kind="stable")[:, : min(_PARTNERS, len(t_ns) - 1)]
@@ -25,10 +25,10 @@ def partners(t_ns: Int) -> Int:
 def triangulated(
     T_s_v: Float, x_v: Float, T_s_o: Float, x_o: Float, weight: Float, focal: float
 ) -> tuple[Float, Float]:
-    """z-depth (M,) along rays x_v (M, 3) of a view, 0 unknown, and confidence (M,).
+    """Triangulate z-depth (M,), 0 if unknown, and confidence (M,) along rays x_v (M, 3) of a view.
 
-    T_s_v (4, 4), T_s_o (O, 4, 4): poses of the view and of O others. x_o: (O, M, 3) rays to the
-    same points. weight: (O, M), 0 where a point is not seen. focal: of the view, px.
+    T_s_v: (4, 4) pose of the view. T_s_o: (O, 4, 4) poses of O other views. x_o: (O, M, 3) their
+    rays to the same points. weight: (O, M), 0 where a point is not visible. focal: of the view, px.
     """
     inverse, information = epipolar.inverse_depth(se3.inverse(T_s_o) @ T_s_v, x_v[None], x_o)
     information = information * weight
@@ -41,7 +41,10 @@ def triangulated(
 
 
 def warp(at: Float, phases: Float) -> Float:
-    """Smooth values (...) in [-1, 1] at positions (..., 2) in the unit picture, by phases (3,)."""
+    """Smooth function with values (...) in [-1, 1], for the relative depth error in a picture.
+
+    at: (..., 2) positions in the unit square. phases: (3,) rad.
+    """
     x, y, z = phases
     return np.asarray(
         np.sin(2 * np.pi * at[..., 0] + x) * np.cos(np.pi * at[..., 1] + y) * np.sin(z)

@@ -1,7 +1,7 @@
-"""Relative poses from matches under a given K, many pairs at once.
+"""Relative poses from matches under a given K, for many pairs at once.
 
-Rays are pixels divided by K, (x, y, 1); p_b = R p_a + t, and x_b^T E x_a = 0 with E = [t]x R.
-Sampson distance: Hartley, Zisserman, "Multiple view geometry", 11.4.3.
+Rays are pixels back-projected by K, (x, y, 1); p_b = R p_a + t, and x_b^T E x_a = 0 with E = [t]x
+R. Sampson distance: Hartley, Zisserman, "Multiple view geometry", 11.4.3.
 """
 
 from __future__ import annotations
@@ -18,28 +18,29 @@ from calm_edge.types import Float, Int
 Bool = NDArray[np.bool_]
 
 _ITERATIONS = 40
-# Stop at this relative decrease of the cost, at this damping, or at this cost [px^2].
+# Stop at this relative decrease of the cost, or above this damping, or below this cost [px^2].
 _CONVERGED, _STUCK, _EXACT = 1e-9, 1e6, 1e-18
 _AXES = se3.hat(np.eye(3))
 
 
 def essential(T_b_a: Float) -> Float:
-    """E (..., 3, 3) of relative poses (..., 4, 4)."""
+    """Essential matrices E (..., 3, 3) of relative poses (..., 4, 4)."""
     return np.asarray(se3.hat(T_b_a[..., :3, 3]) @ T_b_a[..., :3, :3])
 
 
 def sampson(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> Float:
-    """Signed Sampson distances (P, C) [px] of matches (P, C, 3) to E (P, 3, 3).
+    """Signed Sampson distances (P, C) [px] of matches (P, C, 3) under E (P, 3, 3).
 
-    f_a, f_b: (P, 2) focal lengths of the rays, px.
+    f_a, f_b: (P, 2) focal lengths of the views, px.
     """
     return _residuals(E[:, None], x_a, x_b, f_a, f_b)[0]
 
 
 class Matches(NamedTuple):
-    """P pairs of views with up to C matches each.
+    """Matches of P pairs of views, up to C each.
 
-    x_a, x_b: (P, C, 3) rays. f_a, f_b: (P, 2) px. weight: (P, C), 0 for unused matches.
+    x_a, x_b: (P, C, 3) rays. f_a, f_b: (P, 2) focal lengths, px. weight: (P, C), 0 for unused
+    entries.
     """
 
     x_a: Float
@@ -49,14 +50,14 @@ class Matches(NamedTuple):
     weight: Float
 
     def of(self, rows: Int) -> Matches:
-        """Return some of the pairs."""
+        """Select pairs by index."""
         return Matches(*(field[rows] for field in self))
 
 
 def solve(T_b_a: Float, matches: Matches) -> Float:
-    """Relative poses (P, 4, 4) that minimise sum weight * sampson^2, with unit translations.
+    """Estimate relative poses (P, 4, 4) with unit translations.
 
-    T_b_a: (P, 4, 4) initial values. Pairs are independent, with five parameters each.
+    Each minimises sum weight * sampson^2 over five parameters. T_b_a: (P, 4, 4) initial values.
     """
 
     def linearised(T: Float, rows: Int) -> _Linear:
@@ -76,10 +77,11 @@ def solve(T_b_a: Float, matches: Matches) -> Float:
 
 
 def resect(T_b_s: Float, T_s_a: Float, matches: Matches) -> Float:
-    """Poses T_b_s (Q, 4, 4) that minimise the epipolar error against several views at once.
+    """Estimate poses T_b_s (Q, 4, 4) of views b, each against J views a at once.
 
-    T_s_a: (Q, J, 4, 4) fixed poses of those views. matches: Q * J pairs, J for each b. The scale
-    follows from the baselines between the views, or from the initial value if all are collinear.
+    Minimises the epipolar error. T_b_s: initial values. T_s_a: (Q, J, 4, 4) fixed poses of the
+    views a. matches: Q * J pairs, J for each b. The scale follows from the baselines between the
+    views a, or from the initial value if all are collinear.
     """
     J = T_s_a.shape[1]
 
@@ -103,7 +105,10 @@ def _descend(
     linearised: Callable[[Float, Int], _Linear],
     moved: Callable[[Float, Float], Float],
 ) -> Float:
-    """Levenberg-Marquardt on independent poses (P, 4, 4). linearised: normal equations of rows."""
+    """Minimise over independent poses (P, 4, 4) by Levenberg-Marquardt.
+
+    linearised: (poses, rows) -> normal equations. moved: (poses, steps) -> new poses.
+    """
     T, damping = np.array(start), np.full(len(start), 1e-4)
     going = np.arange(len(T))
     state = linearised(T, going)
@@ -123,7 +128,7 @@ def _descend(
 
 
 def inverse_depth(T_b_a: Float, x_a: Float, x_b: Float) -> tuple[Float, Float]:
-    """1 / z (..., C) in view a of matches (..., C, 3), and its information (..., C).
+    """Inverse depth (..., C) in view a of matches (..., C, 3), and its information (..., C).
 
     From x_b x (R x_a + t / z) = 0, linear in 1 / z. The least-squares value over several b is
     sum(information * value) / sum(information). T_b_a: (..., 4, 4).
@@ -136,7 +141,7 @@ def inverse_depth(T_b_a: Float, x_a: Float, x_b: Float) -> tuple[Float, Float]:
 
 
 def weighted_median(value: Float, weight: Float) -> Float:
-    """Weighted medians (P,) of rows (P, C); weights >= 0 with a positive sum."""
+    """Weighted median of each row of (P, C); weights >= 0 with a positive sum."""
     order = np.argsort(value, axis=1)
     value = np.take_along_axis(value, order, 1)
     share = np.cumsum(np.take_along_axis(weight, order, 1), axis=1)
@@ -166,7 +171,7 @@ class _Linear(NamedTuple):
     hessian: Float
 
     def step(self, damping: Float) -> Float:
-        """(P, k) Levenberg-Marquardt steps under damping (P,)."""
+        """Levenberg-Marquardt steps (P, k) with damping (P,)."""
         diagonal = np.einsum("pii->pi", self.hessian) + 1e-12
         eye = np.eye(diagonal.shape[1])
         A = self.hessian + (damping[:, None] * diagonal)[:, None] * eye
@@ -184,12 +189,12 @@ def _linear(slopes: Float, T_b_a: Float, matches: Matches) -> _Linear:
 
 
 def _chosen(mask: Bool, yes: Float, no: Float) -> Float:
-    """Select rows of (P, ...) by a mask (P,)."""
+    """Select rows of `yes` where mask (P,) is true, else of `no`; both (P, ...)."""
     return np.where(mask.reshape(-1, *[1] * (yes.ndim - 1)), yes, no)
 
 
 def _cross(a: Float, b: Float) -> Float:
-    """np.cross of (..., 3), several times faster on many short rows."""
+    """Cross product of vectors (..., 3), several times faster than np.cross on many short rows."""
     return np.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
@@ -201,7 +206,7 @@ def _cross(a: Float, b: Float) -> Float:
 
 
 def _tangent(t: Float) -> Float:
-    """Unit vectors (P, 2, 3) orthogonal to unit vectors t (P, 3)."""
+    """Two orthogonal unit vectors (P, 2, 3) that are orthogonal to unit vectors t (P, 3)."""
     helper = np.eye(3)[np.argmin(np.abs(t), axis=1)]
     first = _cross(t, helper)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Configured errors of scripted predictions, and the random values of one batch."""
+"""Configured errors of scripted predictions, and the random values of each batch."""
 
 from __future__ import annotations
 
@@ -10,27 +10,33 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, Int
 from device.frame import Eye
 
-# focal_factor: its limit in sharp turns, its scale [deg], and its mean over KITTI's eleven drives.
+# Of focal_factor: limit in sharp turns, scale [deg], and mean over the eleven drives of KITTI.
 _IN_TURNS, _TURN_DEG, _MEAN = 0.3, 10.0, 0.96
-# Correlation of both eyes' focal errors: matches between them fix the ratio to about a percent.
+# Correlation of the focal errors of both eyes: matches between them fix the ratio to about a
+# percent.
 _CORRELATION = 0.98
 
 
 @dataclass(frozen=True, slots=True)
 class ScriptedErrors:
-    """Sizes of the errors; lengths in world units.
+    """Sizes of the errors of scripted predictions; lengths in world units.
 
     Per drive: focal_bias_log_sigma, correlated between the eyes; scale_walk, sigma of the log raw
     scale after a path of 100.
+
     Per batch: scale_log_sigma, of the log raw units per world unit; focal_log_error, constant, one
-    per eye; focal_log_sigma, correlated between the eyes (this and the bias grow on straight roads,
-    see `focal_factor`); depth_drift, sigma of the log ratio of depth to poses from the first view
-    in time to the last; bend_sigma_rad, of the turn by which the path is bent into an arc.
-    Per view: rotation_sigma_rad, translation_sigma of the pose; depth_warp, amplitude of a smooth
-    relative depth error over the picture.
-    Per observation: match_sigma_px; outlier_share, uniform in the picture.
+    per eye; focal_log_sigma, correlated between the eyes; depth_drift, sigma of the log ratio of
+    depth to poses between the first view in time and the last; bend_sigma_rad, of the angle by
+    which the path is bent into an arc. The focal errors that are drawn grow on straight roads, see
+    `focal_factor`.
+
+    Per view: rotation_sigma_rad and translation_sigma of the pose; depth_warp, amplitude of a
+    smooth relative depth error over the picture.
+
+    Per observation: match_sigma_px; outlier_share, share of pixels drawn uniformly in the picture.
+
     coupled: poses minimise the epipolar error of exact matches under the wrong K, and depth is
-    triangulated from them; off, a wrong K changes nothing else.
+    triangulated from them. If false, the focal error changes neither poses nor depth.
     false_loop_matches: a loop keyframe of another place has matches that fit its false pose.
     """
 
@@ -53,11 +59,11 @@ class ScriptedErrors:
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """Values drawn for one batch of N views.
+    """Random values of one batch of N views.
 
-    scale: raw units per world unit. focal: (N,) log errors. twists: (N, 6) of the poses, world
-    units. bend: (N,) rad about the first view's y. phases: (N, 3) of the depth warp. depth: (N,)
-    log errors of depth relative to poses.
+    scale: raw units per world unit. focal: (N,) log errors. twists: (N, 6) errors of the poses,
+    world units. bend: (N,) rad about the y axis of the first view. phases: (N, 3) of the depth
+    warp. depth: (N,) log errors of depth relative to poses.
     """
 
     scale: float
@@ -70,7 +76,10 @@ class Draw:
 
 
 class Errors:
-    """Random errors of one drive: constant ones drawn once, the others drawn for each batch."""
+    """Random errors of one drive.
+
+    Errors constant over the drive are drawn once, the others for each batch.
+    """
 
     def __init__(self, dials: ScriptedErrors, t_ns: Int, T_w_p: Float) -> None:
         self.dials = dials
@@ -82,7 +91,7 @@ class Errors:
         self._walk = dials.scale_walk * np.concatenate([[0.0], walk])
 
     def draw(self, hints: Hints, T_w_c: Float) -> Draw:
-        """Draw the errors of views T_w_c (N, 4, 4); seeded by the stamps, hence repeatable."""
+        """Draw the errors of views T_w_c (N, 4, 4), seeded by the stamps and hence repeatable."""
         dials, n, eyes = self.dials, len(hints.t_ns), hints.eyes
         stamps = [int(t) % (1 << 64) for t in hints.t_ns]
         rng = np.random.default_rng([dials.seed, *stamps, *(int(e) for e in eyes)])
@@ -108,10 +117,10 @@ class Errors:
 
 
 def focal_factor(T_w_p: Float) -> float:
-    """Focal error of a batch of poses (N, 4, 4) relative to the mean batch of KITTI.
+    """Size of the focal error on poses (N, 4, 4) of a batch, relative to the mean on KITTI.
 
-    The focal is observable only in turns: 1.35 on a straight road, 0.5 in a turn of 40 degrees.
-    Assumed, not measured on a model.
+    A focal length is observable only in turns: the factor is 1.35 on a straight road and 0.5 in a
+    turn of 40 degrees. An assumption, not measured on a model.
     """
     turns = se3.so3_log(np.swapaxes(T_w_p[:-1, :3, :3], 1, 2) @ T_w_p[1:, :3, :3])
     degrees = float(np.degrees(np.linalg.norm(turns.sum(0))))
@@ -119,13 +128,13 @@ def focal_factor(T_w_p: Float) -> float:
 
 
 def _alike(rng: np.random.Generator) -> Float:
-    """Unit normal variables (2,) of both eyes, with correlation _CORRELATION."""
+    """Draw standard normal variables (2,), one per eye, with correlation _CORRELATION."""
     common, *own = rng.standard_normal(3)
     apart = np.sqrt(1 - _CORRELATION) * np.array(own)
     return np.asarray(np.sqrt(_CORRELATION) * common + apart)
 
 
 def _progress(t_ns: Int) -> Float:
-    """Progress (N,) in time: 0 at the first view, 1 at the last, clipped for a loop keyframe."""
+    """Time (N,) as a fraction: 0 at the first view, 1 at the last, clipped for a loop keyframe."""
     span = max(int(t_ns.max() - t_ns[0]), 1)
     return np.asarray(np.clip((t_ns - t_ns[0]) / span, 0.0, 1.0))

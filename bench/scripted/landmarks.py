@@ -14,7 +14,7 @@ from calm_edge.types import Float, Int
 
 Bool = NDArray[np.bool_]
 
-# Largest factor between the distances of a point in two views that match.
+# Largest ratio between the distances of a point in two views for which a matcher works.
 MAX_ZOOM = 2.5
 
 
@@ -22,8 +22,8 @@ MAX_ZOOM = 2.5
 class Sightings:
     """M surface points and their exact pixels in N views.
 
-    p_w: (M, 3) world units. seeded_by: (M,) view of the grid that the point comes from. uv:
-    (N, M, 2) px. depth: (N, M) z-depth. seen: (N, M) bool.
+    p_w: (M, 3) world units. seeded_by: (M,) index of the view whose grid contains the point. uv:
+    (N, M, 2) px. depth: (N, M) z-depth. seen: (N, M) whether visible.
     """
 
     p_w: Float
@@ -34,7 +34,7 @@ class Sightings:
 
 
 def project_all(cameras: Sequence[Camera], T_w_c: Float, p_w: Float) -> tuple[Float, Float]:
-    """Pixels (N, M, 2), depths (N, M) of points (M, 3) in N views, T_w_c (N, 4, 4)."""
+    """Project points (M, 3) into N views T_w_c (N, 4, 4): pixels (N, M, 2), z-depths (N, M)."""
     T_c_w = se3.inverse(T_w_c)
     p_c = p_w @ np.swapaxes(T_c_w[:, :3, :3], 1, 2) + T_c_w[:, None, :3, 3]
     uv = np.stack([camera.project(p) for camera, p in zip(cameras, p_c, strict=True)])
@@ -42,16 +42,17 @@ def project_all(cameras: Sequence[Camera], T_w_c: Float, p_w: Float) -> tuple[Fl
 
 
 def inside(uv: Float, size: Int) -> Bool:
-    """Whether (N, M) pixels (N, M, 2) are inside pictures of width, height (N, 2)."""
+    """Whether pixels (N, M, 2) lie inside the pictures of N views: (N, M). size: (N, 2) px."""
     return np.asarray((uv >= 0).all(-1) & (uv <= size[:, None] - 1).all(-1))
 
 
 def sightings(
     p_w: Float, seeded_by: Int, cameras: Sequence[Camera], T_w_c: Float, size: Int, max_zoom: float
 ) -> Sightings:
-    """Sightings of points (M, 3) in all views.
+    """Project points (M, 3) into all views and find where they are visible.
 
-    max_zoom: largest factor between the distance of a point and that from the view of its grid.
+    seeded_by: (M,) view whose grid contains the point. max_zoom: a point is visible only if its
+    distance differs by at most this factor from that in this view.
     """
     uv, depth = project_all(cameras, T_w_c, p_w)
     at_seed = depth[seeded_by, np.arange(len(p_w))]
@@ -63,7 +64,7 @@ def sightings(
 def grid_pixels(
     width: int, height: int, grid: tuple[int, int], jitter: np.random.Generator | None
 ) -> Float:
-    """Pixels (R * C, 2): the centres of the grid's cells, or random positions in them."""
+    """Pixels (R * C, 2) of a grid: the centres of its cells, or random positions in them."""
     rows, columns = grid
     v, u = np.mgrid[0:rows, 0:columns].astype(np.float64)
     place = 0.5 if jitter is None else jitter.uniform(0, 1, (2, rows, columns))

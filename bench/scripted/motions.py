@@ -1,4 +1,4 @@
-"""Motions on which a focal length is or is not observable, and the pixels a camera sees."""
+"""Motions on which a focal length is or is not observable, and the pixels that a camera sees."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ N_VIEWS = 15
 
 
 def motion(kind: str, n: int = N_VIEWS) -> Float:
-    """T_w_c (n, 4, 4) of a car whose rear axle moves 1 m per view; a leading - mirrors it.
+    """T_w_c (n, 4, 4) on a car with a rear axle that moves 1 m per view.
 
-    straight; tangent: an arc with the optical axis tangent to it; ahead: camera 1.5 m before the
-    axle; yawed: camera over the axle, yawed by 15 degrees; general: varying yaw and pitch.
+    kind: `straight`; `tangent`, an arc with the optical axis tangent to it; `ahead`, camera 1.5 m
+    in front of the axle; `yawed`, camera over the axle, yawed by 15 degrees; `general`, varying yaw
+    and pitch. A leading `-` mirrors the motion.
     """
     name, phase = kind.lstrip("-"), np.arange(n - 1) / 4
     yaw, pitch, mount, ahead = np.full(n - 1, np.radians(3.0)), np.zeros(n - 1), np.zeros(3), 0.0
@@ -40,7 +41,7 @@ def motion(kind: str, n: int = N_VIEWS) -> Float:
         assert name == "tangent"
     T = [np.eye(4)]
     for down, right in zip(pitch, yaw, strict=True):
-        # half the turn, the chord, the other half: the axle stays on its arc
+        # half of the turn before the step and half after it keep the axle on its arc
         half = se3.compose(se3.so3_exp(np.array([down / 2, right / 2, 0])), np.zeros(3))
         T.append(T[-1] @ half @ se3.compose(np.eye(3), np.array([0, 0, 1.0])) @ half)
     T_w_c = np.array(T) @ se3.compose(se3.so3_exp(mount), np.array([0, 0, ahead]))
@@ -57,7 +58,10 @@ def seen(
     outliers: float = 0.0,
     points: int = 1500,
 ) -> Landmarks:
-    """Pixels of points around the path in every view; a share `outliers` of them is uniform."""
+    """Pixels of random points around the path in every view.
+
+    outliers: share of pixels that are drawn uniformly in the picture.
+    """
     rng = np.random.default_rng(seed)
     p = rng.uniform([-18, -6, 3], [18, 1.6, 50], (points, 3))
     p[np.abs(p[:, 0]) < 4, 1] = 1.6
@@ -93,9 +97,9 @@ def group(
     noise_px: float = 0.3,
     outliers: float = 0.0,
 ) -> BankGroup:
-    """A group of one motion, its information computed at the guess.
+    """Test group of one motion, with its information computed at the guess.
 
-    guess, focal: px. off_px: the true principal point relative to the guessed one.
+    guess: focal length, px. off_px: offset of the true principal point from the guessed one.
     """
     cx, cy = CAMERA.cx + off_px[0], CAMERA.cy + off_px[1]
     camera = replace(CAMERA, fx=focal, fy=focal, cx=cx, cy=cy)

@@ -19,26 +19,26 @@ from device.frame import Eye
 
 @dataclass(frozen=True, slots=True)
 class Exposures:
-    """True exposure times t_ns (N,) of frames with stamps stamp_ns (N,), increasing."""
+    """True exposure times t_ns (N,) of frames, and their stamps stamp_ns (N,), increasing."""
 
     stamp_ns: Int
     t_ns: Int
 
     def at(self, stamp_ns: Int) -> Int:
-        """True times (M,) of stamps (M,); raises BackboneError for an unknown stamp."""
+        """True exposure times (M,) of stamps (M,); raises BackboneError for an unknown stamp."""
         place = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 0, len(self.stamp_ns) - 1)
         if np.any(self.stamp_ns[place] != stamp_ns):
-            raise BackboneError("scripted: a stamp belongs to no frame of the scripted drive")
+            raise BackboneError("scripted: a stamp is not that of any frame of the drive")
         return self.t_ns[place]
 
 
 @dataclass(frozen=True, slots=True)
 class ScriptedScene:
-    """The truth: t_ns (N,) and T_w_p (N, 4, 4) of the primary, N >= 2; T_p_a (4, 4).
+    """Ground truth of a scripted drive; lengths in world units.
 
-    cameras: one an eye. Lengths: world units. street: the world; None is a convex room, a ground
-    plane under the whole drive and a dome around it, where every surface point inside the image is
-    seen. exposures: of each eye, where stamps are not true.
+    t_ns: (N,), N >= 2. T_w_p: (N, 4, 4) of the primary. T_p_a: (4, 4). cameras: one per eye.
+    street: the world, or None for a convex room: a ground plane under the whole drive and a dome
+    around it, in which nothing is occluded. exposures: of each eye, None if the stamps are true.
     """
 
     t_ns: Int
@@ -50,7 +50,7 @@ class ScriptedScene:
 
     @property
     def size(self) -> Int:
-        """(2, 2) width, height [px] of each eye's pictures."""
+        """Width and height [px] of the pictures of each eye, (2, 2)."""
         return np.array([(camera.width, camera.height) for camera in self.cameras])
 
     def true_ns(self, hints: Hints) -> Int:
@@ -64,24 +64,32 @@ class ScriptedScene:
         return t_ns
 
     def T_w_c(self, eyes: Int, t_ns: Int) -> Float:
-        """Poses (N, 4, 4) of views within one frame gap of the drive; raises BackboneError."""
+        """Interpolate the poses (N, 4, 4) of views at t_ns (N,).
+
+        Up to one frame before and after the drive they are extrapolated; beyond, BackboneError is
+        raised.
+        """
         gap = np.diff(self.t_ns[[0, 1, -2, -1]])[[0, 2]]
         if t_ns.min() < self.t_ns[0] - gap[0] or t_ns.max() > self.t_ns[-1] + gap[1]:
-            raise BackboneError("scripted: a frame's stamp lies outside the scripted drive")
+            raise BackboneError("scripted: a frame's stamp lies outside the time of poses0.txt")
         start = self.t_ns[0]
         T_w_p = se3.interpolate_at(self.t_ns - start, self.T_w_p, (t_ns - start).astype(np.float64))
         return np.asarray(T_w_p @ np.stack([np.eye(4), self.T_p_a])[eyes])
 
     def depth(self, rays_w: Float, centre_w: Float) -> Float:
-        """Depth (...) along rays (..., 3) from centres (..., 3), in ray lengths; inf for sky."""
+        """Depth (...) along rays (..., 3) from centres (..., 3), in lengths of the ray.
+
+        inf where there is only sky.
+        """
         if self.street is not None:
             return self.street.depth(rays_w, centre_w)
         return self._room(rays_w, centre_w)
 
     def surface(self, cameras: Sequence[Camera], T_w_c: Float, uv: Float) -> tuple[Float, Float]:
-        """z-depths (N, P) of pixels (N, P, 2) of N views and their points (N, P, 3), world units.
+        """Find the surface points at pixels (N, P, 2) of N views T_w_c (N, 4, 4).
 
-        inf where there is no surface. T_w_c: (N, 4, 4).
+        Returns their z-depths (N, P), inf where there is no surface, and positions (N, P, 3), world
+        units.
         """
         rays_c = rays(cameras, uv)
         rays_w = rays_c @ np.swapaxes(T_w_c[:, :3, :3], 1, 2)
@@ -102,13 +110,13 @@ class ScriptedScene:
 
 
 def rays(cameras: Sequence[Camera], uv: Float) -> Float:
-    """Pixels (N, ..., 2) of N views -> (N, ..., 3) with z = 1."""
+    """Back-project pixels (N, ..., 2) of N views to rays (N, ..., 3) with z = 1."""
     ones = np.ones(uv.shape[1:-1])
     return np.stack([c.back_project(at, ones) for c, at in zip(cameras, uv, strict=True)])
 
 
 def read_rows(path: Path, columns: int) -> Float:
-    """Read a text table (N, columns); raises BackboneError."""
+    """Read a text table of numbers (N, columns); raises BackboneError."""
     try:
         rows = np.loadtxt(path, ndmin=2)
     except OSError as error:
@@ -121,13 +129,13 @@ def read_rows(path: Path, columns: int) -> Float:
 
 
 def read_poses(path: Path) -> Float:
-    """Read poses (N, 4, 4) from KITTI rows; raises BackboneError."""
+    """Read poses (N, 4, 4) from rows of a KITTI trajectory; raises BackboneError."""
     rows = read_rows(path, 12).reshape(-1, 3, 4)
     return se3.compose(rows[:, :, :3], rows[:, :, 3])
 
 
 def read_cameras(path: Path) -> tuple[Camera, Camera]:
-    """Each eye's camera of a sequence folder's calib.txt; raises BackboneError."""
+    """Read the camera of each eye from a sequence folder's calib.txt; raises BackboneError."""
     rows = read_rows(path, 6).tolist()
     primary, assistant = (Perspective(*row[:4], *map(int, row[4:])) for row in (rows[0], rows[-1]))
     return primary, assistant

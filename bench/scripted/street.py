@@ -1,7 +1,7 @@
-"""Street along a path: ground, facades at both sides, and sky above the roofs.
+"""Street along a path: ground, facades on both sides, and sky above the roofs.
 
-All surfaces are height or distance fields over the plane (x, z), in which rays are marched in a few
-steps (sphere tracing: Hart, 1996); crossing roads share their junction.
+All surfaces are height or distance fields over the plane (x, z). Rays are intersected with them in
+a few steps (sphere tracing: Hart, 1996). Crossing roads share their junction.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from calm_edge.types import Float, Float32
 
 CAMERA_HEIGHT_M = 1.65
 MAX_RANGE_M = 120.0
-# Grid step, and margin of the grid around the path, beyond all facades.
+# Size of a cell, and margin of the grid around the path, wide enough for all facades.
 _CELL_M = 1.0
 _MARGIN_M = 30.0
-# Ranges of the facades' distance from the path and of roof heights; both vary over _BLOCK_M.
+# Ranges of the distance of facades from the path and of roof heights, which vary over _BLOCK_M.
 _FACADE_M = (4.5, 13.0)
 _ROOF_M = (2.5, 9.0)
 _BLOCK_M = 8.0
-# Largest grade of the ground that a marching step allows for.
+# Largest slope of the ground for which a step of sphere tracing is safe.
 _GRADE = 0.3
 _STRIDES = 64
 _TOUCH_M = 0.01
@@ -30,10 +30,10 @@ _TOUCH_M = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Street:
-    """Fields (H, W) over cells of _CELL_M, rows along z: world units, y down.
+    """Height and distance fields (H, W) of a street, with cells of _CELL_M and rows along z.
 
-    origin: (2,) x and z of cell (0, 0). clear: signed distance to the nearest facade, negative
-    inside. ground, roof: y.
+    World units, y down. origin: (2,) x and z of cell (0, 0). clear: signed distance to the nearest
+    facade, negative inside. ground, roof: y coordinates.
     """
 
     origin: Float
@@ -58,7 +58,7 @@ class Street:
         inside = away < facade
         clear = ndimage.distance_transform_edt(inside, sampling=_CELL_M)
         clear -= ndimage.distance_transform_edt(~inside, sampling=_CELL_M)
-        # where the path crosses itself at another height, the ground stays below both cameras
+        # where the path crosses itself at another height, the ground stays below both levels
         ground = ndimage.maximum_filter(lowest[tuple(nearest)], int(7 / _CELL_M))
         ground = ndimage.gaussian_filter(ground, 2.0 / _CELL_M) + CAMERA_HEIGHT_M
         roof = ground - _varied(rng, (height, width), *_ROOF_M)
@@ -70,7 +70,7 @@ class Street:
         )
 
     def depth(self, rays_w: Float, centre_w: Float) -> Float:
-        """Depth (...) along rays (..., 3) from centres (..., 3), in ray lengths.
+        """Depth (...) along rays (..., 3) from centres (..., 3), in lengths of the ray.
 
         inf for sky and beyond MAX_RANGE_M.
         """
@@ -97,7 +97,7 @@ class Street:
         return out.reshape(rays_w.shape[:-1])
 
     def _at(self, field: Float32, p_w: Float) -> Float:
-        """Bilinear values (M,) of a field at points (M, 3), clamped at the border."""
+        """Interpolate a field bilinearly at points (M, 3), clamped at its border: (M,)."""
         height, width = field.shape
         x = np.clip((p_w[:, 0] - self.origin[0]) / _CELL_M, 0, width - 1.001)
         z = np.clip((p_w[:, 2] - self.origin[1]) / _CELL_M, 0, height - 1.001)
@@ -117,7 +117,7 @@ def _dense(p: Float) -> Float:
 
 
 def _varied(rng: np.random.Generator, shape: tuple[int, int], low: float, high: float) -> Float:
-    """Values (H, W) between low and high that vary smoothly over _BLOCK_M."""
+    """Random values (H, W) between low and high that vary smoothly over _BLOCK_M."""
     noise = ndimage.gaussian_filter(rng.standard_normal(shape), _BLOCK_M / _CELL_M, mode="wrap")
     share = 0.5 + 0.5 * np.tanh(noise / noise.std())
     return np.asarray(low + (high - low) * share)

@@ -88,7 +88,7 @@ def test_only_shared_runs_count_and_none_is_an_error() -> None:
     variant, reference = errors(5)
     some = {key: value for key, value in variant.items() if key[0] != "a"}
     assert paired.compare(some, reference).drives == 5
-    with pytest.raises(EvaluationError, match="share no drive"):
+    with pytest.raises(EvaluationError, match="same drive and seed"):
         paired.compare({("x", 0): 1.0}, reference)
 
 
