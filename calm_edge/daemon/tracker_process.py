@@ -30,7 +30,7 @@ from calm_edge.daemon.messages import (
 )
 from calm_edge.daemon.ring import RingReader
 from calm_edge.frontend.association import WindowBuilder, WindowError
-from calm_edge.frontend.half_size import MOST_PIXELS, halved
+from calm_edge.frontend.half_size import MAX_PIXELS, halved
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.frontend.tracker import CATCH_UP_NS, Tracker
 from calm_edge.recording.window_record import FrameKey, frame_key, of_window
@@ -121,7 +121,7 @@ class TrackerWork:
     def _gray(self, frame: Frame) -> Bytes:
         """Decode the image to grey, at half size if it is large."""
         gray = frame.gray(self._reduction)
-        reduction = 2 if gray.size * self._reduction**2 > MOST_PIXELS else 1
+        reduction = 2 if gray.size * self._reduction**2 > MAX_PIXELS else 1
         if reduction != self._reduction:
             self._reduction = reduction
             gray = frame.gray(reduction)
@@ -146,7 +146,7 @@ class TrackerWork:
             # before keyframe selection, which takes time: latency of the pose matters
             self._send(Posed(sample))
         keyframe = self._selector.consider(frame, gray)
-        self._tracker.prepare(keyframe.id if keyframe else None, in_haste=late)
+        self._tracker.prepare(keyframe.id if keyframe else None, behind=late)
         windows = self._builder.advance(frame.t_ns)
         if keyframe is not None:
             windows += self._builder.add_keyframe(keyframe)

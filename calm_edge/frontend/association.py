@@ -1,4 +1,4 @@
-"""Windows of keyframes from two streams, synchronous or not (paper IV-A)."""
+"""Build windows of keyframes from two image streams, synchronous or not (paper IV-A)."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ MIN_PAIRS = 3
 
 
 class WindowError(CalmEdgeError):
-    """The frontend section asks for windows that cannot be built."""
+    """The configured windows cannot be built."""
 
 
 def is_thin(window: SubmapWindow) -> bool:
-    """Fewer than MIN_PAIRS assistant keyframes: its scale rests on little or nothing."""
+    """Whether there are too few assistant keyframes (MIN_PAIRS) for a reliable scale."""
     return len(window.assistant) < MIN_PAIRS
 
 
 class WindowBuilder:
-    """Groups primary keyframes by N_max with N_overlap kept, each with its closest assistant frame.
+    """Groups N_max primary keyframes, N_overlap shared, with the closest assistant frames.
 
-    A keyframe's association is final once an assistant frame at or after its stamp has come, or the
-    primary stream is `max_pair_gap_s` past it; so it does not depend on which eye came first.
-    One assistant frame chosen by two keyframes is one assistant keyframe (de-duplication).
+    A keyframe is associated once there is an assistant frame at or after its stamp, or the primary
+    stream is `max_pair_gap_s` past it; so the result does not depend on the order of arrival. An
+    assistant frame associated with two keyframes is one assistant keyframe (de-duplication).
     """
 
     def __init__(
@@ -54,19 +54,19 @@ class WindowBuilder:
         self._last_assistant: Keyframe | None = None
 
     def add_assistant(self, frame: Frame) -> tuple[SubmapWindow, ...]:
-        """An assistant frame came; the windows it completes."""
+        """Add an assistant frame; returns the windows that it completes."""
         if self._seen and frame.t_ns <= self._seen[-1].t_ns:
             return ()
         self._seen.append(frame)
         return self._settle(self._open[0].frame.t_ns if self._open else frame.t_ns)
 
     def add_keyframe(self, keyframe: Keyframe) -> tuple[SubmapWindow, ...]:
-        """A primary keyframe was chosen; the windows it completes."""
+        """Add a primary keyframe; returns the windows that it completes."""
         self._open.append(keyframe)
         return self._settle(keyframe.frame.t_ns)
 
     def advance(self, t_ns: int) -> tuple[SubmapWindow, ...]:
-        """The primary stream reached t_ns; the windows that now wait no longer."""
+        """Advance the primary stream to t_ns; returns the windows that this completes."""
         return self._settle(t_ns)
 
     def held(self) -> Iterator[Frame]:
@@ -76,10 +76,10 @@ class WindowBuilder:
         yield from (keyframe.frame for keyframe in paired if keyframe is not None)
 
     def flush(self) -> tuple[SubmapWindow, ...]:
-        """The stream ended: every keyframe gets its window.
+        """End of the streams; returns the remaining windows.
 
-        One more window is made when at least one keyframe is in no window yet and two are known; it
-        reaches back to N_max / 2 + 1 primary keyframes, so that a short tail is still well posed.
+        The last one is built if there is a keyframe without a window, and at least two in all. It
+        has at least N_max / 2 + 1 primary keyframes if available, so that it is well conditioned.
         """
         while self._open:
             self._pair(self._open.popleft())
@@ -98,7 +98,7 @@ class WindowBuilder:
                 break
             self._pair(self._open.popleft())
         if not self._open:
-            # a later keyframe is stamped t_ns or later: keep what may still be its closest
+            # later keyframes have stamps of at least t_ns: keep what can still be the closest
             while len(self._seen) > 1 and self._seen[1].t_ns <= t_ns - self._gap_ns:
                 self._seen.popleft()
         return self._emit_full()
@@ -128,10 +128,10 @@ class WindowBuilder:
             self._paired += later
 
     def _next_size(self) -> tuple[int, int]:
-        """Primary keyframes of the next full window, and how many of them are new.
+        """Number of primary keyframes of the next full window, and how many of them are new.
 
-        A short first window gives the live pose its points seconds sooner; the second one holds it
-        whole, so that all windows from then on are those that there would have been without it.
+        A short first window provides points for the live pose seconds earlier. The second contains
+        it, so that all later windows are as without it.
         """
         n_max, early = self.config.n_max, self.config.first_window
         n_emitted = self._submap_id - self._first_submap_id
@@ -150,7 +150,7 @@ class WindowBuilder:
             tuple(assistant[i] for i in sorted(assistant)),
             n_primary - n_new,
         )
-        # the tail window may reach back further than N_overlap: keep what it could need
+        # the last window may overlap by more than N_overlap
         self._paired = self._paired[-self.config.n_max :]
         self._n_overlap = len(self._paired)
         self._submap_id += 1

@@ -1,4 +1,4 @@
-"""Pictures too large to track every one of are tracked at half their size."""
+"""Scale a sub-map to images of half the size, at which large images are tracked."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import LocalizerUpdate
 
-# corners and pyramids cost by the pixel: of 1280x720, thirty times a second, more than a core has
-MOST_PIXELS = 600_000
+# larger images are halved: tracking 1280x720 at 30 Hz takes more than one core
+MAX_PIXELS = 600_000
 
 
 def halved(update: LocalizerUpdate) -> LocalizerUpdate:
-    """The same sub-map as its pictures at half their size show it; poses stay."""
+    """Convert cameras and pixels to images of half the size; poses are unchanged."""
     submap, prediction = update.submap, update.prediction
     marks = prediction.landmarks
     if marks is not None:

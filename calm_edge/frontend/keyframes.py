@@ -1,4 +1,4 @@
-"""Keyframe selection by image disparity (paper IV-A): tau_flow at a reference width."""
+"""Select keyframes by image disparity (paper IV-A); tau_flow refers to a reference width."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from calm_edge.geometry.flow import corners, follow
 from calm_edge.types import Bytes, Float32, Keyframe
 from device.frame import Frame
 
-# Half of an open scene lies too far to show any parallax, so the mean is over the half that
-# moves most, less the largest tenth. A passing car cannot carry it: three quarters of the
-# tracks may stand still, but not more, at MOVING_SHARE of the threshold.
+# Half of an open scene is too far to have parallax: the mean is over the half of the tracks with
+# the largest disparity, without the largest tenth. Against other moving cars: this quantile of the
+# disparities has to exceed this share of the threshold.
 MOVING_HALF = (0.5, 0.9)
 MOVING_QUANTILE = 0.75
 MOVING_SHARE = 0.2
-# When the machine cannot follow, keyframes lie this many times as far apart.
+# factor on the distance of keyframes while the estimator is behind
 SPARSE_STRETCH = 2.0
-# Below this share of surviving tracks the scene has changed: a turn, or near ground rushing by.
+# A smaller share of surviving tracks (turns, near ground) gives a keyframe at once.
 SURVIVING_SHARE = 0.5
 MIN_TRACKS = 20
 CORNERS = 400
 
 
 def robust_mean(disparity: NDArray[np.floating]) -> float:
-    """Mean of the disparities (M,) px between the quantiles MOVING_HALF; 0 when empty."""
+    """Mean of the disparities (M,) px between the quantiles MOVING_HALF; 0 if empty."""
     if len(disparity) == 0:
         return 0.0
     low, high = (int(q * len(disparity)) for q in MOVING_HALF)
@@ -33,11 +33,10 @@ def robust_mean(disparity: NDArray[np.floating]) -> float:
 
 
 class KeyframeSelector:
-    """Chooses the primary frames worth reconstructing; owns the tracks since the last keyframe.
+    """Selects keyframes among the primary frames; owner of the tracks since the last one.
 
-    Tracks run frame to frame, so a motion larger than Lucas-Kanade's reach still accumulates. While
-    nothing moves the reference image stays the same one, so that noise cannot add up to motion.
-    sparse: keyframes come SPARSE_STRETCH times as far apart.
+    Tracking is from frame to frame, so that large motions accumulate. At standstill the reference
+    image is kept, so that noise does not. sparse: keyframes SPARSE_STRETCH times as far apart.
     """
 
     def __init__(self, config: FrontendConfig, first_id: int = 0) -> None:
@@ -51,11 +50,11 @@ class KeyframeSelector:
         self._uv: Float32 = self._at_keyframe
 
     def consider(self, frame: Frame, gray: Bytes) -> Keyframe | None:
-        """The frame as a Keyframe when it is one, else None. gray: its picture, (H, W) uint8."""
+        """Return the frame as a keyframe if it is selected. gray: its image, (H, W) uint8."""
         if self._reference is None or gray.shape != self._reference.shape:
             return self._accept(frame, gray)
         if self._n_detected < MIN_TRACKS:
-            # nothing to measure with (darkness, fog): start over from here
+            # too few tracks (darkness, fog): detect again
             self._detect(gray)
             return None
         moved, good = follow(self._reference, gray, self._uv)

@@ -1,4 +1,4 @@
-"""The points of a placed sub-map that a frame can be located against."""
+"""World points of a placed sub-map, for localising frames against it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calm_edge.geometry.camera import back_project_each
 from calm_edge.geometry.flow import corners
 from calm_edge.types import Bytes, Float, Float32, Int, LocalizerUpdate
 
-# Keyframes back from the newest whose own points are taken: older ones have left the view.
+# number of newest keyframes whose points are used; those of older ones are out of view
 RECENT_VIEWS = 4
 MIN_CONFIDENCE = 0.5
 CORNERS = 600
@@ -19,7 +19,7 @@ CORNERS = 600
 
 @dataclass(frozen=True, slots=True)
 class LandmarkCloud:
-    """p_w (M, 3) world units; uv (M, 2) px where each was last seen, in keyframe_id (M,)."""
+    """Points p_w (M, 3), world units, with their last observation uv (M, 2) in keyframe_id (M,)."""
 
     p_w: Float
     uv: Float32
@@ -29,9 +29,9 @@ class LandmarkCloud:
 def of_update(update: LocalizerUpdate, count: int, gray: Bytes | None = None) -> LandmarkCloud:
     """At most `count` points of the newest keyframes, newest first.
 
-    A point keeps its depth and is put on the ray of the view that saw it last, so that it agrees
-    with that view's rectified pose and camera. Without landmarks: corners of `gray` (H, W), the
-    newest primary keyframe, where its depth is confident.
+    Each is back-projected from its last observation at its depth, consistent with the rectified
+    pose and camera. Without landmarks: corners of `gray` (H, W), the image of the newest primary
+    keyframe, at pixels of confident depth.
     """
     submap, prediction = update.submap, update.prediction
     first = max(0, submap.n_primary - RECENT_VIEWS)
@@ -39,7 +39,7 @@ def of_update(update: LocalizerUpdate, count: int, gray: Bytes | None = None) ->
         marks = prediction.landmarks
         keep = (marks.view >= first) & (marks.view < submap.n_primary)
         index, view, uv = marks.index[keep], marks.view[keep], marks.uv[keep]
-        # newest view first, then the first row of each landmark
+        # sort by view, newest first, and take the first observation of each landmark
         order = np.lexsort((index, -view))
         index, view, uv = index[order], view[order], uv[order]
         _, once = np.unique(index, return_index=True)
@@ -61,7 +61,7 @@ def of_update(update: LocalizerUpdate, count: int, gray: Bytes | None = None) ->
 
 
 def _from_depth(update: LocalizerUpdate, gray: Bytes | None) -> tuple[Int, Float32, Float]:
-    """View, pixel and raw depth of corners of the newest primary view; empty without depth."""
+    """View, pixels and raw depth of corners in the newest primary view; empty without depth."""
     prediction, view = update.prediction, update.submap.n_primary - 1
     if prediction.depth is None or gray is None:
         return np.zeros(0, np.int64), np.zeros((0, 2), np.float32), np.zeros(0)

@@ -1,4 +1,4 @@
-"""What the tracker keeps from one frame to the next."""
+"""Past frames and current tracks of the tracker."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32
 
-# Frames are kept so that a sub-map that comes late can be followed from its keyframes to now.
-REMEMBERED_NS, MOST_REMEMBERED = 12_000_000_000, 360
+# Frames are kept for tracking a new sub-map from its keyframes to the newest frame.
+REMEMBERED_NS, MAX_REMEMBERED = 12_000_000_000, 360
 
 
 @dataclass(slots=True)
-class Past:
-    """A frame that was tracked: gray (H, W), T_m_c (4, 4) camera->map or None where it was lost.
+class PastFrame:
+    """A frame: gray (H, W), and T_m_c (4, 4) camera->map, None if it could not be localised.
 
-    keyframe_id: of the keyframe it became, or None.
+    keyframe_id: None if it is no keyframe.
     """
 
     t_ns: int
@@ -27,7 +27,7 @@ class Past:
 
 @dataclass(slots=True)
 class Tracks:
-    """Points followed: p_m (M, 3) map frame, uv (M, 2) px in the image `seen_in`."""
+    """Tracked points: p_m (M, 3) map frame, at pixels uv (M, 2) of the image `seen_in`."""
 
     camera: Camera
     p_m: Float
@@ -36,9 +36,9 @@ class Tracks:
 
 
 def spaced(t_ns: Sequence[int], since_ns: int, gap_ns: int) -> list[int]:
-    """Which of the times after since_ns lie gap_ns or more behind one another; the last always.
+    """Indices of times after since_ns that are at least gap_ns apart, and of the last one.
 
-    A camera of three times the rate shows no more by showing it oftener.
+    Bounds the number of frames to track, independently of the frame rate.
     """
     chosen, before = [], since_ns
     for i, t in enumerate(t_ns):

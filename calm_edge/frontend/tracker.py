@@ -1,7 +1,7 @@
-"""A pose for every primary frame against the newest sub-map's points: KLT + PnP.
+"""Live pose of every primary frame by KLT and PnP against the points of the newest sub-map.
 
-The world of its poses is smooth odometry: a new sub-map moves `T_map_odom`, never a pose
-(REP-105). Only after tracking was lost does the pose jump, and the epoch grows.
+The poses are continuous in an odometry frame: a new sub-map changes `T_map_odom` (ROS REP 105).
+Only after tracking was lost the pose jumps, and the epoch is incremented.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from calm_edge.config import FrontendConfig
 from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
-from calm_edge.frontend.remembered import MOST_REMEMBERED, REMEMBERED_NS, Past, Tracks, spaced
+from calm_edge.frontend.remembered import MAX_REMEMBERED, REMEMBERED_NS, PastFrame, Tracks, spaced
 from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
@@ -24,13 +24,14 @@ from calm_edge.geometry.pnp import PoseFit, locate, reprojection
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
 MIN_INLIERS, SAFE_INLIERS = 12, 80
-# From one frame to the next, at ten a second four and one: the tolerance is for their jitter.
+# Time between frames used for tracking a new sub-map to the newest frame, and when catching up:
+# four frames and one at 10 Hz, less a tolerance for jitter.
 HOP_NS, CATCH_UP_NS = 390_000_000, 90_000_000
-# Remembered frames tracked again with each new one: bounds what a late sub-map adds to latency.
-# Without a pose there is nothing to be late.
+# Past frames tracked per new frame while catching up: bounds the added latency. More are tracked
+# while there is no pose that could be delayed.
 CATCH_UP_FRAMES, CATCH_UP_FRAMES_LOST = 2, 3
 INLIER_PX = 3.0
-# of the logarithm of a length: beyond it the old track is not worth keeping
+# of log length between the old track and the new sub-map; beyond it the old track is dropped
 MAX_DISAGREEMENT = 0.2
 
 
@@ -44,23 +45,23 @@ class Tracker:
         self.lagging = False
         self._tracks: Tracks | None = None
         self._candidates = Candidates.none()
-        self._unripe: tuple[Bytes, Float] | None = None
-        self._past: deque[Past] = deque(maxlen=MOST_REMEMBERED)
+        self._pending: tuple[Bytes, Float] | None = None
+        self._past: deque[PastFrame] = deque(maxlen=MAX_REMEMBERED)
         self._path = RecentPath()
         self._ever_tracked = False
         self._follower: Tracker | None = None
         self._followed_ns = 0
 
     def track(self, t_ns: int, gray: Bytes) -> PoseSample:
-        """The pose of the frame exposed at t_ns; without a fresh track LOST, all NaN."""
+        """Pose of the frame exposed at t_ns; LOST and NaN if it cannot be localised."""
         guess = self._predict(t_ns)
         fit = self._follow(gray, guess)
         T_m_c = None if fit is None else fit.T_w_c
-        self._past.append(Past(t_ns, gray, None, T_m_c))
+        self._past.append(PastFrame(t_ns, gray, None, T_m_c))
         while t_ns - self._past[0].t_ns >= REMEMBERED_NS:
             self._past.popleft()
         if fit is None:
-            # a blurred frame or two may be bridged; after that the track is gone
+            # short gaps, e.g. blurred frames, are bridged
             if self._path and t_ns - self._path.newest_ns > self.config.lost_after_ms * 1e6:
                 self._tracks = None
                 self._candidates = Candidates.none()
@@ -82,25 +83,24 @@ class Tracker:
             twist_covariance=twist_covariance,
         )
 
-    def prepare(self, keyframe_id: int | None = None, *, in_haste: bool = False) -> None:
-        """What the next frame needs and this one's pose did not: call it when the pose has left.
+    def prepare(self, keyframe_id: int | None = None, *, behind: bool = False) -> None:
+        """Prepare for the next frame; call it after the pose has been published.
 
-        keyframe_id: of the frame just tracked, when it became a keyframe. in_haste: newer frames
-        wait.
+        keyframe_id: of the frame just tracked, if it is a keyframe. behind: newer frames wait.
         """
         self._past[-1].keyframe_id = keyframe_id
-        if self._unripe is not None and self._tracks is not None:
-            self._tracks = self._ripened(self._tracks, *self._unripe)
-        self._unripe = None
-        if not in_haste or self._tracks is None:
+        if self._pending is not None and self._tracks is not None:
+            self._tracks = self._triangulated(self._tracks, *self._pending)
+        self._pending = None
+        if not behind or self._tracks is None:
             self._advance_follower()
 
     def attach(self, update: LocalizerUpdate) -> bool:
-        """Takes over a new sub-map's points where its keyframes are remembered; False if it cannot.
+        """Switch to the points of a new sub-map; False if its keyframes are no longer kept.
 
-        The points are followed from their keyframes to the newest frame in hops. When that fails
-        the frames since are tracked again, a few with each frame to come, and the old points stay
-        until then: an old track is better than none, and is said to be LOST in time.
+        The points are tracked from their keyframes to the newest frame in hops of several frames.
+        If that fails, the frames since are tracked one by one, some with each new frame, and the
+        old points are used until then.
         """
         newest_id = update.submap.primary_ids[-1]
         place = {p.keyframe_id: i for i, p in enumerate(self._past) if p.keyframe_id is not None}
@@ -111,13 +111,13 @@ class Tracker:
         if not starts:
             return False
         camera = update.submap.cameras[update.submap.n_primary - 1]
-        born = np.array([place.get(i, -1) for i in cloud.keyframe_id.tolist()])
+        origin = np.array([place.get(i, -1) for i in cloud.keyframe_id.tolist()])
         known = {place[i]: T for i, T in T_w_c.items() if i in place}
-        p_m, uv, T_now, gray = self._bring_forward(camera, cloud.p_w, cloud.uv, born, known)
+        p_m, uv, T_now, gray = self._track_to_newest(camera, cloud.p_w, cloud.uv, origin, known)
         fit = locate(camera, p_m, uv, T_now, self._threshold(gray))
         if fit is None or fit.n_inliers < SAFE_INLIERS:
-            newest_born = born == starts[-1]
-            start = Tracks(camera, cloud.p_w[newest_born], cloud.uv[newest_born], gray)
+            newest_only = origin == starts[-1]
+            start = Tracks(camera, cloud.p_w[newest_only], cloud.uv[newest_only], gray)
             return self._catch_up(starts[-1], start, known)
         ratio = self._scale_ratio(starts[-1], known[starts[-1]], fit.T_w_c)
         self._follower = None
@@ -125,7 +125,7 @@ class Tracker:
         p_m, uv = p_m[fit.inlier], uv[fit.inlier]
         old = self._tracks
         if T_new_old is not None and ratio is not None and old is not None and old.seen_in is gray:
-            # what is already followed is still seen where it was: few new points may reach so far
+            # keep the points tracked so far: few of the new ones may reach the newest frame
             room = max(0, self.config.tracker_points - len(uv))
             centre = fit.T_w_c[:3, 3]
             followed = se3.transform(T_new_old, old.p_m[:room])
@@ -135,10 +135,10 @@ class Tracker:
         return True
 
     def _catch_up(self, keyframe: int, start: Tracks, known: dict[int, Float]) -> bool:
-        """Begins to track the remembered frames since a keyframe as if they came now.
+        """Begin to track the past frames since a keyframe one by one, in a second tracker.
 
-        Dearer than hops, but new points replace those that leave the view on the way. False where
-        one that already follows is nearer to now: begun again each time, none would ever arrive.
+        Slower than hops, but new points replace those that leave the view. False if a second
+        tracker is already nearer to the newest frame: restarted each time, none would finish.
         """
         first, running = self._past[keyframe], self._follower
         if running is not None and running._tracks is not None and self._followed_ns >= first.t_ns:
@@ -150,7 +150,7 @@ class Tracker:
         return True
 
     def _advance_follower(self) -> None:
-        """A few frames nearer to now; once it is there, it takes over."""
+        """Track some more frames; at the newest one the second tracker takes over."""
         follower = self._follower
         if follower is None:
             return
@@ -169,9 +169,9 @@ class Tracker:
                 self._tracks, self._candidates = follower._tracks, follower._candidates
 
     def _scale_ratio(self, keyframe: int, T_w_k: Float, T_w_c: Float) -> float | None:
-        """New lengths over old ones, from the way between a remembered keyframe and now.
+        """Ratio of new to old lengths, from the distance between a past keyframe and now.
 
-        None when the old track does not know that way, or disagrees by more than MAX_DISAGREEMENT.
+        None if the old track lacks either pose, or if they differ by more than MAX_DISAGREEMENT.
         """
         T_old_k, T_old_c = self._past[keyframe].T_m_c, self._past[-1].T_m_c
         if T_old_k is None or T_old_c is None:
@@ -197,14 +197,14 @@ class Tracker:
         fit = locate(tracks.camera, p_m, uv, T_predicted, self._threshold(gray))
         if fit is None or fit.n_inliers < MIN_INLIERS:
             return None
-        # while nothing moves the image tracked from stays, so that noise cannot become drift
+        # at standstill the image tracked from is kept, so that noise does not cause drift
         if np.median(step) >= self.config.standstill_px:
             self._tracks = Tracks(tracks.camera, p_m[fit.inlier], uv[fit.inlier], gray)
-            self._unripe = tracks.seen_in, fit.T_w_c
+            self._pending = tracks.seen_in, fit.T_w_c
         return fit
 
-    def _ripened(self, tracks: Tracks, previous: Bytes, T_m_c: Float) -> Tracks:
-        """The tracks and the candidates that became points; new candidates where there is room."""
+    def _triangulated(self, tracks: Tracks, previous: Bytes, T_m_c: Float) -> Tracks:
+        """Add triangulated candidates to the tracks, and detect new candidates if there is room."""
         self._candidates, p_m, uv = candidates.step(
             self._candidates, previous, tracks.seen_in, tracks.camera, T_m_c
         )
@@ -217,7 +217,7 @@ class Tracker:
         return Tracks(tracks.camera, p_m, uv, tracks.seen_in)
 
     def _guess(self, T_predicted: Float) -> Float32 | None:
-        """Where the tracks should be: their shift under the predicted motion, (M, 2) px."""
+        """Predicted pixels (M, 2) of the tracks, shifted by the predicted motion."""
         tracks, last = self._tracks, self._path.newest if self._path else None
         if tracks is None or last is None:
             return None
@@ -229,14 +229,14 @@ class Tracker:
         return np.asarray(tracks.uv + shift, np.float32)
 
     def _predict(self, t_ns: int) -> Float | None:
-        """The pose at t_ns at constant velocity, map frame."""
+        """Predicted pose at t_ns by constant velocity, map frame."""
         T_o_c = self._path.predict(t_ns)
         return None if T_o_c is None else np.asarray(self.T_map_odom @ T_o_c)
 
     def _switch(self, T_w_c: Float) -> Float | None:
-        """The newest frame has a pose in the new map: carry the odometry over to it.
+        """Switch to a new map, in which the newest frame has pose T_w_c.
 
-        Returns new map<-old map, None when the old track was lost.
+        Returns the transform old map->new map, None if tracking was lost.
         """
         newest, T_new_old = self._past[-1], None
         if newest.T_m_c is not None:
@@ -247,7 +247,7 @@ class Tracker:
             for past in self._past:
                 past.T_m_c = None if past.T_m_c is None else T_new_old @ past.T_m_c
         else:
-            # the odometry was cut: its frame stays where it was, and the pose jumps
+            # odometry was interrupted: T_map_odom is kept, and the pose jumps
             self.epoch += self._ever_tracked
             self._candidates = Candidates.none()
             for past in self._past:
@@ -258,16 +258,16 @@ class Tracker:
         self._ever_tracked = True
         return T_new_old
 
-    def _bring_forward(
-        self, camera: Camera, p_w: Float, uv: Float32, born: np.ndarray, known: dict[int, Float]
+    def _track_to_newest(
+        self, camera: Camera, p_w: Float, uv: Float32, origin: np.ndarray, known: dict[int, Float]
     ) -> tuple[Float, Float32, Float, Bytes]:
-        """Points (M, 3) seen at uv (M, 2) in remembered frame `born` (M,), followed to the newest.
+        """Track points (M, 3), observed at uv (M, 2) in past frame `origin` (M,), to the newest.
 
-        known: world poses of remembered keyframes. Returns the survivors' points and pixels, a
-        guess of the newest frame's pose, and its image.
+        known: world poses of past keyframes. Returns the remaining points and their pixels, the
+        predicted pose of the newest frame, and its image.
         """
         past, last = list(self._past), len(self._past) - 1
-        starts = sorted(set(born[born >= 0].tolist()))
+        starts = sorted(set(origin[origin >= 0].tolist()))
         times = [frame.t_ns for frame in past]
         stops = sorted({*starts, *spaced(times, times[starts[-1]], HOP_NS), last})
         alive = np.zeros((0,), np.int64)
@@ -276,7 +276,7 @@ class Tracker:
         T = known[stops[0]]
         for here, there in itertools.pairwise([*stops, last]):
             T = known.get(here, T)
-            fresh = np.flatnonzero(born == here)
+            fresh = np.flatnonzero(origin == here)
             alive, now = np.concatenate([alive, fresh]), np.concatenate([now, uv[fresh]])
             if here == there:
                 break
@@ -293,7 +293,7 @@ class Tracker:
         return p_w[alive], now, T, gray
 
     def _hops(self, here: int, there: int) -> list[tuple[int, int]]:
-        """Steps from one remembered frame to another: one leap where both poses are known."""
+        """Steps from one past frame to another: a single one if both poses are known."""
         past = self._past
         if past[here].T_m_c is not None and past[there].T_m_c is not None:
             return [(here, there)]

@@ -1,4 +1,4 @@
-"""How fast a camera moves and turns now, from where it was, and how surely that is known."""
+"""Velocity and turn rate of a camera from its recent poses, with their covariance."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _UNKNOWN = np.full((6, 6), np.nan)
 
 
 def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]:
-    """(6,) units/s and rad/s, and its covariance (6, 6), in the last camera's axes; NaN for one.
+    """Twist (6,) at the last stamp, units/s and rad/s, and its covariance (6, 6), camera axes.
 
-    From stamps (N,), poses (N, 4, 4) and their covariances (N, 6, 6) of (translation, rotation) in
-    their cameras' axes, held to be independent of each other. The slope of a parabola at its end:
-    a mean over the window would be half a window old. Where the poses are further from the
-    parabola than their own noise, on a bad road above all, that is in the covariance too; it is
-    NaN for up to three poses, which any parabola fits.
+    t_ns (N,), T_o_c (N, 4, 4), covariance (N, 6, 6) of (translation, rotation) in each camera's
+    axes; poses are taken as independent. The twist is the slope of a fitted parabola at its end: a
+    mean over the window would be delayed by half of it. Residuals beyond the noise of the poses, as
+    on a bad road, add to the covariance, which is NaN for up to three poses, where there are none.
+    The twist is NaN for a single pose.
     """
     if len(t_ns) < 2:
         return np.full(6, np.nan), np.full((6, 6), np.nan)
@@ -31,7 +31,7 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
     twist = weight @ moved
     J = np.zeros((len(t_ns), 6, 6))
     J[:, :3, :3] = J[:, 3:, 3:] = weight[:, None, None] * T_last_c[:, :3, :3]
-    # the velocity is told in the axes of a camera whose own rotation is uncertain
+    # the axes in which the velocity is given are uncertain themselves
     J[-1, :3, 3:] += se3.hat(twist[:3])
     total = np.einsum("nij,njk,nlk->il", J, covariance, J)
     total += np.diag(_misfit(powers, moved, covariance)) * (weight @ weight)
@@ -39,8 +39,8 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
 
 
 def _misfit(powers: Float, moved: Float, covariance: Float) -> Float:
-    """(6,) variances of moved (N, 6) about its fit beyond its noise, the same for the three axes of
-    translation and of rotation.
+    """Excess variances (6,) of moved (N, 6) about its fit over its noise, equal for the axes of
+    translation and for those of rotation.
     """
     spare = len(moved) - powers.shape[1]
     if spare < 1:
@@ -53,7 +53,7 @@ def _misfit(powers: Float, moved: Float, covariance: Float) -> Float:
 
 
 class RecentPath:
-    """Owner of a camera's poses of the last moments, T_o_c (4, 4) each."""
+    """Owner of the poses T_o_c (4, 4) of the last WINDOW_NS."""
 
     def __init__(self) -> None:
         self._rows: deque[tuple[int, Float, Float]] = deque()
@@ -70,23 +70,23 @@ class RecentPath:
         return self._rows[-1][1]
 
     def add(self, t_ns: int, T_o_c: Float, covariance: Float = _UNKNOWN) -> None:
-        """A pose, with its covariance (6, 6) where it was measured; old ones are forgotten."""
+        """Add a pose with its covariance (6, 6), if known, and drop old ones."""
         self._rows.append((t_ns, T_o_c, covariance))
         while len(self._rows) > 2 and t_ns - self._rows[1][0] >= WINDOW_NS:
             self._rows.popleft()
 
     def clear(self) -> None:
-        """Whatever was before has nothing to do with what comes."""
+        """Drop all poses."""
         self._rows.clear()
 
     def predict(self, t_ns: int) -> Float | None:
-        """(4, 4) at t_ns if the motion between the last two goes on; None without a pose."""
+        """Extrapolate the last two poses to t_ns, (4, 4); None without a pose."""
         if len(self._rows) < 2:
             return self.newest if self._rows else None
         (t_0, T_0, _), (t_1, T_1, _) = self._rows[-2], self._rows[-1]
         return se3.interpolate(T_0, T_1, (t_ns - t_0) / (t_1 - t_0))
 
     def twist(self) -> tuple[Float, Float]:
-        """`twist_now` of these poses."""
+        """`twist_now` of the poses."""
         stamps, poses, covariances = zip(*self._rows, strict=True)
         return twist_now(np.array(stamps, np.int64), np.stack(poses), np.stack(covariances))

@@ -44,7 +44,7 @@ def texture(seed: int = 0) -> Bytes:
 
 
 class PlaneWorld:
-    """The wall z = DEPTH, texture centred on the world's axis."""
+    """The wall z = DEPTH, with the texture centred on the z axis."""
 
     def __init__(self, seed: int = 0) -> None:
         self.texture = texture(seed)
@@ -80,7 +80,7 @@ class PlaneWorld:
         T_map_world: Float | None = None,
         with_depth: bool = False,
     ) -> LocalizerUpdate:
-        """What a perfect estimator says of keyframes `ids` at T_w_c (N, 4, 4).
+        """Update of a perfect estimator for keyframes `ids` at T_w_c (N, 4, 4).
 
         T_map_world: the estimator's world may lie elsewhere than ours.
         """
@@ -132,7 +132,7 @@ class PlaneWorld:
 
 
 def drive(n: int, step_m: float = 0.1, yaw_deg: float = 0.0) -> Float:
-    """(n, 4, 4) poses moving right along the wall and a little towards it, turning by yaw."""
+    """Poses (n, 4, 4) moving right along the wall and slightly towards it, turning by yaw."""
     i = np.arange(n)[:, None]
     xi = np.zeros((n, 6))
     xi[:, 0:1], xi[:, 2:3], xi[:, 4:5] = i * step_m, i * step_m * 0.3, np.radians(yaw_deg) * i

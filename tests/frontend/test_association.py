@@ -1,4 +1,4 @@
-"""Windows: who goes with whom, what overlaps, and that nothing is left out."""
+"""Windows: association, overlap and completeness."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run(
     return windows + list(builder.flush())
 
 
-def test_windows_overlap_and_hold_every_keyframe_once_as_new() -> None:
+def test_windows_overlap_and_contain_every_keyframe_once_as_new() -> None:
     windows = run(50)
     assert [w.submap_id for w in windows] == list(range(len(windows)))
     new = [k.id for w in windows for k in w.primary[w.n_overlap :]]
@@ -54,14 +54,14 @@ def test_windows_overlap_and_hold_every_keyframe_once_as_new() -> None:
     assert [w.n_overlap for w in windows[:-1]] == [0, 6, 3, 3]
 
 
-def test_the_early_window_leaves_all_others_as_they_would_be() -> None:
+def test_the_short_first_window_does_not_change_later_ones() -> None:
     early, without = run(50), run(50, first_window=15)
     assert [w.primary for w in early[1:]] == [w.primary for w in without]
     assert [w.assistant for w in early[1:]] == [w.assistant for w in without]
     assert early[0].primary == without[0].primary[:6] and early[1].n_overlap == 6
 
 
-def test_a_builder_goes_on_where_another_ended() -> None:
+def test_a_builder_continues_the_numbers_of_another() -> None:
     builder = WindowBuilder(FrontendConfig(n_max=4, n_overlap=1, first_window=3), 7, 30)
     windows: list[SubmapWindow] = []
     for i in range(6):
@@ -86,7 +86,7 @@ def test_every_association_is_the_closest_frame(n: int, offset: float, period: f
         assert [a.frame.t_ns for a in window.assistant] == wanted
 
 
-def test_synchronous_streams_pair_exactly_whatever_comes_first() -> None:
+def test_synchronous_streams_pair_exactly_in_any_order_of_arrival() -> None:
     builder = WindowBuilder(FrontendConfig(n_max=4, n_overlap=1))
     windows: list[SubmapWindow] = []
     for i in range(4):
@@ -115,7 +115,7 @@ def test_a_keyframe_waits_for_the_later_assistant_frame() -> None:
     assert [a.frame.t_ns for a in window.assistant] == [30 * MS, 130 * MS]
 
 
-def test_without_an_assistant_windows_still_come_and_are_thin() -> None:
+def test_without_an_assistant_windows_are_built_and_thin() -> None:
     builder = WindowBuilder(FrontendConfig(n_max=4, n_overlap=1))
     windows: list[SubmapWindow] = []
     for i in range(30):
@@ -130,11 +130,11 @@ def test_a_single_keyframe_makes_no_window_and_two_do() -> None:
     assert len(window.primary) == 2 and window.n_overlap == 0
 
 
-def test_a_short_tail_reaches_back_for_company() -> None:
+def test_a_short_last_window_overlaps_by_more() -> None:
     tail = run(16)[-1]
     assert len(tail.primary) == 8 and tail.n_overlap == 7
 
 
-def test_an_impossible_overlap_is_said() -> None:
+def test_an_impossible_overlap_raises() -> None:
     with pytest.raises(WindowError, match="n_overlap = 15"):
         WindowBuilder(FrontendConfig(n_overlap=15))

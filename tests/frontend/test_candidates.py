@@ -1,4 +1,4 @@
-"""Candidates become points exactly where they are, once the rays open enough."""
+"""Candidates are triangulated exactly, once the parallax suffices."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.frontend.plane_world import CAMERA, DEPTH, PlaneWorld, drive
 WORLD = PlaneWorld()
 
 
-def test_points_ripen_on_the_wall_and_not_before_the_rays_open() -> None:
+def test_points_are_triangulated_on_the_wall_once_there_is_parallax() -> None:
     poses = drive(12, 0.1)
     images = [WORLD.render(T) for T in poses]
     nothing = np.zeros((0, 2), np.float32)
@@ -29,7 +29,7 @@ def test_points_ripen_on_the_wall_and_not_before_the_rays_open() -> None:
     assert np.median(np.abs(points[:, 2] - DEPTH)) < 0.02 * DEPTH
 
 
-def test_new_corners_stay_away_from_what_is_taken() -> None:
+def test_new_corners_keep_a_distance_from_taken_pixels() -> None:
     T = drive(1)[0]
     image = WORLD.render(T)
     first = replenish(Candidates.none(), image, np.zeros((0, 2), np.float32), T, 60)

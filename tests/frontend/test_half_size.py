@@ -1,4 +1,4 @@
-"""A sub-map at half the size of its pictures is the same sub-map."""
+"""A sub-map scaled to half the image size is equivalent."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ IDS, STAMPS = (0, 1, 2), (10**9, 10**9 + 3 * 10**8, 10**9 + 6 * 10**8)
 
 
 def half_picture(gray: Bytes) -> Bytes:
-    """As the tracker's process decodes a camera's JPEG."""
+    """Decoded as in the tracker process."""
     jpeg = cv2.imencode(".jpg", gray, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
     return Frame(Eye.PRIMARY, 0, 1, jpeg).gray(2)
 
 
 @pytest.mark.parametrize("with_depth", [False, True])
-def test_its_points_are_where_they_were(with_depth: bool) -> None:
+def test_its_points_stay_in_place(with_depth: bool) -> None:
     poses = drive(7)
     update = WORLD.update(0, IDS, STAMPS, poses[[0, 3, 6]], with_depth=with_depth)
     gray = half_picture(WORLD.render(poses[6]))
     small = of_update(halved(update), 200, gray)
     assert len(small.p_w) > 50
-    # all of them lie on the wall, whatever pixel they were seen at
+    # all lie on the wall
     np.testing.assert_allclose(small.p_w[:, 2], 10.0, atol=0.02)
     if not with_depth:
         np.testing.assert_allclose(small.p_w, of_update(update, 200).p_w, atol=1e-4)
 
 
-def test_sigmas_are_of_the_small_picture() -> None:
+def test_sigmas_are_scaled() -> None:
     update = WORLD.update(0, IDS, STAMPS, drive(7)[[0, 3, 6]], with_depth=False)
     marks = update.prediction.landmarks
     assert marks is not None
@@ -51,7 +51,7 @@ def test_sigmas_are_of_the_small_picture() -> None:
     assert (small.sigma_px == 0.25).all()
 
 
-def test_tracked_at_half_the_size_the_pose_stays_true() -> None:
+def test_tracking_at_half_the_size_keeps_the_pose_accurate() -> None:
     poses = drive(20)
     tracker = Tracker(FrontendConfig())
     update = halved(WORLD.update(0, IDS, STAMPS, poses[[0, 3, 6]]))
@@ -68,7 +68,7 @@ def test_tracked_at_half_the_size_the_pose_stays_true() -> None:
 
 
 @pytest.mark.parametrize("reduction", [2, 8])
-def test_raw_pictures_shrink_as_jpeg_does(reduction: int) -> None:
+def test_raw_images_are_reduced_as_jpeg_ones(reduction: int) -> None:
     image = cv2.merge([cv2.GaussianBlur(WORLD.render(drive(1)[0]), (0, 0), 8)] * 3)
     jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
     raw = Frame(Eye.PRIMARY, 0, 1, image).gray(reduction).astype(float)

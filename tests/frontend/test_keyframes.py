@@ -29,7 +29,7 @@ def test_the_first_frame_is_keyframe_0() -> None:
     assert only.id == 0 and only.frame.sequence == 0
 
 
-def test_keyframes_come_when_the_disparity_passes_the_threshold() -> None:
+def test_keyframes_are_selected_at_the_disparity_threshold() -> None:
     step_m = 0.05
     a_frame_px = CAMERA.fx * step_m / DEPTH
     keyframes = select([WORLD.render(T) for T in drive(40, step_m)])
@@ -39,12 +39,12 @@ def test_keyframes_come_when_the_disparity_passes_the_threshold() -> None:
     assert len(gaps) >= 3 and np.abs(gaps - expected).max() <= 1
 
 
-def test_a_turn_that_loses_the_tracks_gives_keyframes() -> None:
+def test_a_turn_that_loses_tracks_gives_keyframes() -> None:
     keyframes = select([WORLD.render(T) for T in drive(8, 0.05, yaw_deg=12.0)])
     assert [k.frame.sequence for k in keyframes] == list(range(8))
 
 
-def test_standing_still_never_triggers_whatever_passes() -> None:
+def test_at_standstill_passing_objects_give_no_keyframe() -> None:
     rng = np.random.default_rng(0)
     still, other = WORLD.render(drive(1)[0]), PlaneWorld(1).render(drive(1)[0])
     images = []
@@ -56,13 +56,13 @@ def test_standing_still_never_triggers_whatever_passes() -> None:
     assert len(select(images)) == 1
 
 
-def test_slow_motion_gets_a_keyframe_by_time() -> None:
+def test_slow_motion_gives_a_keyframe_by_time() -> None:
     keyframes = select([WORLD.render(T) for T in drive(40, 0.01)])
     gaps = np.diff([k.frame.sequence for k in keyframes])
     assert len(gaps) and gaps.max() <= 20
 
 
-def test_darkness_gives_no_keyframes_and_light_starts_again() -> None:
+def test_darkness_gives_no_keyframes_and_light_does_again() -> None:
     dark = np.zeros_like(WORLD.render(drive(1)[0]))
     images = [dark] * 10 + [WORLD.render(T) for T in drive(20, 0.1)]
     sequences = [k.frame.sequence for k in select(images)]

@@ -1,4 +1,4 @@
-"""The live pose against an exact wall: accuracy, standstill, late sub-maps, honest loss."""
+"""Live poses in front of an exact wall: accuracy, standstill, late sub-maps, loss."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def stamp(i: int) -> int:
 
 
 def seen(tracker: Tracker, t_ns: int, gray, keyframe_id: int | None = None) -> PoseSample:
-    """One frame as the tracker's process gives it: its pose, then what the next one needs."""
+    """Process one frame as the tracker process does; returns its pose."""
     sample = tracker.track(t_ns, gray)
     tracker.prepare(keyframe_id)
     return sample
 
 
 def feed(tracker: Tracker, T_w_c: Float, first: int = 0, step: int = 3) -> list[PoseSample]:
-    """Every `step`-th frame is a keyframe, its id counted by frame / step."""
+    """Every `step`-th frame is a keyframe with id frame / step."""
     return [
         seen(
             tracker,
@@ -56,14 +56,16 @@ def attached(poses: Float, upto: int, **options: object) -> Tracker:
     return tracker
 
 
-def test_before_any_submap_the_pose_is_lost_and_holds_no_number() -> None:
+def test_before_the_first_submap_the_pose_is_lost_and_nan() -> None:
     samples = feed(Tracker(FrontendConfig()), drive(2))
     assert all(s.status is PoseStatus.LOST for s in samples)
     assert all(np.isnan(s.T_w_c).all() for s in samples)
 
 
 @pytest.mark.parametrize("options", [{}, {"with_depth": True}, {"raw_scale": 3.0}])
-def test_a_late_submap_is_followed_from_its_keyframes_to_now(options: dict[str, object]) -> None:
+def test_a_late_submap_is_tracked_to_the_newest_frame(
+    options: dict[str, object],
+) -> None:
     poses = drive(24)
     tracker = attached(poses, 12, **options)
     samples = feed(tracker, poses[12:], 12)
@@ -98,7 +100,7 @@ def test_standing_still_is_a_live_pose_without_velocity() -> None:
     assert np.linalg.norm(samples[-1].T_w_c[:3, 3] - samples[0].T_w_c[:3, 3]) < 0.01
 
 
-def test_darkness_is_lost_at_once_and_a_short_one_is_bridged() -> None:
+def test_darkness_is_lost_at_once_and_short_darkness_is_bridged() -> None:
     poses = drive(30)
     tracker = attached(poses, 10)
     good = feed(tracker, poses[10:14], 10)
@@ -112,12 +114,12 @@ def test_darkness_is_lost_at_once_and_a_short_one_is_bridged() -> None:
     assert after.status is PoseStatus.LOST and np.isnan(after.T_w_c).all()
 
 
-def test_between_submaps_new_points_carry_the_pose() -> None:
+def test_new_points_extend_a_submap() -> None:
     poses = drive(70, step_m=0.4)
     tracker = attached(poses, 8)
     samples = feed(tracker, poses[8:], 8)
     assert all(s.status is PoseStatus.LIVE for s in samples)
-    # every point of the sub-map left the view after about 40 frames
+    # all points of the sub-map are out of view after about 40 frames
     assert 2 * DEPTH * np.tan(np.radians(40)) < 0.4 * 62
     assert error(samples, poses[8:]) < 0.03 * 0.4 * 62
 
@@ -130,7 +132,7 @@ def test_a_wall_without_texture_is_lost() -> None:
     assert all(seen(tracker, stamp(i), blank).status is PoseStatus.LOST for i in range(10, 16))
 
 
-def test_a_new_submap_elsewhere_moves_the_map_and_not_the_pose() -> None:
+def test_a_displaced_submap_moves_the_map_and_not_the_pose() -> None:
     poses = drive(30)
     tracker = attached(poses, 10)
     before = feed(tracker, poses[10:18], 10)
@@ -145,7 +147,7 @@ def test_a_new_submap_elsewhere_moves_the_map_and_not_the_pose() -> None:
     np.testing.assert_allclose(tracker.T_map_odom, moved, atol=0.03)
 
 
-def test_recovering_from_loss_is_a_new_epoch() -> None:
+def test_recovery_from_loss_starts_a_new_epoch() -> None:
     poses = drive(30)
     tracker = attached(poses, 10)
     feed(tracker, poses[10:12], 10)
@@ -160,7 +162,7 @@ def test_recovering_from_loss_is_a_new_epoch() -> None:
     np.testing.assert_allclose(samples[-1].T_w_c, poses[-1], atol=0.03)
 
 
-def test_a_submap_that_comes_after_its_points_left_the_view_is_caught_up_with() -> None:
+def test_a_submap_whose_points_are_out_of_view_is_caught_up_with() -> None:
     poses = drive(75, step_m=0.4)
     tracker = Tracker(FrontendConfig())
     feed(tracker, poses[:40])
@@ -172,14 +174,14 @@ def test_a_submap_that_comes_after_its_points_left_the_view_is_caught_up_with() 
     assert np.linalg.norm(samples[-1].T_w_c[:3, 3] - poses[-1][:3, 3]) < 0.05 * driven
 
 
-def test_catching_up_is_not_begun_again_by_each_late_submap() -> None:
+def test_late_submaps_do_not_restart_catching_up() -> None:
     poses = drive(75, step_m=0.4)
     tracker = Tracker(FrontendConfig())
     feed(tracker, poses[:40])
     assert tracker.attach(WORLD.update(0, [0, 1], [stamp(0), stamp(3)], poses[[0, 3]]))
     samples = feed(tracker, poses[40:48], 40)
     for k, at in enumerate((48, 52, 56)):
-        # each is nearer to now than the one before, and farther than what follows already
+        # each is newer than the one before, and older than what is being tracked
         ids = [1 + k, 2 + k]
         update = WORLD.update(1 + k, ids, [stamp(3 * i) for i in ids], poses[[3 * i for i in ids]])
         assert not tracker.attach(update)
@@ -189,7 +191,7 @@ def test_catching_up_is_not_begun_again_by_each_late_submap() -> None:
     assert all(s.status is PoseStatus.LIVE for s in samples[20:])
 
 
-def test_a_submap_whose_keyframes_are_forgotten_is_refused() -> None:
+def test_a_submap_whose_keyframes_are_dropped_is_refused() -> None:
     poses = drive(10)
     tracker = Tracker(FrontendConfig())
     feed(tracker, poses)
@@ -197,14 +199,14 @@ def test_a_submap_whose_keyframes_are_forgotten_is_refused() -> None:
     assert not tracker.attach(update)
 
 
-def test_lagging_is_said() -> None:
+def test_lagging_is_reported() -> None:
     poses = drive(14)
     tracker = attached(poses, 10)
     tracker.lagging = True
     assert feed(tracker, poses[10:], 10)[0].status is PoseStatus.LAGGING
 
 
-def test_at_thirty_frames_a_second_a_submap_may_come_as_late_as_at_ten() -> None:
+def test_at_30_hz_a_submap_may_be_as_late_as_at_10_hz() -> None:
     poses = drive(130, 0.03)
     tracker = Tracker(FrontendConfig())
 
@@ -219,6 +221,6 @@ def test_at_thirty_frames_a_second_a_submap_may_come_as_late_as_at_ten() -> None
     # three seconds after its newest keyframe
     assert tracker.attach(WORLD.update(0, ids, stamps, poses[[0, 9, 18]]))
     live = [s for s in map(at, range(110, 130)) if s.status is PoseStatus.LIVE]
-    # the frames between are tracked anew, three with each that comes
+    # the frames since are tracked, three per new frame
     assert len(live) >= 5
     np.testing.assert_allclose(live[-1].T_w_c, poses[129], atol=0.05)

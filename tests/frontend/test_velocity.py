@@ -1,4 +1,4 @@
-"""The velocity of now, not of half a window ago, and its covariance."""
+"""The velocity at the end of the window, and its covariance."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SURE = np.broadcast_to(np.diag([1e-4] * 3 + [1e-6] * 3), (5, 6, 6))
 
 
 def braking_turn() -> tuple[Float, Float]:
-    """Poses (5, 4, 4), and the twist (6,) at their end."""
+    """Poses (5, 4, 4) and the twist (6,) at the last one."""
     t = T_NS / 1e9
     heading = 0.5 * t
     speed = 10 - 4 * t
@@ -22,7 +22,7 @@ def braking_turn() -> tuple[Float, Float]:
     return T, np.array([*(T[-1, :3, :3].T @ [0, 0, speed[-1]]), 0, 0.5, 0])
 
 
-def test_a_braking_turn_is_told_as_it_is_at_its_end() -> None:
+def test_in_a_braking_turn_the_twist_is_that_at_the_end() -> None:
     T, expected = braking_turn()
     np.testing.assert_allclose(twist_now(T_NS, T, SURE)[0], expected, atol=1e-9)
 
@@ -34,17 +34,17 @@ def test_two_poses_give_their_difference_and_one_gives_none() -> None:
     twist, covariance = twist_now(T_NS[:2], T, SURE[:2])
     R = T[1, :3, :3]
     np.testing.assert_allclose(twist, [*(R.T @ [0, 0, 8.0]), 0, 1.0, 0], atol=1e-9)
-    # two poses do not tell how they were gone between
+    # two poses do not determine the motion in between
     assert np.isnan(covariance).any()
     assert all(np.isnan(part).all() for part in twist_now(T_NS[:1], T[:1], SURE[:1]))
 
 
-def test_standing_still_is_no_velocity() -> None:
+def test_at_standstill_the_velocity_is_zero() -> None:
     T = np.broadcast_to(se3.exp(np.array([3.0, 1, 2, 0.1, 0.2, 0.3])), (5, 4, 4))
     np.testing.assert_allclose(twist_now(T_NS, T, SURE)[0], 0, atol=1e-9)
 
 
-def test_an_unknown_covariance_of_a_pose_makes_that_of_the_twist_unknown() -> None:
+def test_an_unknown_pose_covariance_makes_that_of_the_twist_unknown() -> None:
     T, expected = braking_turn()
     unsure = SURE.copy()
     unsure[2] = np.nan
@@ -53,7 +53,7 @@ def test_an_unknown_covariance_of_a_pose_makes_that_of_the_twist_unknown() -> No
     assert np.isnan(covariance).any()
 
 
-def test_the_covariance_is_that_of_noisy_poses() -> None:
+def test_the_covariance_matches_noisy_poses() -> None:
     T, _ = braking_turn()
     random = np.random.default_rng(5)
     A = random.normal(size=(5, 6, 6)) * np.array([0.01] * 3 + [0.003] * 3)[:, None]
@@ -68,7 +68,7 @@ def test_the_covariance_is_that_of_noisy_poses() -> None:
     np.testing.assert_allclose(np.diag(np.cov(error.T)) / np.diag(claimed), 1, atol=0.1)
 
 
-def test_shaking_that_no_parabola_follows_makes_it_less_sure() -> None:
+def test_vibration_about_the_parabola_increases_the_covariance() -> None:
     t_ns = np.arange(13) * 33_000_000
     shake = np.random.default_rng(3).normal(size=13) * 0.02
     still = np.zeros(13)
@@ -78,20 +78,20 @@ def test_shaking_that_no_parabola_follows_makes_it_less_sure() -> None:
     sure = np.broadcast_to(SURE[0], (13, 6, 6))
     calm = twist_now(t_ns, np.broadcast_to(np.eye(4), T.shape), sure)[1]
     twist, shaken = twist_now(t_ns, T, sure)
-    # what it is off by many sigmas of the calm one is few of its own
+    # errors of many sigmas of the calm case are few of its own
     assert abs(twist[3]) > 3 * np.sqrt(calm[3, 3])
     assert abs(twist[3]) < 3 * np.sqrt(shaken[3, 3])
-    # only what shakes
+    # only the axes that vibrate
     np.testing.assert_allclose(shaken[:3, :3], calm[:3, :3], atol=1e-12)
 
 
-def test_a_path_goes_on_as_it_went_and_forgets() -> None:
+def test_a_path_is_extrapolated_and_drops_old_poses() -> None:
     T, expected = braking_turn()
     path = RecentPath()
     assert not path and path.predict(0) is None
     path.add(0, T[0], SURE[0])
     np.testing.assert_array_equal(path.predict(50_000_000), T[0])
-    # what was long ago has no say: it would bend the parabola
+    # poses before the window are not used: they would bend the parabola
     for k in range(1, 5):
         path.add(int(T_NS[k]) - int(T_NS[1]) + 2_000_000_000, T[k], SURE[k])
     path.add(int(T_NS[4]) - int(T_NS[1]) + 2_100_000_000, T[4] @ se3.inverse(T[3]) @ T[4], SURE[4])
