@@ -8,7 +8,7 @@ host-monotonic nanoseconds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -85,6 +85,10 @@ class Hints:
     sizes: Int | None = None
     loop: bool = False
 
+    def without_loop(self) -> Hints:
+        """Hints of the window alone."""
+        return replace(self, eyes=self.eyes[:-1], t_ns=self.t_ns[:-1], loop=False)
+
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:
@@ -100,6 +104,23 @@ class Landmarks:
     view: Int
     uv: Float32
     sigma_px: Float32 | None = None
+
+    def seen_by(self, view: int) -> Int:
+        """Landmarks that a view observed, in order."""
+        return np.unique(self.index[self.view == view])
+
+    def unseen_by(self, view: int) -> Landmarks:
+        """The other landmarks with their observations."""
+        gone = self.seen_by(view)
+        kept = np.setdiff1d(np.arange(len(self.points_s)), gone)
+        rows = ~np.isin(self.index, gone)
+        return Landmarks(
+            self.points_s[kept],
+            np.searchsorted(kept, self.index[rows]),
+            self.view[rows],
+            self.uv[rows],
+            None if self.sigma_px is None else self.sigma_px[rows],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +151,20 @@ class Prediction:
     stamps_off_s: Float | None = None
     loop_found: bool = True
     notices: tuple[str, ...] = ()
+
+    def without_loop(self) -> Prediction:
+        """The window's views, and the landmarks that the loop keyframe did not see."""
+        marks, sigma = self.landmarks, self.focal_log_sigma
+        return replace(
+            self,
+            cameras=self.cameras[:-1],
+            T_s_c=self.T_s_c[:-1],
+            depth=None if self.depth is None else self.depth[:-1],
+            confidence=None if self.confidence is None else self.confidence[:-1],
+            focal_log_sigma=None if sigma is None else sigma[:-1],
+            landmarks=None if marks is None else marks.unseen_by(len(self.cameras) - 1),
+            loop_found=True,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +206,17 @@ class Submap:
         end = self.n_primary + len(self.assistant_ids)
         late[self.n_primary : end] = self.assistant_late_ns + off
         return self.t_ns + late
+
+    def without_loop(self) -> Submap:
+        """The window's views alone."""
+        return replace(
+            self,
+            t_ns=self.t_ns[:-1],
+            T_s_c_raw=self.T_s_c_raw[:-1],
+            cameras_raw=self.cameras_raw[:-1],
+            T_s_c=self.T_s_c[:-1],
+            cameras=self.cameras[:-1],
+        )
 
     def T_w_c(self) -> Float:
         """Poses camera->world (N, 4, 4) of all views, in batch order."""

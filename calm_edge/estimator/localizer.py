@@ -122,7 +122,8 @@ class Localizer:
             return None
         closed = self._closure(window, submap, prediction, candidate)
         if window.loop_keyframe is not None and closed is None:
-            prediction, submap, hints = window_submap.without_loop(prediction, submap, hints)
+            prediction, submap = prediction.without_loop(), submap.without_loop()
+            hints = hints.without_loop()
         with _timed(stage_ms, "place"):
             atlas.add(submap)
             if self._loops is not None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from calm_edge.types import (
     Bytes,
-    Float,
     Hints,
     Int,
     Prediction,
@@ -63,39 +62,3 @@ def _raw_fields(prediction: Prediction, n_primary: int) -> dict[str, Any]:
         "assistant_late_ns": round(prediction.assistant_late_s * 1e9),
         "stamps_off_ns": None if off_s is None else np.round(off_s * 1e9).astype(np.int64),
     }
-
-
-def without_loop(
-    prediction: Prediction, submap: Submap, hints: Hints
-) -> tuple[Prediction, Submap, Hints]:
-    """Drop a rejected loop view from prediction, sub-map and hints."""
-    n = len(hints.eyes) - 1
-    marks = prediction.landmarks
-    if marks is not None:
-        kept = marks.view < n
-        index, view, uv = marks.index[kept], marks.view[kept], marks.uv[kept]
-        sigma_px = None if marks.sigma_px is None else marks.sigma_px[kept]
-        marks = replace(marks, index=index, view=view, uv=uv, sigma_px=sigma_px)
-    cut = replace(
-        prediction,
-        cameras=prediction.cameras[:n],
-        T_s_c=prediction.T_s_c[:n],
-        depth=None if prediction.depth is None else prediction.depth[:n],
-        confidence=None if prediction.confidence is None else prediction.confidence[:n],
-        focal_log_sigma=_first(prediction.focal_log_sigma, n),
-        landmarks=marks,
-        loop_found=True,
-    )
-    bare = replace(
-        submap,
-        t_ns=submap.t_ns[:n],
-        T_s_c_raw=submap.T_s_c_raw[:n],
-        cameras_raw=submap.cameras_raw[:n],
-        T_s_c=submap.T_s_c[:n],
-        cameras=submap.cameras[:n],
-    )
-    return cut, bare, replace(hints, eyes=hints.eyes[:n], t_ns=hints.t_ns[:n], loop=False)
-
-
-def _first(values: Float | None, n: int) -> Float | None:
-    return None if values is None else values[:n]

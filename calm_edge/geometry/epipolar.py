@@ -54,16 +54,6 @@ def from_motion(a: Camera, b: Camera, T_b_a: Float) -> Float:
     return np.asarray(F / np.linalg.norm(F, axis=(-2, -1), keepdims=True))
 
 
-def triangulated(a: Camera, b: Camera, T_b_a: Float, uv_a: Float, uv_b: Float) -> Float:
-    """Triangulate matches (M, 2) px of two cameras: points (M, 3) in axes of a.
-
-    Linear, ignoring distortion; see cv2.triangulatePoints.
-    """
-    P_a, P_b = a.matrix @ np.eye(3, 4), b.matrix @ T_b_a[:3]
-    X = np.asarray(cv2.triangulatePoints(P_a, P_b, uv_a.T, uv_b.T), np.float64).T
-    return np.asarray(X[:, :3] / np.where(np.abs(X[:, 3:]) < 1e-9, 1e-9, X[:, 3:]))
-
-
 def sampson(F: Float, uv_a: Float, uv_b: Float) -> Float:
     """Signed Sampson distances (M,) px of matches (M, 2) for F (3, 3).
 

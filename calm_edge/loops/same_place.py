@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from calm_edge.geometry import epipolar, pnp, se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.sift import Features, cells, consistent, well_spread
+from calm_edge.geometry.triangulation import triangulate
 from calm_edge.types import Float, Float32, Int
 
 REFERENCE_WIDTH_PX = 640  # thresholds in px are for this width and scale with it
@@ -152,8 +153,11 @@ def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
 def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple[Float, np.ndarray]:
     """Triangulate matches (M, 2) px: points (M, 3), primary camera; mask (M,) of near ones."""
     primary, assistant = kit.cameras
-    points = epipolar.triangulated(primary, assistant, T_a_p, uv_p, uv_a)
-    rays = primary.back_project(uv_p, np.ones(len(uv_p)))
+    n, rays = len(uv_p), primary.back_project(uv_p, np.ones(len(uv_p)))
+    both = np.concatenate([rays[:, :2], assistant.normalized(uv_a)])
+    T_c_p = np.stack([np.eye(4), T_a_p])
+    X = triangulate(T_c_p, np.repeat([0, 1], n), np.tile(np.arange(n), 2), both, n)
+    points = X[:, :3] / np.where(np.abs(X[:, 3:]) < 1e-9, 1e-9, X[:, 3:])
     far = assistant.project(rays @ T_a_p[:3, :3].T)
     shift = assistant.project(se3.transform(T_a_p, SOME_DEPTH * rays)) - far
     along = shift / np.maximum(np.linalg.norm(shift, axis=1, keepdims=True), 1e-9)

@@ -26,14 +26,6 @@ def test_the_matrix_of_a_motion_satisfies_the_epipolar_constraint():
     assert np.abs(epipolar.sampson(F.T, uv_a, uv_b)).mean() > 0.3
 
 
-def test_exact_matches_give_the_exact_points():
-    other = Perspective(400, 410, 300, 210, 640, 400)
-    p_a = np.random.default_rng(0).uniform([-8, -4, 6], [8, 4, 40], (50, 3))
-    uv = CAMERA.project(p_a), other.project(se3.transform(T_B_A, p_a))
-    found = epipolar.triangulated(CAMERA, other, T_B_A, *uv)
-    np.testing.assert_allclose(found, p_a, rtol=1e-6)
-
-
 def test_sampson_distances_have_the_sigma_of_the_noise():
     uv_a, uv_b, _ = matches(n=4000, noise_px=0.4)
     F = epipolar.from_motion(CAMERA, CAMERA, T_B_A)

@@ -99,7 +99,7 @@ class BundleBackbone:
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
         """Poses, cameras and landmarks; depth comes with `densify`. Raises BackboneError."""
         if hints.loop:
-            alone = self.infer(images[:-1], loop_view.without_loop(hints))
+            alone = self.infer(images[:-1], hints.without_loop())
             return loop_view.with_loop(images, hints, alone)
         cv2.setRNGSeed(self._seed)
         belief = believed(hints)
@@ -116,8 +116,7 @@ class BundleBackbone:
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
         """The same views again under the kit of `hints`, from landmarks; raises BackboneError."""
         if hints.loop:
-            alone = loop_view.window_part(prediction)
-            alone = self.resolve(alone, loop_view.without_loop(hints))
+            alone = self.resolve(prediction.without_loop(), hints.without_loop())
             return loop_view.placed_again(alone, prediction)
         belief = believed(hints)
         m, start = window.from_prediction(prediction, hints, belief.mean)

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.backbones.bundle import loop_view
 from calm_edge.backbones.bundle.agreement import Agreement, DepthView, agree
 from calm_edge.backbones.bundle.cost_volume import SweepView, match_scores, whitened
 from calm_edge.backbones.bundle.scanline import aggregate
@@ -63,7 +62,7 @@ def sweep_window(
         )
         for i, g in enumerate(gray)
     ]
-    nearest = nearest_depth(loop_view.window_part(prediction) if hints.loop else prediction)
+    nearest = nearest_depth(prediction.without_loop() if hints.loop else prediction)
     zeta = np.linspace(0, 1 / nearest, PLANES)
     small = [_shrink(g, size) for g in gray]
     n_window = len(images) - hints.loop
@@ -155,8 +154,8 @@ def loop_sources(T_s_c: Float) -> list[int]:
 def _without_last(
     images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
 ) -> tuple[Float32, Float32]:
-    alone = loop_view.window_part(prediction)
-    depth, confidence = sweep_window(images[:-1], loop_view.without_loop(hints), alone)
+    alone = prediction.without_loop()
+    depth, confidence = sweep_window(images[:-1], hints.without_loop(), alone)
     nothing = np.zeros_like(depth[:1])
     return np.concatenate([depth, nothing]), np.concatenate([confidence, nothing])
 

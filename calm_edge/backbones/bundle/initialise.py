@@ -14,6 +14,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle.problem import Measurements, State
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
+from calm_edge.geometry.triangulation import triangulate
 from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
@@ -35,24 +36,6 @@ def normalised(m: Measurements, theta: Float) -> Float:
 
 def _pinholes(m: Measurements, theta: Float) -> list[Perspective]:
     return [camera.pinhole for camera in layout.cameras(theta, m.size)]
-
-
-def triangulate(T_c_s: Float, view: Int, point: Int, rays: Float, n_points: int) -> Float:
-    """Linear triangulation of all points at once: (M, 4) unit homogeneous, NaN when unseen twice.
-
-    Signed so that z > 0 in the views.
-    Each ray gives two rows of A X = 0; the 4x4 A^T A of every point is built by summation.
-    """
-    P = T_c_s[view][:, :3]
-    rows = np.stack([rays[:, 0, None] * P[:, 2] - P[:, 0], rays[:, 1, None] * P[:, 2] - P[:, 1]], 1)
-    outer = rows.transpose(0, 2, 1) @ rows
-    A = np.zeros((n_points, 4, 4))
-    np.add.at(A, point, outer)
-    X = np.linalg.eigh(A)[1][:, :, 0]
-    z = np.bincount(point, (P[:, 2] * X[point]).sum(1), n_points)
-    X *= np.where(z < 0, -1.0, 1.0)[:, None]
-    X[np.bincount(point, minlength=n_points) < 2] = np.nan
-    return np.asarray(X)
 
 
 def _rows_of(m: Measurements, view: int) -> Int:

@@ -14,18 +14,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.backbones.bundle.initialise import resection, triangulate
+from calm_edge.backbones.bundle.initialise import resection
 from calm_edge.geometry import pnp, se3, sift
 from calm_edge.geometry.camera import Camera, back_project_each, project_each
+from calm_edge.geometry.triangulation import triangulate
 from calm_edge.loops.descriptor import GradientLayout
+from calm_edge.loops.same_place import EPIPOLAR_PX, POSE_PX, REFERENCE_WIDTH_PX
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
 
 MAX_FEATURES = 800
 VIEWS_A_SIDE = 2  # primary views before and after the most alike one that it is matched to
-REFERENCE_WIDTH_PX = 640  # thresholds below are for such a picture; they grow with its width
-EPIPOLAR_PX = 1.0
-POINT_PX = 2.0
-POSE_PX = 3.0
+POINT_PX = 2.0  # in a picture REFERENCE_WIDTH_PX wide
 MIN_INLIERS = 20
 MIN_INLIER_SHARE = 0.5
 MAX_SIGMA = 0.3  # spacings, of the centre of the picture
@@ -57,11 +56,6 @@ class LoopPose:
     kept: NDArray[np.bool_]
 
 
-def without_loop(hints: Hints) -> Hints:
-    """The hints of the window alone."""
-    return replace(hints, eyes=hints.eyes[:-1], t_ns=hints.t_ns[:-1], loop=False)
-
-
 def with_loop(
     images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
 ) -> Prediction:
@@ -78,27 +72,6 @@ def with_loop(
     return _appended(prediction, pose.T_s_c, marks, found=True)
 
 
-def window_part(prediction: Prediction) -> Prediction:
-    """The N views of the window and the landmarks that only they saw."""
-    marks = prediction.landmarks
-    if marks is not None:
-        of_loop = _loop_landmarks(marks, len(prediction.cameras) - 1)
-        kept = np.setdiff1d(np.arange(len(marks.points_s)), of_loop)
-        rows = ~np.isin(marks.index, of_loop)
-        index = np.searchsorted(kept, marks.index[rows])
-        sigma_px = None if marks.sigma_px is None else marks.sigma_px[rows]
-        marks = Landmarks(marks.points_s[kept], index, marks.view[rows], marks.uv[rows], sigma_px)
-    sigma = prediction.focal_log_sigma
-    return replace(
-        prediction,
-        cameras=prediction.cameras[:-1],
-        T_s_c=prediction.T_s_c[:-1],
-        focal_log_sigma=None if sigma is None else sigma[:-1],
-        landmarks=marks,
-        loop_found=True,
-    )
-
-
 def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
     """A window solved anew with the loop view of the `earlier` prediction of the same batch.
 
@@ -108,7 +81,7 @@ def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
     marks, n = earlier.landmarks, len(window.cameras)
     if not earlier.loop_found or marks is None or window.landmarks is None:
         return _appended(window, np.eye(4), window.landmarks, found=False)
-    of_loop = _loop_landmarks(marks, n)
+    of_loop = marks.seen_by(n)
     rows = np.isin(marks.index, of_loop)
     point = np.searchsorted(of_loop, marks.index[rows])
     view, uv = marks.view[rows], marks.uv[rows].astype(np.float64)
@@ -215,10 +188,6 @@ def _alike(images: Sequence[NDArray[np.uint8]], hints: Hints) -> list[int]:
 
 def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
-
-
-def _loop_landmarks(marks: Landmarks, loop_view: int) -> Int:
-    return np.unique(marks.index[marks.view == loop_view])
 
 
 def _with_tracks(marks: Landmarks, tracks: LoopTracks, pose: LoopPose, loop_view: int) -> Landmarks:

@@ -93,10 +93,11 @@ class FeedforwardBackbone:
         """
         if not hints.loop:
             return window_parts.split(hints.t_ns, self._max_views)
-        t_ns = hints.t_ns[:-1]
+        window = hints.without_loop()
+        t_ns = window.t_ns
         parts = window_parts.split(t_ns, self._max_views)
         layout = GradientLayout()
-        primary = np.flatnonzero(hints.eyes[:-1] == Eye.PRIMARY).tolist()
+        primary = np.flatnonzero(window.eyes == Eye.PRIMARY).tolist()
         described = np.stack([layout.describe(images[i]) for i in primary])
         likeness = layout.similarity(layout.describe(images[-1])[None], described)[0]
         alike = primary[int(likeness.argmax())]

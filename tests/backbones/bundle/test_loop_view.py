@@ -9,7 +9,7 @@ import pytest
 from calm_edge.backbones.bundle import loop_view
 from calm_edge.backbones.bundle.backbone import BundleBackbone
 from calm_edge.backbones.bundle.depth import loop_sources
-from calm_edge.backbones.bundle.loop_view import LoopTracks, locate, window_part
+from calm_edge.backbones.bundle.loop_view import LoopTracks, locate
 from calm_edge.config import BackboneConfig
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
@@ -40,7 +40,7 @@ class Batch:
 
     @property
     def alone(self):
-        return self.images[:-1], loop_view.without_loop(self.hints)
+        return self.images[:-1], self.hints.without_loop()
 
 
 @pytest.fixture(scope="module")
@@ -97,11 +97,6 @@ def T_loop_error(prediction, batch):
     return np.linalg.norm(off[:3, 3]), np.degrees(np.linalg.norm(se3.so3_log(off[:3, :3])))
 
 
-def test_the_hints_of_the_window_alone_have_no_loop(batch):
-    hints = loop_view.without_loop(batch.hints)
-    assert not hints.loop and len(hints.eyes) == len(hints.t_ns) == 2 * N
-
-
 def test_the_loop_view_is_placed_to_centimetres(solved, batch):
     assert solved.loop_found and len(solved.cameras) == len(solved.T_s_c) == 2 * N + 1
     metres, degrees = T_loop_error(solved, batch)
@@ -115,8 +110,9 @@ def test_the_window_is_what_it_is_without_the_loop_view(solved, lost, alone):
     assert np.array_equal(solved.kit.mean, alone.kit.mean)
     n = len(alone.landmarks.index)
     assert np.array_equal(solved.landmarks.uv[:n], alone.landmarks.uv)
-    assert np.array_equal(window_part(solved).landmarks.points_s, alone.landmarks.points_s)
-    assert np.array_equal(window_part(solved).landmarks.index, alone.landmarks.index)
+    part = solved.without_loop()
+    assert np.array_equal(part.landmarks.points_s, alone.landmarks.points_s)
+    assert np.array_equal(part.landmarks.index, alone.landmarks.index)
 
 
 def test_what_the_loop_view_saw_fits_its_pose(solved):
@@ -176,7 +172,7 @@ def test_sigmas_of_the_window_go_with_it(solved, alone):
     assert solved.landmarks.sigma_px is None
     sigma = np.arange(len(solved.landmarks.uv), dtype=np.float32)
     weighed = replace(solved, landmarks=replace(solved.landmarks, sigma_px=sigma))
-    part = window_part(weighed)
+    part = weighed.without_loop()
     assert len(part.landmarks.sigma_px) == len(alone.landmarks.uv)
     assert np.array_equal(
         solved.landmarks.uv[part.landmarks.sigma_px.astype(int)], part.landmarks.uv
@@ -192,7 +188,7 @@ def test_a_loop_view_whose_landmarks_fail_keeps_its_place_beside_the_nearest_vie
     rows = np.flatnonzero(marks.view == LOOP)
     uv[rows] = np.random.default_rng(0).permutation(uv[rows])
     spoilt = replace(solved, landmarks=replace(marks, uv=uv))
-    window = window_part(solved)
+    window = solved.without_loop()
     # the window comes out elsewhere and as large as before
     T_new_old = se3.exp(np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.3]))
     moved = replace(window, T_s_c=T_new_old @ window.T_s_c)
