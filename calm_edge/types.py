@@ -130,14 +130,14 @@ class Prediction:
     cameras: N, of the full image. T_s_c: (N, 4, 4) camera->sub-map, OpenCV axes, raw units.
     depth: (N, h, w) z-depth in raw units, 0 unknown; h, w may be smaller than the image, with
     pixel centres as in cv2.resize. None before `densify`.
-    confidence: (N, h, w) in [0, 1], larger is better; None if depth is.
+    confidence: (N, h, w) of depth in [0, 1], larger is better; None if depth is None.
     focal_log_sigma: (N,) sigma of the log focal length; None if the model does not estimate it.
     kit: evidence of this batch on the kit, without the prior in the hints; or None.
-    assistant_late_s: time offset, i.e. how much later than its stamp, on the primary's clock, the
-    assistant was exposed. stamps_off_s: (A,) additional offset of each assistant view, None if
+    assistant_late_s: time offset: how much later than its stamp, on the primary's clock, the
+    assistant is exposed. stamps_off_s: (A,) additional offset of each assistant view, None if
     their stamps are regular.
     loop_found: False if the loop keyframe could not be placed; its pose is then meaningless.
-    notices: lines for the user, equal for all batches of this kind.
+    notices: lines for the user; a line repeated by later batches is reported once.
     """
 
     cameras: tuple[Camera, ...]
@@ -225,7 +225,7 @@ class Submap:
 
 @dataclass(frozen=True, slots=True)
 class LoopClosure:
-    """Relative pose of two primary keyframes at one place, T_match_query (4, 4), world units."""
+    """Relative pose T_match_query (4, 4), world units, of two primary keyframes of one place."""
 
     query_id: int
     match_id: int
@@ -237,7 +237,7 @@ class GlobalIntrinsics:
     """Result of the online intrinsic search: K_global of each camera and its weight (V-A).
 
     cameras: one per eye. damping: (2,) multiples of 0.1 in [0, 1] (V-C). focal_log_sigma: (2,)
-    sigma of the log focal length, inf if no matrix determines it.
+    sigma of the log focal length, inf if no fundamental matrix determines it.
     """
 
     cameras: tuple[Camera, Camera]
@@ -246,7 +246,7 @@ class GlobalIntrinsics:
 
     @property
     def focals(self) -> Float:
-        """Focal lengths fx (2,) [px]."""
+        """Focal lengths fx (2,) [px] of primary and assistant."""
         return np.array([camera.fx for camera in self.cameras])
 
 
@@ -291,7 +291,7 @@ class PoseSample:
 
 @dataclass(frozen=True, slots=True)
 class AnchorTable:
-    """Anchors of one sub-map and their observations (paper VI-A, VI-B).
+    """Anchors of one sub-map, i.e. 3-D points seen in several views (paper VI-A, VI-B).
 
     anchor: (R,) ids, unique over the drive. p_s: (R, 3) sub-map frame, world units. Observations:
     seen_anchor (Q,), seen_view (Q,) batch index, uv (Q, 2) px.
@@ -318,8 +318,8 @@ class LocalizerUpdate:
 
     trajectory: keyframes that are new or have moved; all of them if the epoch has changed.
     stage_ms: stage name -> milliseconds. kit: belief after this window. notices: lines for the
-    user. loop: loop closure found by IV-D. loop_keyframe: its image in the batch, for the record
-    of the window.
+    user. loop: loop closure found (IV-D). loop_keyframe: the earlier keyframe that was appended to
+    the batch, for the record of the window.
     """
 
     submap: Submap

@@ -41,7 +41,7 @@ IN_TIME_S = 0.75 * REMEMBERED_NS / 1e9
 
 
 def run_estimator(connection: Connection, config: Config, lockstep: bool) -> None:
-    """Main function of the process; imports it only there, so that capture imports no solver."""
+    """Main function of the process; imports here, so that capture does not load the solver."""
     from calm_edge.daemon import estimator_process
 
     estimator_process.run(connection, config, lockstep)

@@ -17,9 +17,10 @@ class Health:
     """Status of one second.
 
     shed: work that is left out to reduce the load, as text. tick: latency of the capture loop.
-    late_ticks: deadlines it has missed since the start. counts, drops: since the start; drops by
-    cause. queues: lengths by name. stage_ms: durations of the stages of the newest window and of
-    the capture loop. pose_age_ms: largest age of a pose in this second, exposure to publishing.
+    late_ticks, counts, drops: since the start: deadlines missed by the capture loop, numbers of
+    items, and losses by cause. queues: lengths by name. stage_ms: durations of the stages of the
+    newest window and of the capture loop. pose_age_ms: largest age of a pose in this second,
+    exposure to publishing.
     """
 
     standing: Standing

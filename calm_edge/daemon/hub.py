@@ -248,7 +248,8 @@ class Hub:
         record = of_window(window)
         self.outputs.give(lambda output: output.window(record))
         if is_thin(window):
-            self.say(f"window {window.submap_id}: only {len(window.assistant)} assistant frames")
+            n = len(window.assistant)
+            self.say(f"window {window.submap_id}: only {n} assistant frames; scale inaccurate")
         if self._shed >= Shed.ALL_WINDOWS:
             self.estimator.leave_to_map(window)
         elif not self.estimator.offer(window):

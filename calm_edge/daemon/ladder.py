@@ -97,7 +97,7 @@ class Ladder:
             elif now_s - self._pressed_since >= self._config.step_s:
                 self._pressed_since = now_s
                 last = len(self._steps) - (1 if hot else 2)
-                # max: a step reached because of heat is kept while windows wait
+                # max: if heat has led to the last step, waiting windows alone do not undo it
                 self._at = max(self._at, min(self._at + 1, last))
         elif self._cool(load.thermal) and load.waiting <= 1:
             self._pressed_since = None

@@ -41,7 +41,7 @@ HUNG_S = 20.0
 def run_tracker(
     connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig, start: Counters
 ) -> None:
-    """Main function of the process; imports it only there, so that capture does not import it."""
+    """Main function of the process; imports here, so that capture does not load the tracker."""
     from calm_edge.daemon import tracker_process
 
     tracker_process.run(connection, ring_name, slot_bytes, config, start)
@@ -183,7 +183,7 @@ class TrackerLink:
         self._in_ring.clear()
         self._held.clear()
         self.attaching = 0
-        # do not wait for windows that it had not sent: they are lost
+        # do not wait for the last windows: they are lost with the dead process
         self.flushed |= self._flushing
         what = f"tracker died (exit {self.child.exit_code})"
         if self.given_up:

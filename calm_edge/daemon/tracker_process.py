@@ -66,7 +66,7 @@ class TrackerWork:
         self._held: set[FrameKey] = set()
 
     def on_arrival(self, message: Any) -> None:
-        """Note the stamp of the newest primary frame, which earlier messages are still ahead of."""
+        """Note the stamp of the newest primary frame received, possibly not yet processed."""
         if isinstance(message, FrameIn) and message.eye is Eye.PRIMARY:
             self._newest_ns = message.t_ns
 
@@ -103,7 +103,7 @@ class TrackerWork:
         return Tracked(message.slot, records, self._released(frame), is_keyframe, problem, late)
 
     def _released(self, frame: Frame) -> tuple[FrameKey, ...]:
-        """Frames that no later window contains, since the last call; `frame` is the newest one."""
+        """Add the newest frame; return the held frames that no later window can contain."""
         self._held.add(frame_key(frame))
         still = {frame_key(f) for f in self._builder.held()}
         released = self._held - still

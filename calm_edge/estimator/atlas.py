@@ -1,7 +1,7 @@
 """Placed sub-maps and the pose graph between them (paper IV-B, placement, and IV-C).
 
-As T_w_f of IV-B implies, a keyframe has its pose from the first sub-map that contains it, and
-later sub-maps are placed by it.
+A keyframe shared by several sub-maps keeps its pose from the first one; the later ones are placed
+by that pose, T_w_f of IV-B.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Atlas:
         return self._graph.T_p_a
 
     def skip(self, window: SkippedWindow) -> None:
-        """Record a window that was not reconstructed, for bridging it."""
+        """Record a window that was not reconstructed, so that the gap it leaves can be bridged."""
         self._skipped.append(window)
 
     def add(self, submap: Submap) -> Submap:
@@ -91,18 +91,18 @@ class Atlas:
         return placed
 
     def add_loop(self, loop: LoopClosure) -> None:
-        """Add E_loop (IV-C); KeyError if a keyframe has no pose."""
+        """Add a loop closure to the graph (E_loop, IV-C); KeyError if a keyframe has no pose."""
         self._graph.add_loop(loop)
         self._loops.append(loop)
 
     def empty(self) -> Atlas:
-        """An atlas without sub-maps that has the same skipped windows."""
+        """Create an atlas with the same skipped windows and no sub-maps."""
         other = Atlas(self._config)
         other._skipped = self._skipped
         return other
 
     def become(self, other: Atlas) -> None:
-        """Take over the poses of another atlas of the same sub-maps; that one is then invalid."""
+        """Take over the poses of another atlas of the same sub-maps, which becomes unusable."""
         self._submaps, self._graph = other._submaps, other._graph
         for loop in self._loops:
             self._graph.add_loop(loop)
@@ -115,7 +115,7 @@ class Atlas:
             optimiser.request(snapshot)
 
     def settle(self, optimiser: Optimiser) -> bool:
-        """Apply a requested optimum if it is ready; returns whether poses have moved."""
+        """Apply the joint optimum if it was requested and is ready; return whether poses moved."""
         solved = optimiser.poll()
         if solved is None or not self._graph.apply(solved):
             return False
@@ -123,7 +123,7 @@ class Atlas:
         return True
 
     def _follow(self) -> None:
-        """Move each sub-map by the mean motion of its keyframes."""
+        """Place each sub-map again by the optimised poses of all its keyframes."""
         self.epoch += 1
         alike: dict[int, list[int]] = {}
         for k, submap in enumerate(self._submaps):
@@ -155,8 +155,9 @@ class Atlas:
     def _bridge(self, submap: Submap) -> Float:
         """Predict T_w_f (4, 4) of a sub-map's first frame if none of its frames has a pose.
 
-        Constant velocity from the last two keyframes, for the time in which skipped keyframes
-        show motion: at standstill there are none for longer than max_keyframe_gap_s.
+        Assumes the velocity of the last two keyframes, except at standstill. A moving car gives a
+        keyframe every max_keyframe_gap_s or sooner; longer gaps between the stamps of skipped
+        keyframes are standstill.
         """
         if not self._submaps:
             return np.eye(4)
@@ -164,7 +165,7 @@ class Atlas:
         start, end = self._stamps[ids[-1]], int(submap.t_ns[0])
         between = [t for skipped in self._skipped for t in skipped.t_ns if start < t < end]
         gaps = np.diff(np.unique([start, *between, end])) * 1e-9
-        # a keyframe is selected at this gap at the latest, or a frame or two later
+        # twice the limit: the frame that exceeds it may arrive a little later
         moving_s = gaps[gaps < 2 * self._config.frontend.max_keyframe_gap_s].sum()
         T_last = self._graph.pose(ids[-1])
         step_s = (start - self._stamps[ids[0]]) * 1e-9

@@ -1,4 +1,4 @@
-"""Evidence of each window on the kit, and solving windows again when the belief has changed."""
+"""Collect the evidence of all windows on the kit; solve windows again when the belief changes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from calm_edge.types import Float, Hints, KitBelief, Prediction
 
 log = logging.getLogger(__name__)
 
-# Change of log focal length since a window was solved upon which it is solved again.
+# A window is solved again once the log focal length has changed by more than this since.
 FOCAL_MOVED = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """A solved window. log_focal: (2,) of the belief used, per camera; NaN without its images."""
+    """A solved window.
+
+    log_focal: (2,) log focal length when solved, per camera; NaN for a camera without images.
+    """
 
     prediction: Prediction
     hints: Hints
@@ -30,8 +33,8 @@ class _Window:
 class KitMemory:
     """Owner of the kit evidence of all windows, and of the `limit` most recent windows.
 
-    prior: belief of earlier drives, or None. Windows are kept only for a backbone with `resolve`,
-    without depth.
+    prior: belief of earlier drives, or None. Windows are kept, without their depth, only if the
+    backbone can solve them again (has `resolve`).
     """
 
     def __init__(self, backbone: Backbone, limit: int) -> None:
@@ -43,13 +46,13 @@ class KitMemory:
         self._windows: dict[int, _Window] = {}
 
     def evidence(self, without: int | None = None) -> KitBelief | None:
-        """Product of the evidence of all windows, or of all but one."""
+        """Product of the evidence of all windows, or of all except sub-map `without`."""
         if without is None:
             return self._total
         return product([kit for key, kit in self._evidence.items() if key != without])
 
     def belief(self, without: int | None = None) -> KitBelief | None:
-        """Product of prior and evidence."""
+        """Product of the prior and `evidence(without)`."""
         return product([self.prior, self.evidence(without)])
 
     def add(self, submap_id: int, prediction: Prediction, hints: Hints) -> None:
@@ -69,7 +72,7 @@ class KitMemory:
         return list(self._windows)
 
     def outdated(self) -> list[int]:
-        """Sub-maps solved with a focal length that differs from a well-known newest one."""
+        """Ids of sub-maps solved with another focal length than the newest, if that is accurate."""
         if not self._windows:
             return []
         newest = next(reversed(self._windows.values()))
@@ -103,7 +106,7 @@ class KitMemory:
                 solved[submap_id] = prediction
             except BackboneError as error:
                 log.warning("sub-map %d keeps its earlier solution: %s", submap_id, error)
-            # in case of failure too: not again before the belief changes
+            # also after a failure, so that the window is not tried again with the same belief
             light = replace(prediction, depth=None, confidence=None)
             self._windows[submap_id] = _Window(light, hints, log_focal)
         for submap_id, prediction in solved.items():

@@ -157,7 +157,7 @@ class Localizer:
         )
 
     def leave_out(self, submap_id: int, t_ns: Int) -> None:
-        """Record a window that will not be given. t_ns: (N,) of its primary keyframes."""
+        """Record a window that is not to be processed. t_ns: (N,) of its primary keyframes."""
         self._atlas.skip(SkippedWindow(submap_id, "left out", t_ns))
 
     def finish(self) -> Trajectory | None:
@@ -237,7 +237,7 @@ class Localizer:
         return LoopClosure(submap.primary_ids[query], match.id, T_match_query)
 
     def _new_notices(self, lines: Sequence[str]) -> tuple[str, ...]:
-        """Lines that have not been reported in this drive."""
+        """Select the lines that have not been reported yet in this drive."""
         new = tuple(line for line in dict.fromkeys(lines) if line not in self._noticed)
         self._noticed.update(new)
         return new

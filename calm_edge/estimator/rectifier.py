@@ -18,13 +18,16 @@ from calm_edge.estimator import scale
 from calm_edge.estimator.time_offset import TimeOffsetEstimator
 from calm_edge.types import Bytes, Float, GlobalIntrinsics, Landmarks, Submap
 
-# Placed sub-maps are rectified again after a change of the time offset by this and half its sigma.
+# Placed sub-maps are rectified again if the time offset has changed by this and by half its sigma.
 OFFSET_MOVED_S = 0.001
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Estimates of intrinsics, None before the search has any, and of the time offset."""
+    """Estimates of the intrinsics and of the time offset.
+
+    intrinsics: None if there are none yet. offset_s: 0 while it is unobserved.
+    """
 
     intrinsics: GlobalIntrinsics | None
     offset_s: float
@@ -33,8 +36,8 @@ class Calibration:
 class Rectifier:
     """Owner of the intrinsic search and of the time offset estimator.
 
-    estimates_kit: the backbone estimates both itself over the whole drive, as `bundle` does; its
-    sub-maps are then only scaled, unless `correction.apply` is `always`.
+    estimates_kit: the backbone itself estimates intrinsics and time offset, as `bundle` does. Then
+    sub-maps are only scaled, unless `correction.apply` is `always`.
     """
 
     def __init__(self, config: Config, estimates_kit: bool) -> None:
@@ -48,13 +51,13 @@ class Rectifier:
 
     @property
     def intrinsics(self) -> GlobalIntrinsics | None:
-        """Result of the online search (V-A); None if it does not run or has none yet."""
+        """Result of the online intrinsic search (V-A); None if it is off or has no result yet."""
         return self._search.intrinsics if self._search else None
 
     def update(
         self, raw: Submap, landmarks: Landmarks | None, images: Sequence[Bytes] | None
     ) -> bool:
-        """Add a raw sub-map; returns whether placed sub-maps have to be rectified again.
+        """Add a raw sub-map; return whether placed sub-maps have to be rectified again.
 
         landmarks: of the backbone. images: (H, W, 3) BGR in batch order, for SIFT matches.
         """
@@ -65,7 +68,7 @@ class Rectifier:
         return self._update_offset() or changed
 
     def finish(self) -> bool:
-        """Finish pending measurements; returns as `update`."""
+        """Finish pending measurements; return whether sub-maps have to be rectified again."""
         return self._search.finish() if self._search else False
 
     @property
@@ -76,8 +79,8 @@ class Rectifier:
     def rectify(self, submap: Submap, calibration: Calibration | None = None) -> Submap:
         """Rectify a sub-map from its raw poses and cameras; raises ScaleError.
 
-        calibration: None for the current one. Without `scale.rectify` all sub-maps get the factor
-        of the first one as last rectified, which therefore must be the first to be rectified again.
+        calibration: None for the current one. If `scale.rectify` is false, all sub-maps get the
+        scale of the first one; so that one must be rectified again before the others.
         """
         raw = replace(submap, T_s_c=submap.T_s_c_raw, cameras=submap.cameras_raw, scale=1.0)
         corrected = self._corrected(raw, calibration)
@@ -87,7 +90,7 @@ class Rectifier:
                 self._first = submap.id, scaled.scale
             return scaled
         if not submap.assistant_ids:
-            raise scale.ScaleError("no assistant keyframe ties this sub-map to the rig")
+            raise scale.ScaleError("the sub-map has no assistant keyframe, so its scale is unknown")
         _, world_units = self._first
         T_s_c = scale.rectified(corrected.T_s_c, world_units)
         return replace(corrected, scale=world_units, T_s_c=T_s_c)
@@ -114,7 +117,10 @@ class Rectifier:
 
 
 def _effective_sigma(raw: Submap, intrinsics: GlobalIntrinsics) -> Float:
-    """Sigma (2,) of the log focal lengths in use: that of the search, and the damped remainder."""
+    """Sigma (2,) of the log focal lengths of the corrected sub-map.
+
+    Sum in quadrature of the sigma of the search and of the error left by a damping below 1.
+    """
     estimated = np.array([raw.cameras_raw[view].fx for view in (0, raw.n_primary)])
     left = np.log(estimated / intrinsics.focals) * (1 - intrinsics.damping)
     return np.hypot(intrinsics.focal_log_sigma, left)

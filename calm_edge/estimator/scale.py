@@ -21,9 +21,9 @@ def resampled(t_ns: Int, T: Float, query_ns: Int) -> tuple[Float, Int]:
     """Interpolate poses of one camera at stamps of the other, on SE(3) (IV-B).
 
     t_ns (N,) increasing, T (N, 4, 4), query_ns (M,) -> poses (V, 4, 4) and the indices (V,) of
-    their stamps in query_ns. At a stamp of t_ns the pose is exact. Stamps more than a frame gap
-    outside t_ns are left out, and all but equal ones if N is 1. Raises ScaleError if t_ns does not
-    increase.
+    their stamps in query_ns. Queries more than one frame gap before the first or after the last
+    of t_ns are left out; if N is 1, all queries other than t_ns. Raises ScaleError if t_ns does
+    not increase.
     """
     if np.any(np.diff(t_ns) <= 0):
         raise ScaleError("two keyframes of one camera share a stamp; check the camera's clock")
@@ -39,9 +39,10 @@ def resampled(t_ns: Int, T: Float, query_ns: Int) -> tuple[Float, Int]:
 
 
 def rig_samples(t_p_ns: Int, T_s_p: Float, t_a_ns: Int, T_s_a: Float) -> Float:
-    """Rig T_p_a (V, 4, 4) at each assistant view; raises ScaleError.
+    """Measure the rig T_p_a (V, 4, 4) at the stamp of each assistant view; raises ScaleError.
 
-    T_s_p (N, 4, 4), T_s_a (M, 4, 4): primary and assistant camera->sub-map, any unit.
+    T_s_p (N, 4, 4), T_s_a (M, 4, 4): primary and assistant camera->sub-map, any unit. Assistant
+    views outside the time of the primary ones are left out, as in `resampled`.
     """
     if np.any(np.diff(t_a_ns) <= 0):
         raise ScaleError("two assistant keyframes share a stamp; check the camera's clock")
@@ -53,14 +54,14 @@ def rig_samples(t_p_ns: Int, T_s_p: Float, t_a_ns: Int, T_s_a: Float) -> Float:
 
 
 def spacing(T_p_a: Float) -> float:
-    """Mean distance of the optical centres, d_k of IV-B, of rig samples (V, 4, 4)."""
+    """Mean distance between the optical centres, d_k of IV-B, over rig samples (V, 4, 4)."""
     return float(np.linalg.norm(T_p_a[:, :3, 3], axis=-1).mean())
 
 
 def factor(spacing_raw: float, spacing_world: float) -> float:
-    """World units per raw unit, s_k of IV-B, from the spacing in both; raises ScaleError.
+    """Scale of a sub-map, s_k of IV-B: world units per raw unit; raises ScaleError.
 
-    spacing_world: `ScaleConfig.spacing`.
+    spacing_raw, spacing_world: the spacing of the cameras in both units.
     """
     if not np.isfinite(spacing_raw) or spacing_raw <= 0:
         raise ScaleError("both cameras were solved to the same place: the scale is undetermined")

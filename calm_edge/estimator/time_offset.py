@@ -18,16 +18,16 @@ from calm_edge.types import Float, Submap
 
 # Prior of the offset of two cameras, zero mean.
 PRIOR_SIGMA_S = 0.02
-# Systematic error: poses bent by a wrong focal length resemble an offset in turns, of up to 11 ms
-# on scripted drives without one.
+# Sigma of the systematic error: in turns, poses distorted by a wrong focal length look like a time
+# offset. On scripted drives without offset, up to 11 ms were estimated.
 SYSTEMATIC_SIGMA_S = 0.006
-# An offset of fewer sigmas is not significant and not applied.
+# An offset of fewer sigmas than this is not significant and is not applied.
 SIGNIFICANT_SIGMAS = 2.0
 MAX_OFFSET_S = 0.1
 MAX_SUBMAPS = 200
 MIN_SUBMAPS = 5
-# Assumed deviation of poses from the rig, which weighs translation (spacings) against rotation.
-# The sigma is computed from the residuals, as at least MIN_NOISE of this.
+# Assumed noise of T_p_a, in spacings and rad: the weights of translation and rotation. The actual
+# noise is estimated from the residuals, but taken as no less than MIN_NOISE times the assumed one.
 TRANSLATION_NOISE = 0.02
 ROTATION_NOISE_RAD = 0.002
 MIN_NOISE = 0.1
@@ -39,10 +39,10 @@ SMOOTHING = 2
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Assistant views of one sub-map relative to the primary at their stamps.
+    """Rig and motion of the primary camera at the stamp of each assistant view of a sub-map.
 
-    T_p_a: (V, 4, 4), raw units. twist: (V, 6) of the primary at these times, raw units/s and
-    rad/s, averaged over span_s (V,).
+    T_p_a: (V, 4, 4), raw units. twist: (V, 6) of the primary, raw units/s and rad/s, averaged
+    over span_s (V,) seconds.
     """
 
     T_p_a: Float
@@ -52,22 +52,23 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class TimeOffset:
-    """Exposure of the assistant minus its stamp, on the primary's clock, with its sigma."""
+    """Estimated time offset (time of exposure minus stamp of the assistant) and its sigma."""
 
     offset_s: float
     sigma_s: float
 
     @property
     def observed(self) -> bool:
-        """Whether it is significantly non-zero and determined by the drive, not by the prior."""
+        """Whether the offset is significant and determined by the motion, not by the prior."""
         known = self.sigma_s < PRIOR_SIGMA_S / 2
         return known and abs(self.offset_s) > SIGNIFICANT_SIGMAS * self.sigma_s
 
 
 def samples(submap: Submap) -> Samples | None:
-    """Samples of one sub-map; None with fewer than two primary or one assistant views.
+    """Compute the samples of a sub-map; None if it has too few views.
 
-    Assistant views more than a frame gap outside the time of the primary ones are left out.
+    Two primary views and one assistant view are needed. Assistant views more than one frame gap
+    before the first or after the last primary view are left out.
     """
     n, m = submap.n_primary, len(submap.assistant_ids)
     if n < 2 or m < 1:
@@ -91,7 +92,7 @@ def samples(submap: Submap) -> Samples | None:
 
 
 def estimate(history: list[Samples]) -> TimeOffset:
-    """Maximum a posteriori offset for which the assistant views lie best on one rig.
+    """Maximum a posteriori time offset, given that all assistant views have the same T_p_a.
 
     Gauss-Newton over offset, rig and the scale of each sub-map. The sigma is a sandwich estimate
     clustered by sub-map (Liang and Zeger, 1986), because errors within one are correlated.
@@ -112,7 +113,7 @@ def _step(history: list[Samples], offset: float) -> tuple[float, float]:
     # subtracting the mean projects out the six parameters of the rig
     J_free, r_free = J - J.mean(0), r - r.mean(0)
     H = float((J_free * J_free).sum())
-    # pose noise looks like changes of motion and inflates H by this much
+    # noise of the poses enters the twist and makes H too large: subtract the expected amount
     span = np.concatenate([s.span_s for s in history])
     signal = H - float((r_free**2).mean() * (6 / span**2).sum())
     if signal <= 0:
@@ -126,13 +127,16 @@ def _step(history: list[Samples], offset: float) -> tuple[float, float]:
 
 
 def _residuals(history: list[Samples], offset: float) -> tuple[Float, Float, np.ndarray]:
-    """Whitened residuals (V, 6), their derivatives (V, 6) by the offset, and sub-map index (V,)."""
+    """Whitened residuals (V, 6) of T_p_a against its mean at a given offset.
+
+    Also returns their derivatives (V, 6) by the offset, and the sub-map index (V,).
+    """
     k = np.repeat(np.arange(len(history)), [len(s.T_p_a) for s in history])
     T = np.concatenate([s.T_p_a for s in history])
     twist = np.concatenate([s.twist for s in history])
     # T_p_a at stamps corrected by the offset
     moved = se3.exp(-twist * offset) @ T
-    # lengths in spacings, for each sub-map
+    # convert each sub-map's lengths to spacings
     length = np.bincount(k, np.linalg.norm(moved[:, :3, 3], axis=1)) / np.bincount(k)
     moved[:, :3, 3] /= length[k, None]
     velocity = twist[:, :3] / length[k, None]
@@ -150,7 +154,7 @@ def _residuals(history: list[Samples], offset: float) -> tuple[Float, Float, np.
 
 
 class TimeOffsetEstimator:
-    """Owner of the samples of recent sub-maps, and of the `offset` estimated from them."""
+    """Estimator of `offset` from the samples of the most recent sub-maps, which it owns."""
 
     def __init__(self) -> None:
         self._history: deque[Samples] = deque(maxlen=MAX_SUBMAPS)

@@ -35,7 +35,7 @@ def raw_submap(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Su
 
 
 def solved_again(submap: Submap, prediction: Prediction | None) -> Submap:
-    """The sub-map with the raw poses and cameras of a later prediction, if there is one."""
+    """Replace the raw poses and cameras of a sub-map by those of a later prediction, if any."""
     if prediction is None:
         return submap
     return replace(submap, **_raw_fields(prediction, submap.n_primary))

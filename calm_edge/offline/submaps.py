@@ -85,7 +85,10 @@ def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | N
 
 
 def _final(first: LocalizerUpdate, last: LocalizerUpdate) -> LocalizerUpdate:
-    """Return the last placement, with the first prediction moved to its poses and cameras."""
+    """Combine the first and the last update of a sub-map.
+
+    Only the first has the landmarks; they are moved to the poses and cameras of the last.
+    """
     prediction = with_poses(first.prediction, last.submap.cameras_raw, last.submap.T_s_c_raw)
     return replace(last, prediction=prediction, stage_ms=first.stage_ms)
 
@@ -106,9 +109,9 @@ def with_poses(prediction: Prediction, cameras: tuple[Camera, ...], T_s_c: Float
 
 
 def triangulated(marks: Landmarks, cameras: Sequence[Camera], T_s_c: Float) -> Float:
-    """Points (M, 3) closest to the rays of their observations; unchanged where these are parallel.
+    """Triangulate landmarks again: points (M, 3) closest to the rays of their observations.
 
-    cameras: N, T_s_c (N, 4, 4) of the views that saw them.
+    cameras, T_s_c (N, 4, 4): of all N views. Points with parallel rays are left unchanged.
     """
     uv = marks.uv.astype(np.float64)
     rays = back_project_each(cameras, marks.view, uv, np.ones(len(uv)))
@@ -142,7 +145,7 @@ def _recompute(
             drive.unsolved.append(window.submap_id)
             continue
         light = replace(update.prediction, depth=None, confidence=None)
-        # the loop keyframe is that of the prediction, which may differ from the recorded one
+        # the loop keyframe found now may differ from the recorded one
         solved = replace(window, loop_keyframe=update.loop_keyframe)
         found[window.submap_id] = of_window(solved), replace(update, prediction=light)
         say(f"window {window.submap_id} computed again")
