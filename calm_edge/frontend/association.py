@@ -23,7 +23,9 @@ def is_thin(window: SubmapWindow) -> bool:
 
 
 class WindowBuilder:
-    """Groups N_max primary keyframes, N_overlap shared, with the closest assistant frames.
+    """Builder of windows: N_max primary keyframes with the assistant frames closest in time.
+
+    Consecutive windows share N_overlap primary keyframes.
 
     A keyframe is associated once there is an assistant frame at or after its stamp, or the primary
     stream is `max_pair_gap_s` past it; so the result does not depend on the order of arrival. An
@@ -70,7 +72,7 @@ class WindowBuilder:
         return self._settle(t_ns)
 
     def held(self) -> Iterator[Frame]:
-        """The frames that a later window may contain, some of them twice."""
+        """All frames that a later window may contain; some are yielded twice."""
         yield from self._seen
         paired = itertools.chain(self._open, *self._paired)
         yield from (keyframe.frame for keyframe in paired if keyframe is not None)

@@ -24,7 +24,10 @@ MIN_DEPTH = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """Corners without depth: uv (M, 2) now; first_uv (M, 2), first_T_m_c (M, 4, 4) at detection."""
+    """Tracked corners that have no depth yet.
+
+    uv: (M, 2) px, current. first_uv (M, 2), first_T_m_c (M, 4, 4) camera->map: at detection.
+    """
 
     uv: Float32
     first_uv: Float32
@@ -76,7 +79,7 @@ def step(
 
 
 def replenish(known: Candidates, gray: Bytes, taken: Float32, T_m_c: Float, n: int) -> Candidates:
-    """Add new corners of `gray`, up to `n` in all, not near these or pixels `taken` (Q, 2)."""
+    """Add corners of `gray`, up to `n` in all, not near known ones or pixels `taken` (Q, 2)."""
     fresh = corners(gray, n, np.concatenate([known.uv, taken]))
     fresh = fresh[: max(0, n - len(known.uv))]
     born = np.broadcast_to(T_m_c, (len(fresh), 4, 4))

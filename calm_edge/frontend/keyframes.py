@@ -11,8 +11,8 @@ from calm_edge.types import Bytes, Float32, Keyframe
 from device.frame import Frame
 
 # Half of an open scene is too far to have parallax: the mean is over the half of the tracks with
-# the largest disparity, without the largest tenth. Against other moving cars: this quantile of the
-# disparities has to exceed this share of the threshold.
+# the largest disparity, without the largest tenth. MOVING_QUANTILE of the disparities also has to
+# exceed MOVING_SHARE of the threshold, so that another moving car does not cause keyframes.
 MOVING_HALF = (0.5, 0.9)
 MOVING_QUANTILE = 0.75
 MOVING_SHARE = 0.2
@@ -33,10 +33,11 @@ def robust_mean(disparity: NDArray[np.floating]) -> float:
 
 
 class KeyframeSelector:
-    """Selects keyframes among the primary frames; owner of the tracks since the last one.
+    """Selector of keyframes among primary frames; owner of the tracks since the last keyframe.
 
-    Tracking is from frame to frame, so that large motions accumulate. At standstill the reference
-    image is kept, so that noise does not. sparse: keyframes SPARSE_STRETCH times as far apart.
+    Features are tracked from frame to frame, so that large motions can be followed. At standstill
+    the reference image is kept, so that noise does not add up. sparse: select keyframes
+    SPARSE_STRETCH times as far apart.
     """
 
     def __init__(self, config: FrontendConfig, first_id: int = 0) -> None:

@@ -31,7 +31,8 @@ HOP_NS, CATCH_UP_NS = 390_000_000, 90_000_000
 # while there is no pose that could be delayed.
 CATCH_UP_FRAMES, CATCH_UP_FRAMES_LOST = 2, 3
 INLIER_PX = 3.0
-# of log length between the old track and the new sub-map; beyond it the old track is dropped
+# Largest difference of log length between the old track and the new sub-map; if it is larger, the
+# old track is dropped.
 MAX_DISAGREEMENT = 0.2
 
 
@@ -125,7 +126,7 @@ class Tracker:
         p_m, uv = p_m[fit.inlier], uv[fit.inlier]
         old = self._tracks
         if T_new_old is not None and ratio is not None and old is not None and old.seen_in is gray:
-            # keep the points tracked so far: few of the new ones may reach the newest frame
+            # add the old points: only few of the new ones may still be visible
             room = max(0, self.config.tracker_points - len(uv))
             centre = fit.T_w_c[:3, 3]
             followed = se3.transform(T_new_old, old.p_m[:room])
@@ -150,7 +151,7 @@ class Tracker:
         return True
 
     def _advance_follower(self) -> None:
-        """Track some more frames; at the newest one the second tracker takes over."""
+        """Track some more frames in the second tracker; at the newest one it takes over."""
         follower = self._follower
         if follower is None:
             return
@@ -169,9 +170,10 @@ class Tracker:
                 self._tracks, self._candidates = follower._tracks, follower._candidates
 
     def _scale_ratio(self, keyframe: int, T_w_k: Float, T_w_c: Float) -> float | None:
-        """Ratio of new to old lengths, from the distance between a past keyframe and now.
+        """Ratio of lengths in the new map to those in the old one.
 
-        None if the old track lacks either pose, or if they differ by more than MAX_DISAGREEMENT.
+        Compares the distance from a past keyframe (pose T_w_k) to the newest frame (T_w_c). None
+        if the old map lacks either pose, or if |log ratio| exceeds MAX_DISAGREEMENT.
         """
         T_old_k, T_old_c = self._past[keyframe].T_m_c, self._past[-1].T_m_c
         if T_old_k is None or T_old_c is None:

@@ -39,8 +39,9 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
 
 
 def _misfit(powers: Float, moved: Float, covariance: Float) -> Float:
-    """Excess variances (6,) of moved (N, 6) about its fit over its noise, equal for the axes of
-    translation and for those of rotation.
+    """Variances (6,) of the residuals of moved (N, 6) about the parabola, less those of its noise.
+
+    One value for the three axes of translation and one for those of rotation.
     """
     spare = len(moved) - powers.shape[1]
     if spare < 1:
@@ -87,6 +88,6 @@ class RecentPath:
         return se3.interpolate(T_0, T_1, (t_ns - t_0) / (t_1 - t_0))
 
     def twist(self) -> tuple[Float, Float]:
-        """`twist_now` of the poses."""
+        """Twist (6,) at the newest pose and its covariance (6, 6), see `twist_now`."""
         stamps, poses, covariances = zip(*self._rows, strict=True)
         return twist_now(np.array(stamps, np.int64), np.stack(poses), np.stack(covariances))

@@ -28,7 +28,7 @@ SHIFTS = (-2, -1, 0, 1, 2)
 class PlaceDescriptor(Protocol):
     """A global image descriptor and its similarity.
 
-    min_similarity: below it a place is not verified by geometry.
+    min_similarity: places less similar than this are no loop candidates.
     """
 
     min_similarity: float
@@ -44,16 +44,16 @@ class PlaceDescriptor(Protocol):
 
 @runtime_checkable
 class DescribesPlaces(Protocol):
-    """A backbone that may have a learned descriptor."""
+    """Backbone that may provide a learned descriptor."""
 
     @property
     def places(self) -> PlaceDescriptor | None:
-        """The descriptor, or None."""
+        """Learned descriptor, or None."""
         ...
 
 
 class GradientLayout:
-    """Histograms of gradient orientation over a lattice of cells, normalised per cell."""
+    """Descriptor of gradient orientation histograms on a lattice of cells, normalised per cell."""
 
     min_similarity = 0.5
 
@@ -86,13 +86,13 @@ class GradientLayout:
         return np.asarray(unit, np.float32)
 
     def similarity(self, queries: Float32, places: Float32) -> Float32:
-        """Largest cosine (Q, P) over a few sideways shifts, of (Q, D) and (P, D)."""
+        """Cosine similarity (Q, P) of (Q, D) and (P, D), the largest over a few sideways shifts."""
         a, b = (each.reshape(len(each), ROWS, COLUMNS, BINS) for each in (queries, places))
         return layout_likeness(a, b, SHIFTS)
 
 
 def layout_likeness(queries: Float32, places: Float32, shifts: Sequence[int]) -> Float32:
-    """Largest cosine (Q, P) over sideways shifts [columns] of two sets of lattices.
+    """Cosine similarity (Q, P) of two sets of lattices, the largest over sideways shifts [columns].
 
     queries: (Q, rows, columns, D). places: (P, rows, columns, D). The mean over all places is
     subtracted first, since it does not distinguish them.

@@ -22,8 +22,9 @@ from calm_edge.loops.same_place import KnownKit, SamePlace, same_place
 from calm_edge.types import Bytes, Float, Float32, Keyframe, SubmapWindow
 
 MAX_FEATURES = 800
-# In keyframes: distance of queries and of places, largest distance of neighbouring places,
-# smallest distance of two closures, and of two candidates.
+# All in keyframes. EVERY: step between queries, and between stored places. NEIGHBOUR: largest
+# distance of neighbouring places. CLOSURE_GAP: smallest distance of two loop closures.
+# SUPPRESSION: smallest distance of two candidates (non-maximum suppression).
 EVERY = 2
 NEIGHBOUR = 3
 CLOSURE_GAP = 15
@@ -38,10 +39,10 @@ AGREE_DISTANCE_SHARE, AGREE_DISTANCE, AGREE_RAD = 0.5, 3.0, np.radians(8.0)
 
 @dataclass(frozen=True, slots=True)
 class LoopCandidate:
-    """A view of the window shows the place of `keyframe`, an earlier primary one.
+    """An earlier primary keyframe that shows the same place as a view of the window.
 
-    query_view: batch index of the view. T_query_match: (4, 4) match->query, approximate,
-    camera spacings.
+    query_view: batch index of the view. T_query_match: (4, 4) match->query, i.e. from `keyframe`
+    to the view, approximate, in camera spacings.
     """
 
     query_view: int
@@ -49,7 +50,10 @@ class LoopCandidate:
     T_query_match: Float
 
     def agrees(self, T_query_match: Float, spacing: float) -> bool:
-        """Whether a measured pose (4, 4) agrees; `spacing` of its units are one camera spacing."""
+        """Whether a measured pose (4, 4) agrees with the approximate one.
+
+        spacing: camera spacing in the units of the measured pose.
+        """
         own = np.array(self.T_query_match)
         own[:3, 3] *= spacing
         off = se3.inverse(own) @ T_query_match
@@ -59,7 +63,7 @@ class LoopCandidate:
 
 
 class LoopFinder(Protocol):
-    """Finds an earlier view of a window's place among the windows remembered."""
+    """Interface: find an earlier view of the same place for a window, among those remembered."""
 
     def find(
         self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit | None
@@ -73,9 +77,10 @@ class LoopFinder(Protocol):
 
 
 class PlaceMemory:
-    """Owner of the places: pairs of images EVERY keyframes apart, thinned evenly at the limits.
+    """Owner of the places: primary keyframes, stored as neighbouring pairs EVERY keyframes apart.
 
-    A place is confirmed by a neighbouring one, so the two of a pair are kept or dropped together.
+    Pairs, because a loop at one place must be confirmed at a neighbouring one. At the limit of
+    number or bytes every second pair is dropped, and new pairs are taken half as often.
     """
 
     def __init__(self, max_places: int, max_bytes: int = MAX_PICTURE_BYTES) -> None:
@@ -88,7 +93,7 @@ class PlaceMemory:
         return sum(len(pair) for pair in self._pairs)
 
     def add(self, keyframe: Keyframe, vector: Float32) -> None:
-        """Add a keyframe if it is far enough from the last one. Images are kept as JPEG."""
+        """Add a keyframe as JPEG, with its descriptor, if it is far enough from the last one."""
         newest = self._pairs[-1] if self._pairs else []
         begins = not newest or keyframe.id >= newest[0][0].id + self.every
         joins = len(newest) == 1 and EVERY <= keyframe.id - newest[0][0].id <= NEIGHBOUR
@@ -106,11 +111,11 @@ class PlaceMemory:
 
     @property
     def n_bytes(self) -> int:
-        """Size of all images."""
+        """Size of all images [bytes]."""
         return sum(len(keyframe.frame.image) for pair in self._pairs for keyframe, _ in pair)
 
     def neighbours(self, place: Keyframe) -> list[Keyframe]:
-        """Places at most NEIGHBOUR keyframes from one."""
+        """Other places at most NEIGHBOUR keyframes from a given one."""
         every = [keyframe for pair in self._pairs for keyframe, _ in pair]
         return [other for other in every if 0 < abs(other.id - place.id) <= NEIGHBOUR]
 
@@ -122,7 +127,7 @@ class PlaceMemory:
 
 
 class PlaceLoops:
-    """Owner of the places of a drive; deterministic in its windows."""
+    """Loop finder with all places of a drive; the result depends only on the windows."""
 
     def __init__(self, config: LoopConfig, descriptor: PlaceDescriptor | None = None) -> None:
         self._config = config
@@ -167,7 +172,7 @@ class PlaceLoops:
         return self._last_found is None or query_id - self._last_found >= CLOSURE_GAP
 
     def _most_similar(self, window: SubmapWindow, views: list[int]) -> list[tuple[int, Keyframe]]:
-        """The `top_k` most similar pairs of a view and a place, best first, no place twice."""
+        """Select the `top_k` most similar (view, place) pairs, best first, no place twice."""
         if not views:
             return []
         ids = np.array([window.primary[view].id for view in views])
@@ -188,9 +193,9 @@ class PlaceLoops:
         return pairs
 
     def _confirmed(self, verifier: _Verifier, view: int, place: Keyframe) -> bool:
-        """Whether neighbouring places are confirmed too, at least one, and none is contradicted.
+        """Whether the loop also holds for the neighbours of the place: for one, and against none.
 
-        Single look-alikes are common. A neighbour that cannot be decided does not count.
+        A single place is often similar by chance. Neighbours with too few matches do not count.
         """
         last = len(verifier.window.primary) - 1
         decided: list[bool] = []

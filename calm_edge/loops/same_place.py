@@ -31,7 +31,8 @@ NEAR_PX = 2.0
 FAR_PERCENT = 10.0
 SOME_DEPTH = 10.0  # spacings; for the direction of the parallax any depth will do
 MIN_AGREEING = 0.6
-# A point is found again within this distance of its projection, at this cosine of descriptors.
+# A point is found again by a feature within this distance [px] of its projection, with at least
+# this cosine similarity of descriptors. MIN_SEEN_AGAIN: share of points required for one place.
 SEEN_AGAIN_PX = 8.0
 SEEN_AGAIN_SIMILARITY = 0.8
 MIN_SEEN_AGAIN = 0.5
@@ -42,7 +43,7 @@ MAX_ANGLE_RAD = np.radians(60.0)
 
 @dataclass(frozen=True, slots=True)
 class KnownKit:
-    """Current estimate of the kit. T_p_a: (4, 4), of which only the direction is used."""
+    """Current estimate of the kit. T_p_a: (4, 4); the length of its translation is not used."""
 
     cameras: tuple[Camera, Camera]
     T_p_a: Float
@@ -50,10 +51,10 @@ class KnownKit:
 
 @dataclass(frozen=True, slots=True)
 class SamePlace:
-    """An earlier image with a pose that explains its matches.
+    """Pose of an earlier image that explains its matches.
 
-    T_query_match: (4, 4) match->query, approximate, spacings. seen_again: share of the points seen
-    now that are found in the earlier image.
+    T_query_match: (4, 4) match->query, approximate, spacings. seen_again: share of the current
+    points that are found in the earlier image.
     """
 
     T_query_match: Float
@@ -61,7 +62,7 @@ class SamePlace:
 
     @property
     def is_same(self) -> bool:
-        """Whether it shows the same place, not a similar one."""
+        """Whether the earlier image shows the same place, not only a similar one."""
         return self.seen_again >= MIN_SEEN_AGAIN
 
 
@@ -75,8 +76,8 @@ def same_place(
 ) -> SamePlace | None:
     """Compare an earlier image with a primary image and an assistant image of the same time.
 
-    size: (2,) width, height [px] of primary images. min_matches: required number of matches on one
-    epipolar geometry with the earlier image, and of three times the near points. None if no pose
+    size: (2,) width, height [px] of primary images. min_matches: required number of epipolar
+    inliers with the earlier image; a third of it is required of near points. None if no pose
     explains the matches.
     """
     stretch = float(size[0]) / REFERENCE_WIDTH_PX
@@ -118,7 +119,7 @@ def seen_again(
     """Share of points (M, 3) found in the earlier image at their projection by T_q_past (4, 4).
 
     points: in the query camera, with descriptors `vectors` (M, 128). size: (2,) width, height px.
-    The cells of the query image are weighted equally: a tiled wall has more points than trees.
+    Cells of the query image are weighted equally, so that a richly textured object does not decide.
     """
     p = se3.transform(se3.inverse(T_q_past), points)
     front = (points[:, 2] > 0) & (p[:, 2] > 0)
@@ -134,9 +135,10 @@ def seen_again(
 
 
 def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
-    """Relative pose T_a_p (4, 4), spacings, of two images from their matches (M, 2) px.
+    """Relative pose T_a_p (4, 4), spacings, of a primary and an assistant image.
 
-    The rig is the prior; the car has moved a little between the two exposures.
+    Estimated from their matches (M, 2) px, with the rig as prior: it differs from the rig because
+    the car moves between the two exposures.
     """
     T_p_a = np.array(kit.T_p_a)
     T_p_a[:3, 3] /= np.linalg.norm(T_p_a[:3, 3])
@@ -151,7 +153,10 @@ def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
 
 
 def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple[Float, np.ndarray]:
-    """Triangulate matches (M, 2) px: points (M, 3), primary camera; mask (M,) of near ones."""
+    """Triangulate matches (M, 2) px of both cameras at T_a_p.
+
+    Returns points (M, 3) in the primary camera, spacings, and a mask (M,) of the near ones.
+    """
     primary, assistant = kit.cameras
     n, rays = len(uv_p), primary.back_project(uv_p, np.ones(len(uv_p)))
     both = np.concatenate([rays[:, :2], assistant.normalized(uv_a)])
@@ -169,7 +174,7 @@ def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple
 
 
 def _pose(camera: Camera, points: Float, uv: Float, threshold_px: float) -> pnp.PoseFit | None:
-    """Pose T_q_c (4, 4) of an image from points (M, 3) in the query camera and pixels (M, 2)."""
+    """PnP pose T_q_c (4, 4) of an image from points (M, 3), query camera, and pixels (M, 2)."""
     try:
         return pnp.locate(camera, points, np.asarray(uv, np.float32), np.eye(4), threshold_px)
     except cv2.error:  # raised if no sample gives a model
