@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.baselines.chain import ALIGNMENTS, chain
 from bench.baselines.overlap import Correspondences, common_views, correspondences
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.estimate import Estimate
 from calm_edge.recording.reader import Recording
 from calm_edge.types import Int, LocalizerUpdate

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from bench.process import last_line
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.types import Bytes
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.types import Float
 
 # (drive, seed) -> error; None after a failure.

@@ -16,7 +16,7 @@ from typing import Any
 from bench.drives import ROOT
 from bench.process import last_line
 from calm_edge.commands.console import LOSS, OK
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 
 
 @dataclass(frozen=True, slots=True)

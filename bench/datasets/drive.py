@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.geometry import se3
 from calm_edge.recording.sequence_folder import image_size
 from calm_edge.trajectories import write_kitti

@@ -26,7 +26,7 @@ from bench.mapping.rows import (
 )
 from bench.recorded import read
 from bench.tables import OUT, Check, Table, publish
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.estimate import from_recording, from_updates
 from calm_edge.evaluation.results import common_origin
 from calm_edge.evaluation.truth import Truth, read_truth

@@ -11,8 +11,7 @@ import numpy as np
 from bench.baselines.chain import BaselineResult
 from bench.mapping.build import Built, raw_points
 from calm_edge.config import MappingConfig
-from calm_edge.evaluation import cloud, trajectory
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError, cloud, trajectory
 from calm_edge.evaluation.results import MIN_POSES
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3

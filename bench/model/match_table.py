@@ -26,7 +26,7 @@ from bench.model.ours import OURS, add_arguments, contestant
 from bench.model.protocols import Matcher
 from bench.paired import PairedRatio
 from bench.tables import Check, Table, publish
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 
 # Factor by which ours shall find more between eyes that differ by 20 degrees of roll and a factor
 # of two in focal length.

@@ -15,7 +15,7 @@ from bench.drives import Prepare
 from bench.model.ours import MODEL
 from bench.perturb import Perturbation, perturbed
 from bench.pixel_targets import error_m
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.recording.reader import Recording
 from calm_edge.types import CalmEdgeError, LocalizerUpdate
 

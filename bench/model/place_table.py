@@ -23,7 +23,7 @@ from bench.model.places import (
 from bench.model.scenes import prepared
 from bench.paired import compare
 from bench.tables import Check, Table, publish
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.loops.descriptor import GradientLayout, PlaceDescriptor
 from calm_edge.trajectories import read_kitti
 

@@ -23,7 +23,7 @@ from bench.model.protocols import Matcher, Matches
 from bench.model.scenes import GAPS, keyframes, places, prepared
 from bench.paired import compare
 from bench.tables import OUT, Check, Table, publish
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.geometry import epipolar, se3
 from calm_edge.recording.sequence_folder import SequenceFolder

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bench.drives import SIMULATOR
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.trajectories import read_kitti
 from calm_edge.types import Float, Float32

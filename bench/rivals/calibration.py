@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera

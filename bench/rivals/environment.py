@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.drives import ROOT
 from bench.process import last_line
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 

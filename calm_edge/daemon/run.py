@@ -14,7 +14,7 @@ from calm_edge.daemon.capture import Capture
 from calm_edge.daemon.hub import Hub
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.source import Source
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.retention import TRAJECTORY_FILE, new_drive
 from calm_edge.recording.room import check_room
 from calm_edge.recording.segment import segment_files

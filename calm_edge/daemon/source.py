@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calm_edge.config import Config
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import CalmEdgeError

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.trajectories import folded, read_tum
 from calm_edge.types import Float, Float32, Int, LocalizerUpdate, PoseSample
 from device.frame import Eye

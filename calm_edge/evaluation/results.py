@@ -8,8 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calm_edge.evaluation import cloud, live, trajectory
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError, cloud, live, trajectory
 from calm_edge.evaluation.estimate import Estimate, read_estimate
 from calm_edge.evaluation.truth import Truth, read_truth
 from calm_edge.geometry import se3

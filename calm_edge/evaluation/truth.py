@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.recording.sequence_folder import DEFAULT_RATE_HZ, ORIGIN_NS, read_times
 from calm_edge.trajectories import read_kitti

@@ -17,7 +17,7 @@ from calm_edge.estimator.localizer import Localizer
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.geometry.camera import Camera, back_project_each
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import STATUS
 from calm_edge.recording.window_record import WindowRecord, of_window

@@ -8,7 +8,7 @@ from typing import Any
 
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.geometry.fisheye import Fisheye
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from device.frame import Eye
 
 MODELS: dict[str, type[Camera]] = {"perspective": Perspective, "fisheye": Fisheye}

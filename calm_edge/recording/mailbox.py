@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from typing import Generic, TypeVar
 
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 
 T = TypeVar("T")
 

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calm_edge.config import Config, ConfigError, merge
-from calm_edge.recording import schema
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.losses import describe
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
 from calm_edge.recording.segment import recording_files

@@ -19,8 +19,7 @@ from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
 
 from calm_edge.geometry.camera import Camera
-from calm_edge.recording import camera_record
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, camera_record
 
 RECORDS = ("Submap", "Window", "PoseSample")
 

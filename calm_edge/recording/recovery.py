@@ -12,7 +12,7 @@ from pathlib import Path
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.losses import describe
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
 from calm_edge.recording.segment import PART, recording_files

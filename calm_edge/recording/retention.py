@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.health import boot_id
 from calm_edge.recording.segment import segment_files
 from device.atomic_file import sync_folder

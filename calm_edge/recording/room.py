@@ -7,7 +7,7 @@ from collections import deque
 from pathlib import Path
 
 from calm_edge.config import ConfigError, RecordingConfig
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.health import Space
 from calm_edge.recording.retention import remove_oldest
 

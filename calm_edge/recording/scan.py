@@ -22,7 +22,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
 # calm-edge's chunks are about 1 MiB plus one message; larger ones are regarded as damaged

@@ -32,8 +32,7 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.message import DecodeError
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from calm_edge.recording import camera_record, foxglove, record
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, camera_record, foxglove, record
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import LocalizerUpdate, PoseSample
 from device.frame import Eye, Frame

@@ -13,7 +13,7 @@ from typing import IO, Any, cast
 
 from mcap.writer import CompressionType, Writer
 
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.schema import TOPICS, LogMessage, topic_schema
 from device.atomic_file import sync_folder
 

@@ -17,9 +17,8 @@ from typing import Any
 
 import calm_edge
 from calm_edge.config import Config
-from calm_edge.recording import schema
+from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.chain import SegmentChain
-from calm_edge.recording.errors import RecordingError
 from calm_edge.recording.health import WriterHealth, boot_id
 from calm_edge.recording.mailbox import Mailbox
 from calm_edge.recording.record import array_bytes

@@ -9,7 +9,7 @@ import pytest
 
 from bench import chained as module
 from bench.chained import chained, matched_submaps
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.results import compare
 from calm_edge.evaluation.truth import Truth
 from calm_edge.types import Landmarks, LocalizerUpdate, Prediction, Trajectory

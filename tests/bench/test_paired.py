@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench import paired
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.table import json_text
 
 DRIVES = ("a", "b", "c", "d", "e", "f")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from bench import perturb
 from bench.perturb import Clocks, Perturbation, perturbed
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.trajectories import read_kitti, write_kitti

@@ -12,7 +12,7 @@ from bench import drives, pixels, steps
 from bench.__main__ import main
 from bench.rivals.environment import RivalMissing, RivalRun
 from bench.steps import Cost
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.estimate import Estimate
 from tests.bench.rivals.test_calibration import RIG, N, write
 from tests.evaluation.worlds import curve

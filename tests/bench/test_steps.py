@@ -8,7 +8,7 @@ import pytest
 
 from bench import steps
 from bench.steps import Cost
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 
 
 def test_a_failing_command_is_named_with_its_last_line(tmp_path: Path) -> None:

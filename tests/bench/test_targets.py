@@ -10,7 +10,7 @@ import pytest
 from bench import drives, steps, targets
 from bench.__main__ import main
 from bench.tables import Check, kept
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.estimate import from_updates
 from calm_edge.evaluation.results import compare
 from calm_edge.evaluation.truth import read_truth

@@ -9,7 +9,7 @@ import pytest
 from calm_edge.config import Config, merge
 from calm_edge.evaluation.estimate import from_recording, read_estimate
 from calm_edge.mapping.cloud_file import CloudWriter
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.trajectories import TrajectoryError
 from calm_edge.types import MapTile, PoseSample, PoseStatus

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.estimate import Estimate, from_updates, pose_ages
 from calm_edge.evaluation.results import common_origin, compare, evaluate
 from calm_edge.evaluation.truth import Truth

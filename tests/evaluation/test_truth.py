@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.geometry.camera import Perspective
 from calm_edge.recording.sequence_folder import SequenceError

@@ -16,8 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from calm_edge.recording import schema
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.recovery import Outcome, recover
 from calm_edge.recording.writer import RecordingWriter

@@ -9,8 +9,7 @@ import pytest
 
 from calm_edge.geometry.camera import Perspective
 from calm_edge.geometry.fisheye import Fisheye
-from calm_edge.recording import camera_record
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, camera_record
 from device.frame import Eye
 
 SIZES = {Eye.PRIMARY: (640, 480), Eye.ASSISTANT: (320, 200)}

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.mailbox import Mailbox
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calm_edge.recording import schema
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.reader import Recording
 from device.frame import Eye
 from tests.recording import samples

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from calm_edge.recording import record
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, record
 from calm_edge.types import LocalizerUpdate, PoseSample
 from tests.recording import samples
 

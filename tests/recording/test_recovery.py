@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from calm_edge.recording import recovery
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, recovery
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.recovery import Outcome, default_target, recover, validate
 from device.frame import Eye

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calm_edge.recording import retention
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, retention
 from calm_edge.recording.retention import (
     drives,
     is_kept,

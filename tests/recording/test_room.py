@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from calm_edge.config import ConfigError, RecordingConfig
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError
 from calm_edge.recording.retention import new_drive, set_kept
 from calm_edge.recording.room import HEADROOM_BYTES, Room, check_room
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calm_edge.recording import schema
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.scan import scan
 from calm_edge.recording.segment import Segment, segment_files
 

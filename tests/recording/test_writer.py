@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from calm_edge.recording import schema
-from calm_edge.recording.errors import RecordingError
+from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
 from device.frame import Eye, Frame

@@ -12,7 +12,7 @@ from bench.__main__ import main
 from bench.datasets import table
 from bench.datasets.command import NAMES
 from bench.steps import Cost
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.recording.sequence_folder import SequenceFolder
 from device.frame import Eye

@@ -14,7 +14,7 @@ from bench.mapping.rows import (
     ours,
 )
 from calm_edge.config import MappingConfig
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import back_project_each

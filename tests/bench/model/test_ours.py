@@ -6,7 +6,7 @@ from bench.model.depth_makers import SweepDepth
 from bench.model.ours import ModelMatcher, contestant
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle.matching import Found
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 
 
 class Shifts:

@@ -10,7 +10,7 @@ from bench.model import pipeline, pipeline_runs
 from bench.model.pipeline import ate_table, time_table, worst_drive
 from bench.model.pipeline_runs import INT8, NETWORK, PLAIN, TIMED
 from calm_edge.backbones.base import BackboneError
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.recording.sequence_folder import SequenceFolder
 from device.frame import Eye
 from tests.replay.small_drive import write_drive

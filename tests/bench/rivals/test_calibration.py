@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bench.rivals.calibration import nearest_pairs, true_calibration
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 from calm_edge.geometry import se3
 from calm_edge.trajectories import write_kitti
 from tests.evaluation.worlds import curve

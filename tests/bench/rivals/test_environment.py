@@ -9,7 +9,7 @@ import pytest
 
 from bench.rivals import environment
 from bench.rivals.environment import RivalMissing, run_process
-from calm_edge.evaluation.errors import EvaluationError
+from calm_edge.evaluation import EvaluationError
 
 
 def test_what_pip_cannot_find_is_missing_not_an_error_of_ours(
