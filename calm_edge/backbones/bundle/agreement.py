@@ -1,4 +1,4 @@
-"""Which depths of a window agree with one another (geometric consistency across views)."""
+"""Geometric consistency of the depth maps of a window."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Float32
 
-# A point nearer to the other view than this share of its depth is not looked for there.
+# Smallest depth in the other view, as a share of the depth in this one, that is compared.
 NEAREST_SHARE = 0.05
 
 
@@ -26,7 +26,7 @@ class DepthView:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Each (h, w). zeta: mean of the views that agree, 1/spacings. votes: how many others do.
+    """Each (h, w). zeta: mean of the views that agree, 1/spacings. votes: number of other views.
 
     spread: root mean square of their differences, 1/spacings.
     """
@@ -39,9 +39,11 @@ class Agreement:
 def agree(
     view: DepthView, others: Sequence[DepthView], relative: float, absolute: float
 ) -> Agreement:
-    """Carries every pixel into the others and their depth back: who says the same.
+    """Reproject every pixel into other views and their depth back, and compare.
 
-    The same is within `relative` of the inverse depth plus `absolute` 1/spacings.
+    Inverse depths agree when they differ by less than `relative` of it plus `absolute` 1/spacings.
+    The check of Schoenberger et al., "Pixelwise View Selection for Unstructured Multi-View
+    Stereo", ECCV 2016.
     """
     h, w = view.zeta.shape
     y, x = np.mgrid[:h, :w]

@@ -1,8 +1,7 @@
-"""The bundle backbone: two uncalibrated cameras in, intrinsics, poses, depth, confidence out.
+"""The bundle backbone: a visual geometry model (paper III) by matching and bundle adjustment.
 
-Matches -> a first guess -> bundle adjustment over poses, points, optics and rig -> plane-sweep
-depth. It meets the definition of a visual geometry model (paper III) with no learned part: the
-network of a later model replaces tracks.py and depth.py, the solver stays.
+Matches (classical or learned), an initial solution, bundle adjustment over poses, points, optics
+and rig, then plane-sweep depth. The cameras need no calibration.
 """
 
 from __future__ import annotations
@@ -28,32 +27,32 @@ from calm_edge.kit.belief import product
 from calm_edge.loops.descriptor import PlaceDescriptor
 from calm_edge.types import Float, Hints, KitBelief, Prediction
 
-# Errors along one track and over one texture are not independent news; this share of the
-# information counted observation by observation is what the windows' scatter supports.
+# Residuals along a track and within a texture are correlated: factor on the information of
+# independent observations, fitted to the scatter between windows.
 TEMPERING = 0.02
-# What the pinhole model leaves out (distortion, rolling shutter, a stamp's error) as a share of f.
+# Model error of the focal (distortion, rolling shutter, stamps) as a share of it.
 FOCAL_FLOOR = 0.015
-# Wide first, so that a poor start loses no match; then narrow, for what a wrong match pulls at is
-# not noise around the truth: most err towards the camera and shrink the scene. The wide solution is
-# only a start and need not be as exact.
+# Cauchy scales [sigmas]: wide first, so that a poor start loses no match; then narrow, since wrong
+# matches are biased: most are too near and shrink the scene. The wide solution is only a start and
+# need not be as exact.
 ROBUST_SCALES = (2.0, 0.5)
 TOLERANCES = (1e-3, 1e-4)
-# A belief this sharp is used as it is; a vaguer one makes several first guesses compete.
+# Largest sigmas of a rig and a focal that count as known; else several initial focals are tried.
 RIG_KNOWN_RAD = 0.02
 FOCAL_KNOWN = 0.05
 FOCAL_GUESSES = (1.0, 1.25, 0.75)
 GUESS_ITERATIONS = 15
 GUESS_POINTS = 200
 SEED_SHARES = (0.5, 0.3, 0.15)
-# A start that costs no more an observation has not slipped: of a known kit the others are as good.
+# Cost an observation below which a start of a known kit needs no alternatives.
 GOOD_START = 1.0
-# Beyond these a solution is believed neither as a sub-map nor as evidence on the kit.
+# Largest median reprojection errors of a sub-map, and of one that is evidence on the kit.
 MAX_MEDIAN_PX = 2.0
 MAX_EVIDENCE_PX = 0.8
 
 
 class BundleBackbone:
-    """Stateless: what is learned of the kit travels in `Hints.kit` and `Prediction.kit`."""
+    """Stateless: beliefs on the kit come in `Hints.kit`, evidence goes out in `Prediction.kit`."""
 
     def __init__(
         self,
@@ -62,9 +61,9 @@ class BundleBackbone:
         notices: tuple[str, ...] = (),
         places: PlaceDescriptor | None = None,
     ) -> None:
-        """matching: a network's; None is Lucas-Kanade. notices: lines for every prediction.
+        """matching: by a network; None for Lucas-Kanade. notices: lines for every prediction.
 
-        places: what the same network knows places by.
+        places: the same network's place descriptor.
         """
         self._seed, self._matching, self._notices = config.seed, matching, notices
         self.places = places
@@ -76,7 +75,7 @@ class BundleBackbone:
 
         if not model_of(config):
             return cls(config.backbone)
-        # without a network, ONNX Runtime need not be there
+        # imported only for a network: they need ONNX Runtime
         from calm_edge.backbones.bundle.features import FeatureNet
         from calm_edge.backbones.bundle.learned import LearnedMatching
         from calm_edge.backbones.bundle.place import LearnedPlace
@@ -87,7 +86,7 @@ class BundleBackbone:
 
     @property
     def expects_pictures(self) -> bool:
-        """Lucas-Kanade has nothing to begin with."""
+        """Only a network can start before the window is complete."""
         return self._matching is not None
 
     def expect(self, image: NDArray[np.uint8]) -> None:
@@ -97,16 +96,16 @@ class BundleBackbone:
             self._matching.expect([gray], [], None)
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """Poses, cameras and landmarks; depth comes with `densify`. Raises BackboneError."""
+        """Poses, cameras and landmarks; `densify` adds depth. Raises BackboneError."""
         if hints.loop:
             alone = self.infer(images[:-1], hints.without_loop())
             return loop_view.with_loop(images, hints, alone)
         cv2.setRNGSeed(self._seed)
-        belief = believed(hints)
+        belief = kit_belief(hints)
         sigma = _sigma(belief)
         rig_known = bool(sigma[layout.RIG_ROTATION].max() < RIG_KNOWN_RAD)
         known = rig_known and bool(sigma[layout.LOG_FOCAL].max() < FOCAL_KNOWN)
-        with _determined():
+        with _solvable():
             m = window.measure(images, hints, belief.mean, rig_known, self._matching)
             ties = rig_ties(m)
             start = _first_guess(m, ties, belief, known)
@@ -114,14 +113,14 @@ class BundleBackbone:
         return replace(solved, notices=self._notices)
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
-        """The same views again under the kit of `hints`, from landmarks; raises BackboneError."""
+        """Solve the views again under the kit of `hints`, from landmarks; raises BackboneError."""
         if hints.loop:
             alone = self.resolve(prediction.without_loop(), hints.without_loop())
             return loop_view.placed_again(alone, prediction)
-        belief = believed(hints)
+        belief = kit_belief(hints)
         m, start = window.from_prediction(prediction, hints, belief.mean)
         ties = rig_ties(m)
-        with _determined():
+        with _solvable():
             return _prediction(m, belief, *_solve(start, m, ties, belief))
 
     def densify(
@@ -130,15 +129,15 @@ class BundleBackbone:
         """The prediction with plane-sweep depth and confidence (depth.py)."""
         if prediction.depth is not None:
             return prediction
-        # `record` solves poses only and need not load this
+        # `record` solves poses only and does not load this
         from calm_edge.backbones.bundle.depth import sweep_window
 
         depth, confidence = sweep_window(images, hints, prediction)
         return replace(prediction, depth=depth, confidence=confidence)
 
 
-def believed(hints: Hints) -> KitBelief:
-    """The prior under the hints times what other windows taught."""
+def kit_belief(hints: Hints) -> KitBelief:
+    """Product of the prior under the hints and the belief from other windows."""
     joint = product([layout.prior(hints.hfov_deg), hints.kit])
     assert joint is not None
     length = np.linalg.norm(joint.mean[layout.RIG_CENTRE])
@@ -151,14 +150,14 @@ def _sigma(belief: KitBelief) -> Float:
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(belief.information))))
 
 
-def _sharpened(belief: KitBelief) -> KitBelief:
-    """The belief as strong against a window's pixels as tempering makes those weak."""
+def _untempered(belief: KitBelief) -> KitBelief:
+    """The belief scaled to weigh against a window's untempered pixels."""
     return KitBelief(belief.mean, belief.information / TEMPERING)
 
 
 @contextmanager
-def _determined() -> Iterator[None]:
-    """Says in words that equations had no solution, or a sample no model."""
+def _solvable() -> Iterator[None]:
+    """Translate failures of numpy and OpenCV to BackboneError."""
     try:
         yield
     except (np.linalg.LinAlgError, cv2.error):
@@ -168,23 +167,25 @@ def _determined() -> Iterator[None]:
 def _solve(
     start: State, m: Measurements, ties: RigTies, belief: KitBelief
 ) -> tuple[Solution, RigTies]:
-    """The solution, and the ties as it read the stamps."""
+    """The solution, and the ties with corrected instants."""
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
-    for robust_scale, tolerance, read in passes:
-        read_so = read(ties, start)
-        prior = layout.with_time_jitter(_sharpened(belief), stamps.common_sigma_s(read_so))
-        solution = solve(start, m, read_so, prior, robust_scale=robust_scale, tolerance=tolerance)
+    for robust_scale, tolerance, timed in passes:
+        timed_ties = timed(ties, start)
+        prior = layout.with_time_jitter(_untempered(belief), stamps.common_sigma_s(timed_ties))
+        solution = solve(
+            start, m, timed_ties, prior, robust_scale=robust_scale, tolerance=tolerance
+        )
         start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
-    return solution, read_so
+    return solution, timed_ties
 
 
 def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool) -> State:
-    """The best of a few starts, on the longest tracks; its poses then place every point.
+    """The best of several starts on the longest tracks; its poses then place every point.
 
-    A chain of resections can slip, and a wrong focal can trap the solver: of first pairs the
-    cost of the start itself tells which is good, of focals the cost after a few steps.
+    A chain of resections can drift, and a wrong focal can trap the solver. First pairs are compared
+    by the cost of the start itself, focals by the cost after a few iterations.
     """
     few = window.thinned(m, GUESS_POINTS)
     candidates: list[tuple[float, State]] = []
@@ -199,7 +200,7 @@ def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool)
             continue
         if not known:
             trial = solve(
-                state, few, stamps.freed(ties, state), _sharpened(belief),
+                state, few, stamps.freed(ties, state), _untempered(belief),
                 robust_scale=ROBUST_SCALES[0], max_iterations=GUESS_ITERATIONS,
             )  # fmt: skip
             cost, state = trial.cost, trial.state
@@ -213,9 +214,9 @@ def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool)
 def _best_start(
     m: Measurements, ties: RigTies, belief: KitBelief, theta: Float, known: bool
 ) -> tuple[float, State]:
-    """The cheapest of the starts from different first pairs, with its cost."""
+    """The start of lowest cost over several first pairs, with its cost."""
     starts: list[tuple[float, State]] = []
-    failure = BackboneError("bundle: no first guess")
+    failure = BackboneError("bundle: no initial solution from any pair of keyframes")
     for share in SEED_SHARES:
         try:
             state = initial_state(m, theta, known, share)
@@ -223,7 +224,7 @@ def _best_start(
             failure = error
             continue
         freed = stamps.freed(ties, state)
-        cost = total_cost(state, m, freed, _sharpened(belief), ROBUST_SCALES[0])
+        cost = total_cost(state, m, freed, _untempered(belief), ROBUST_SCALES[0])
         starts.append((cost, state))
         if known and cost < GOOD_START * len(m.uv):
             break

@@ -1,7 +1,8 @@
-"""Where points of one picture are in another, by learned features: no guess is needed.
+"""Match points between two pictures by learned features, without an initial guess.
 
-Every query is compared with all cells of the other picture; the best cell must find its way back;
-the finer features then place it within the cell and say how sure that is.
+A query is compared with all coarse cells of the other picture; the best cell must match back
+(mutual nearest neighbours). Finer features then refine the position and give its sigma, coarse to
+fine as in LoFTR (Sun et al., CVPR 2021).
 """
 
 from __future__ import annotations
@@ -9,26 +10,26 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.backbones.bundle.features import FeatureNet, Features
-from calm_edge.backbones.bundle.matching import Found
+from calm_edge.backbones.bundle.matching import Matches
 from calm_edge.types import Float32, Int
 
 STRIDE, FINE_STRIDE = 8, 4
-# Fine cells on each side of a guess that are looked at.
+# Fine cells on each side of the guess in the correlation window.
 RADIUS = 4
-# A match has to return within so many cells of its query.
+# Largest distance [cells] of the match back from its query.
 RETURN_CELLS = 1.5
-# Below this the encoder itself says that a point is none to rely on.
+# Queries with a lower reliability, as the encoder predicts it, are not matched.
 MIN_RELIABILITY = 0.05
 ROUNDS = 2
-# Input pixels: what features of this stride tell apart, whatever the network claims.
+# Input pixels: the resolution of features of this stride, whatever sigma the network gives.
 MIN_SIGMA = 0.67
 
 
-def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:
-    """Points uv (N, 2) px of a's picture in b's; raises BackboneError."""
+def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Matches:
+    """Match points uv (N, 2) px of a's picture to b's; raises BackboneError."""
     if len(uv) == 0:
         none = np.zeros(0, bool)
-        return Found(uv, none, np.zeros(0, np.float32), none)
+        return Matches(uv, none, np.zeros(0, np.float32), none)
     uv_a = a.to_input(uv)
     query = sampled(a.coarse, uv_a, STRIDE)
     cells, guess = _best(query, b.coarse)
@@ -47,11 +48,11 @@ def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Found:
     sure &= (guess >= 0).all(1) & (guess <= np.array([width - 1, height - 1])).all(1)
     sigma_px = np.maximum(sigma, MIN_SIGMA) * b.pixel
     none = np.zeros(len(uv), bool)
-    return Found(b.to_picture(guess), sure, np.asarray(sigma_px, np.float32), none)
+    return Matches(b.to_picture(guess), sure, np.asarray(sigma_px, np.float32), none)
 
 
 def sampled(maps: Float32, uv: Float32, stride: int) -> Float32:
-    """Map (h, w, C) bilinearly at uv (N, 2) px of the input -> (N, C) of unit length."""
+    """Bilinear samples of a map (h, w, C) at uv (N, 2) px of the input -> (N, C), unit length."""
     height, width = maps.shape[:2]
     at = np.clip((uv + 0.5) / stride - 0.5, 0, [width - 1, height - 1])
     low = np.minimum(np.floor(at).astype(np.int64), [width - 2, height - 2])
@@ -64,10 +65,10 @@ def sampled(maps: Float32, uv: Float32, stride: int) -> Float32:
 
 
 def correlations(fine: Float32, uv: Float32, query: Float32) -> Float32:
-    """Query features (N, C) with the 9 x 9 cells of a fine map (h, w, C) around uv (N, 2) px of the
-    input, rows first -> (N, 81).
+    """Correlate features (N, C) with the 9 x 9 cells of a fine map (h, w, C) around uv (N, 2) px.
 
-    A cosine is linear in the map, so cells are compared first and interpolated after.
+    uv: of the input. Returns (N, 81), rows first. The product is linear in the map, so cells are
+    correlated first and interpolated after.
     """
     height, width = fine.shape[:2]
     at = (uv + 0.5) / FINE_STRIDE - 0.5
@@ -87,8 +88,8 @@ def correlations(fine: Float32, uv: Float32, query: Float32) -> Float32:
 
 
 def _best(query: Float32, maps: Float32) -> tuple[Int, Float32]:
-    """The likest cell (N,) of a map (h, w, C), and its centre moved towards its likest
-    neighbours, (N, 2) px of the input."""
+    """Best cell (N,) of a map (h, w, C), and the soft-argmax position around it, (N, 2) px of
+    the input."""
     height, width = maps.shape[:2]
     likeness = query @ maps.reshape(height * width, -1).T
     cell = likeness.argmax(1)
@@ -105,12 +106,12 @@ def _best(query: Float32, maps: Float32) -> tuple[Int, Float32]:
     return cell, np.asarray((centre + 0.5) * STRIDE - 0.5, np.float32)
 
 
-# The encoder is trained with cosines over this.
+# Softmax temperature of the cosines that the encoder is trained with.
 TEMPERATURE = 0.05
 
 
 def _nearest(values: Float32, uv: Float32) -> Float32:
-    """Map (h, w) at the cell of each of uv (N, 2) px of the input -> (N,)."""
+    """Values (N,) of a map (h, w) in the cells of uv (N, 2) px of the input."""
     height, width = values.shape
     cell = np.clip(np.floor((uv + 0.5) / STRIDE).astype(np.int64), 0, [width - 1, height - 1])
     return values[cell[:, 1], cell[:, 0]]

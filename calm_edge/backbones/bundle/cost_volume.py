@@ -1,8 +1,9 @@
-"""Photometric plane sweep: how well other pictures match a view's, at every plane of depth.
+"""Plane-sweep stereo: match scores of a view against others at planes of depth.
 
-Planes are parallel to the view's image, at inverse depths zeta. Pictures are whitened over small
-windows first, so that the window sum of a product is a zero-mean normalised cross-correlation
-without a box filter a moment: gain and exposure drop out before the sweep.
+Collins, "A Space-Sweep Approach to True Multi-Image Matching", CVPR 1996. Planes are parallel to
+the view's image plane, at inverse depths zeta. Pictures are whitened over small windows first, so
+that the window mean of a product is a zero-mean normalised cross-correlation: gain and exposure
+cancel before the sweep.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from calm_edge.geometry import se3
 from calm_edge.types import Bytes, Float, Float32
 
 WHITENING_PX = 7
-# Grey levels of noise left after shrinking: weaker texture than this counts for less.
+# Grey levels of noise left after shrinking: damps the correlation of weaker texture.
 NOISE = 1.5
-# A corner on a lamp must not outvote its neighbourhood.
+# Clips single strong edges, which would dominate their window.
 CONTRAST_LIMIT = 2.5
 WINDOW_PX = 3
-# A plane nearer than this share of its depth to the other camera is not looked at.
+# Smallest depth in the other camera, as a share of the depth in this one, that is matched.
 NEAREST_SHARE = 0.15
 
 
 @dataclass(frozen=True, slots=True)
 class SweepView:
-    """A picture ready to be swept: white (h, w) whitened, K (3, 3) px of it, T_s_c (4, 4)."""
+    """Input of the sweep: white (h, w) whitened, K (3, 3) px of it, T_s_c (4, 4)."""
 
     white: Float32
     K: Float
@@ -48,7 +49,7 @@ def whitened(gray: Bytes | Float32) -> Float32:
 
 
 def plane_homographies(view: SweepView, other: SweepView, zeta: Float) -> tuple[Float, Float]:
-    """(D, 3, 3) view px -> other px through the planes of zeta (D,) and z' / z (D,) at the centre.
+    """Homographies (D, 3, 3) view px -> other px of planes zeta (D,), and z' / z (D,) on the axis.
 
     A ray r (z = 1) at inverse depth zeta lies along R r + zeta t in the other camera.
     """
@@ -61,10 +62,10 @@ def plane_homographies(view: SweepView, other: SweepView, zeta: Float) -> tuple[
 def match_scores(
     view: SweepView, others: Sequence[SweepView], zeta: Float, size: tuple[int, int]
 ) -> Float32:
-    """(D, h, w) in [0, 1]: mean correlation of the better half of the others, 1 is a perfect match.
+    """Scores (D, h, w) in [0, 1]: mean correlation of the better half of the others.
 
-    size: (w, h) of the volume, at most that of the pictures. Where a plane leaves another picture
-    that one says 0; the better half forgives occlusion.
+    size: (w, h) of the volume, at most that of the pictures. The better half tolerates occlusion
+    (Kang, Szeliski and Chai, CVPR 2001). Outside another picture its correlation is 0.
     """
     rows, columns = view.white.shape
     w, h = size
@@ -90,7 +91,7 @@ def match_scores(
 
 
 def _insert(best: NDArray[np.float32], score: NDArray[np.generic]) -> None:
-    """Keep the highest scores of each pixel, sorted, in best (k, h, w); score is used up."""
+    """Keep the highest scores of each pixel, sorted, in best (k, h, w); score is overwritten."""
     for k in range(len(best)):
         lower = np.minimum(best[k], score)
         np.maximum(best[k], score, out=best[k])

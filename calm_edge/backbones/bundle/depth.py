@@ -1,7 +1,7 @@
-"""Dense depth of a solved window: plane sweep, semi-global choice, agreement across the views.
+"""Dense depth of a solved window: plane sweep, semi-global matching, consistency across views.
 
-The learned model of a later kit replaces this file (paper III: D, C of the backbone). Everything
-is deterministic; the caller decides on OpenCV's threads.
+The depth D and confidence C of a backbone (paper III). Deterministic; the caller sets the number of
+OpenCV's threads.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 DEPTH_WIDTH_PX = 192
 OVERSAMPLE = 2
 PLANES = 64
-# The nearest plane, as a share of the depth only NEAR_PERCENT of the landmarks fall below:
-# landmarks sit on texture, and the road before the bumper is nearer than any of them.
+# The nearest plane, as a share of the landmarks' NEAR_PERCENT percentile of depth: landmarks lie on
+# texture, and the road before the bumper is nearer than any of them.
 NEAR_PERCENT = 1.0
 NEAR_SHARE = 0.7
 NEAREST = 2.0  # spacings: no plane is nearer
 NEAR_DEFAULT = 5.0  # spacings, without landmarks
-# Temporal neighbours farther away than this see another street corner.
+# Largest distance of neighbours in time that are matched.
 REACH = 12.0  # spacings
 NEIGHBOURS_A_SIDE = 2
-# Views agree on an inverse depth within this share of it and this many steps of the sweep.
+# Tolerance between the inverse depths of two views: a share of it, and steps of the sweep.
 AGREE_RELATIVE = 0.05
 AGREE_STEPS = 0.5
 SPREAD = 0.05
-FRINGE_PX = 5  # across: how wide around sky a depth is not believed
-FARTHEST = 80.0  # spacings: beyond, a depth is not told from infinity
+FRINGE_PX = 5  # width of the border around sky where depth is dropped
+FARTHEST = 80.0  # spacings: indistinguishable from infinity beyond
 
 
 def sweep_window(
@@ -44,9 +44,10 @@ def sweep_window(
 ) -> tuple[Float32, Float32]:
     """Depth and confidence (N, h, w) of N images (H, W, 3) in batch order.
 
-    depth: z in the sub-map's unit, 0 unknown. confidence: [0, 1], about the chance that depth is
-    within five percent. A loop keyframe is swept against the window's views nearest to it; none of
-    them against it, for the street may have changed, and where it has no place it has no depth.
+    depth: z in the sub-map's unit, 0 unknown. confidence: [0, 1], about the probability that the
+    depth is within five percent. A loop keyframe is matched against the nearest views of the
+    window, but none of them against it, as the street may have changed; without a pose it gets no
+    depth.
     """
     if not prediction.loop_found:
         return _without_last(images, hints, prediction)
@@ -86,13 +87,13 @@ def sweep_window(
 
 
 def judge(agreement: Agreement) -> tuple[Float32, Float32]:
-    """Depth (h, w) and confidence (h, w) of what the views agree on.
+    """Depth (h, w) and confidence (h, w) from the views' agreement.
 
-    Depth is 0 where no other view agrees, beyond FARTHEST, where sky begins, and at its edge. One
-    vote gives at most 0.5, two 0.67, and a spread of SPREAD of the inverse depth halves it.
+    Depth is 0 where no other view agrees, beyond FARTHEST (sky), and at the sky's border. One vote
+    gives a confidence of at most 0.5, two 0.67; a spread of SPREAD of the inverse depth halves it.
     """
     zeta, votes = agreement.zeta, agreement.votes
-    # windows at a silhouette give the sky beside it the silhouette's depth
+    # foreground fattening: windows at a silhouette give the sky beside it its depth
     sky = (zeta <= 1 / FARTHEST).astype(np.uint8)
     fringe = cv2.dilate(sky, np.ones((FRINGE_PX, FRINGE_PX), np.uint8)) > 0
     known = (votes > 0) & ~fringe
@@ -132,7 +133,7 @@ def nearest_depth(prediction: Prediction) -> float:
 
 
 def sweep_sources(view: int, eyes: Int, t_ns: Int, T_s_c: Float) -> list[int]:
-    """Which views a view is swept against: the other eye at its time, its own before and after."""
+    """Views that a view is matched against: the other eye at its time, its own before and after."""
     other = np.flatnonzero(eyes != eyes[view])
     own = np.flatnonzero(eyes == eyes[view])
     out = [int(other[np.argmin(np.abs(t_ns[other] - t_ns[view]))])] if len(other) else []
@@ -145,7 +146,7 @@ def sweep_sources(view: int, eyes: Int, t_ns: Int, T_s_c: Float) -> list[int]:
 
 
 def loop_sources(T_s_c: Float) -> list[int]:
-    """Which views the last one (of N + 1) is swept against: the nearest within reach."""
+    """Views that the last one (of N + 1) is matched against: the nearest within REACH."""
     away = np.linalg.norm(T_s_c[:-1, :3, 3] - T_s_c[-1, :3, 3], axis=1)
     near = np.argsort(away, kind="stable")[: 2 * NEIGHBOURS_A_SIDE + 1]
     return [int(i) for i in near if away[i] < REACH]
@@ -161,9 +162,9 @@ def _without_last(
 
 
 def choose(scores: Float32, gray: Bytes, zeta: Float) -> Float32:
-    """Inverse depth (h, w), between the planes zeta (D,), that scores (D, h, w) speak for.
+    """Inverse depth (h, w) of the best scores (D, h, w) at planes zeta (D,), by a parabola fit.
 
-    gray: (h, w), of the same view: a jump of depth is cheaper across its edges.
+    gray: (h, w), of the same view: discontinuities of depth cost less across its edges.
     """
     cost = aggregate(1 - scores, gray)
     best = np.clip(cost.argmin(0), 1, len(zeta) - 2)

@@ -1,6 +1,6 @@
-"""The learned encoder, run once a picture: what matching and place look-up read of it.
+"""The learned encoder, run once a picture, for matching and place recognition.
 
-It runs in threads of its own: the pictures of a window are encoded while the first are matched.
+It has its own threads: the pictures of a window are encoded while the first ones are matched.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry.flow import Gray
 from calm_edge.types import Bytes, Float32
 
-# Pictures whose features are kept: windows overlap, and so do a loop's and the next one's.
+# Pictures in the cache: windows overlap.
 KEPT = 64
-# While nothing else is to be done, a picture for each of two cores.
+# Pictures encoded at a time.
 ENCODERS = 2
 
 
@@ -62,8 +62,7 @@ class Features:
 class FeatureNet:
     """The `encoder` and `refine` graphs of a model of kind bundle.
 
-    The same picture gives the same features, kept or not: to its users it is stateless. They may
-    be several threads.
+    Features of recent pictures are cached. Thread-safe.
     """
 
     def __init__(self, manifest: Manifest, precision: Precision) -> None:
@@ -89,14 +88,14 @@ class FeatureNet:
 
     @classmethod
     def of_model(cls, name: str, precision: Precision | None = None) -> FeatureNet:
-        """Open a model, in the precision measured best here unless one is asked for.
+        """Open a model, by default in the precision measured best on this machine.
 
         Raises BackboneError.
         """
         from calm_edge.backbones.onnx.precision import opened
 
-        asked = BackboneConfig(name=f"bundle:{name}", precision=precision or "auto")
-        model = opened(Config(backbone=asked))
+        config = BackboneConfig(name=f"bundle:{name}", precision=precision or "auto")
+        model = opened(Config(backbone=config))
         return cls(model.manifest, model.precision)
 
     def of(self, pictures: Sequence[Bytes | Gray]) -> list[Features]:
@@ -104,7 +103,7 @@ class FeatureNet:
         return [encoded.result() for encoded in self.begin(pictures)]
 
     def begin(self, pictures: Sequence[Bytes | Gray]) -> list[Future[Features]]:
-        """The same, without waiting for it."""
+        """Start encoding and return futures."""
         return [self._begin(picture) for picture in pictures]
 
     def _begin(self, picture: Bytes | Gray) -> Future[Features]:
@@ -136,7 +135,9 @@ class FeatureNet:
         )
 
     def refined(self, there: Float32, here: Float32) -> tuple[Float32, Float32]:
-        """Correlations (N, 81), see `correspond.correlations` -> offset (N, 2), sigma (N,), px of
-        the input; raises BackboneError."""
+        """Offset (N, 2) and sigma (N,), px of the input, from correlations (N, 81) there and here.
+
+        See `correspond.correlations`. Raises BackboneError.
+        """
         out = self._refine.run({"there": there, "here": here})
         return np.asarray(out["offset"], np.float32), np.asarray(out["sigma"], np.float32)

@@ -1,7 +1,7 @@
-"""A first guess of poses, points and rig, from matches alone and a rough focal.
+"""Initial poses, points and rig from matches and a rough focal.
 
-Two primary views by their essential matrix, the others by resection, the assistant's views by
-resection too: its rotation is unconstrained, so nothing is assumed of it.
+Incremental structure from motion: two primary views by their essential matrix, the others and the
+assistant's views by resection (PnP). The rig's rotation is unconstrained.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from calm_edge.types import Float, Int
 MIN_COMMON = 30
 MIN_RESECTION = 10
 RESECTION_PX = 4.0
-DEPTHS_IN_SPACINGS = (2.0, 2000.0)  # what the middle depth of a scene can be
+DEPTHS_IN_SPACINGS = (2.0, 2000.0)  # range of a scene's median depth
 N_SPACINGS = 120
 
 
@@ -43,7 +43,10 @@ def _rows_of(m: Measurements, view: int) -> Int:
 
 
 def two_views(m: Measurements, rays: Float, first: int, second: int, f: float) -> Float | None:
-    """T_second_first (4, 4), unit translation, or None when too few matches agree."""
+    """T_second_first (4, 4), unit translation, or None with too few inliers.
+
+    cv2.findEssentialMat with USAC_MAGSAC, then cv2.recoverPose.
+    """
     a, b = _rows_of(m, first), _rows_of(m, second)
     _, ia, ib = np.intersect1d(m.point[a], m.point[b], return_indices=True)
     if len(ia) < MIN_COMMON:
@@ -64,7 +67,10 @@ def two_views(m: Measurements, rays: Float, first: int, second: int, f: float) -
 
 
 def resection(points: Float, rays: Float, f: float, guess: Float | None) -> Float | None:
-    """T_c_s (4, 4) of a view that sees known points (n, 3) along rays (n, 2), or None."""
+    """T_c_s (4, 4) of a view that sees known points (n, 3) along rays (n, 2), or None.
+
+    cv2.solvePnPRansac with SQPNP, then cv2.solvePnPRefineLM. guess: returned with too few inliers.
+    """
     if len(points) < MIN_RESECTION:
         return None
     K = np.eye(3)
@@ -86,15 +92,15 @@ def _in_front(p_c: Float) -> Float:
 
 
 def _usable(X: Float) -> np.ndarray:
-    """Points at a finite distance, not beyond infinity."""
+    """Mask of points at a finite, positive distance."""
     return np.asarray(np.isfinite(X[:, 0]) & (X[:, 3] > 1e-4))
 
 
 def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: float) -> State:
-    """Poses of all views, points and kit from scratch; raises BackboneError when it cannot.
+    """Poses of all views, points and kit; raises BackboneError where the matches do not suffice.
 
-    theta: the best guess of the kit; its rig part is used only when `rig_known`, else
-    it is found here. seed_share: how far into the window the second view of the first pair lies.
+    theta: the kit; its rig is used only when `rig_known`, else it is estimated here. seed_share:
+    position of the first pair's second view in the window.
     """
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
@@ -111,7 +117,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
         X = _triangulate_known(m, rays, poses, n_points)
     T_s_p = se3.inverse(np.stack([poses[int(v)] for v in primary]))
     instants = m.t[assistant] + theta[layout.TIME_OFFSET]
-    at = se3.interpolate_at(m.t[primary], T_s_p, instants)  # the primary's, where they looked
+    at = se3.interpolate_at(m.t[primary], T_s_p, instants)  # primary poses at the exposures
     if rig_known:
         T_p_a = layout.rig(theta)
         spacing = _spacing(m, theta, X, assistant, at)
@@ -130,7 +136,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
 
 
 def triangulated(m: Measurements, T_c_s: Float, theta: Float) -> Float:
-    """(M, 4) every point from its views; a point no two views see starts far ahead."""
+    """(M, 4) every point from its views; at infinity ahead where fewer than two see it."""
     n_points = int(m.point.max()) + 1
     X = triangulate(T_c_s, m.view, m.point, normalised(m, theta), n_points)
     return np.where(np.isfinite(X[:, :1]), X, [0.0, 0.0, 1.0, 0.0])
@@ -165,7 +171,7 @@ def _resect(
 
 
 def _outward(primary: Int, known: list[int]) -> list[int]:
-    """Views still unknown, those between the known ones first, then onward."""
+    """Views without a pose, those between the known ones first, then those after."""
     return [int(v) for v in primary if v not in known and v < max(known)] + [
         int(v) for v in primary if v > max(known)
     ]
@@ -178,7 +184,7 @@ def _nearest(poses: dict[int, Float], view: int) -> Float:
 def _resected(
     m: Measurements, rays: Float, X: Float, assistant: Int, at: Float, f: float
 ) -> list[Float]:
-    """T_p_a (4, 4), initial unit, of every assistant view that resection can place."""
+    """T_p_a (4, 4), initial unit, of every assistant view that resection places."""
     found = []
     for view, T_s_p in zip(assistant, at, strict=True):
         pose = _resect(m, rays, X, int(view), f, None)
@@ -194,8 +200,8 @@ def _rig(
 ) -> tuple[Float, Float]:
     """T_p_a (4, 4), initial unit, and theta with the assistant's focal, both from all its views.
 
-    Resection alone turns an error of that focal into a step along the axis many times the
-    spacing, so the two are found together: one rig, one focal, the primary's points held.
+    Resection alone turns an error of that focal into a step along the axis of many spacings, so
+    rig and focal are fitted together, with the primary's points fixed.
     """
     stack = np.stack(found)
     rotation = se3.log(se3.inverse(stack)[:, None] @ stack[None])[..., 3:]
@@ -216,10 +222,9 @@ def _rig(
 
 
 def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float) -> float:
-    """The spacing in the initial unit when the rig is known: the best of a row of guesses.
+    """The spacing in the initial unit when the rig is known, by a coarse and a fine line search.
 
-    A step that makes a scene several times larger bends every unknown at once: the solver cannot
-    take it, so the unit has to be right from the start.
+    The solver converges only from about the right scale, since that couples all unknowns.
     """
     uv, p_p = _seen_across(m, X, assistant, at)
     camera, T_p_a = _pinholes(m, theta)[1], layout.rig(theta)
@@ -234,14 +239,14 @@ def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float)
     coarse = np.median(p_p[:, 2]) / np.geomspace(*DEPTHS_IN_SPACINGS, N_SPACINGS)
     best = int(np.argmin([cost(spacing) for spacing in coarse]))
     if best == N_SPACINGS - 1:
-        raise BackboneError("bundle: the assistant is not where the kit says")
+        raise BackboneError("bundle: the rig does not fit the matches between the cameras")
     fine = np.geomspace(coarse[max(best - 1, 0)], coarse[best + 1], N_SPACINGS // 4)
     return float(fine[int(np.argmin([cost(spacing) for spacing in fine]))])
 
 
 def _seen_across(m: Measurements, X: Float, assistant: Int, at: Float) -> tuple[Float, Float]:
-    """What the assistant saw of known points: uv (n, 2) px and p_p (n, 3), the points in the
-    primary as it stood at that instant, initial unit. Raises BackboneError when too little."""
+    """Known points that the assistant observed: uv (n, 2) px, and p_p (n, 3) in the primary's axes
+    at that instant, initial unit. Raises BackboneError with too few."""
     rows = np.flatnonzero(np.isin(m.view, assistant))
     rows = rows[_usable(X[m.point[rows]])]
     if len(rows) < MIN_RESECTION:

@@ -1,8 +1,9 @@
-"""The loop keyframe of a batch: a picture of the past, placed by resection (paper IV-D).
+"""Pose of a batch's loop keyframe, an earlier picture, by resection (paper IV-D).
 
-The window is solved without it, so that a wrong one cannot bend it. Its features are then matched
-to a few views of the window, triangulated by the solved poses, and the picture's pose found from
-those points. They stay landmarks, so that a later solution places it again without a picture.
+The window is solved without it, so that a wrong one cannot distort it. Its features are then
+matched to a few views of the window, triangulated by the solved poses, and the picture's pose is
+found from those points. They stay landmarks, so that a later solution can place it again without
+the picture.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from calm_edge.loops.same_place import EPIPOLAR_PX, POSE_PX, REFERENCE_WIDTH_PX
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
 
 MAX_FEATURES = 800
-VIEWS_A_SIDE = 2  # primary views before and after the most alike one that it is matched to
+VIEWS_A_SIDE = 2  # primary views matched before and after the most similar one
 POINT_PX = 2.0  # in a picture REFERENCE_WIDTH_PX wide
 MIN_INLIERS = 20
 MIN_INLIER_SHARE = 0.5
@@ -32,7 +33,7 @@ MAX_SIGMA = 0.3  # spacings, of the centre of the picture
 
 @dataclass(frozen=True, slots=True)
 class LoopTracks:
-    """What the loop picture and views of the window both saw; L points.
+    """Matches of the loop picture with views of the window; L points.
 
     point, view: (O,) and uv: (O, 2) px, in the window. loop_uv: (L, 2) px, in the loop picture.
     """
@@ -45,7 +46,7 @@ class LoopTracks:
 
 @dataclass(frozen=True, slots=True)
 class LoopPose:
-    """T_s_c: (4, 4) of the loop view. points_s: (L, 3), nan where unknown. inlier: (L,) bool.
+    """T_s_c: (4, 4) of the loop view. points_s: (L, 3), NaN where unknown. inlier: (L,) bool.
 
     kept: (O,) bool, observations that fit their point.
     """
@@ -73,10 +74,10 @@ def with_loop(
 
 
 def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
-    """A window solved anew with the loop view of the `earlier` prediction of the same batch.
+    """A window solved again, with the loop view of the `earlier` prediction of the same batch.
 
-    From the landmarks it saw; where they no longer give a pose it keeps its place beside the
-    nearest view.
+    The loop view is placed by its landmarks; where these no longer give a pose, it keeps its pose
+    relative to the nearest view.
     """
     marks, n = earlier.landmarks, len(window.cameras)
     if not earlier.loop_found or marks is None or window.landmarks is None:
@@ -100,7 +101,7 @@ def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
 
 
 def match_loop(images: Sequence[NDArray[np.uint8]], hints: Hints) -> LoopTracks:
-    """Features of the last picture found in the views that most look like it."""
+    """Match features of the last picture to the views most similar to it."""
     loop = sift.detect(_gray(images[-1]), MAX_FEATURES)
     stretch = images[-1].shape[1] / REFERENCE_WIDTH_PX
     row, view, uv = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros((0, 2), np.float32)]
@@ -123,7 +124,7 @@ def match_loop(images: Sequence[NDArray[np.uint8]], hints: Hints) -> LoopTracks:
 
 
 def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopPose | None:
-    """The loop view's pose from its tracks; None where too few agree or they leave it open.
+    """The loop view's pose from its tracks; None with too few inliers or too large a sigma.
 
     cameras: N, T_s_c: (N, 4, 4) of the window; the loop view has the first view's camera.
     """
@@ -157,12 +158,12 @@ def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopP
 def _points(
     cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks, threshold_px: float
 ) -> tuple[Float, NDArray[np.bool_]]:
-    """Points (L, 3), nan where two views do not agree on one, and which observations (O,) do."""
+    """Points (L, 3), NaN with fewer than two inlier views, and the inlier observations (O,)."""
     T_c_s, n_points = se3.inverse(T_s_c), len(tracks.loop_uv)
     depth = np.ones(len(tracks.uv))
     rays = back_project_each(cameras, tracks.view, tracks.uv, depth)[:, :2]
     kept = np.ones(len(tracks.view), bool)
-    for _ in range(2):  # the second time without what missed its point
+    for _ in range(2):  # the second time without outliers
         X = triangulate(T_c_s, tracks.view[kept], tracks.point[kept], rays[kept], n_points)
         finite = X[:, 3] > 1e-6 * np.linalg.norm(X[:, :3], axis=1)
         points = np.where(finite[:, None], X[:, :3] / np.where(finite, X[:, 3], 1)[:, None], np.nan)
@@ -175,7 +176,8 @@ def _points(
 
 
 def _alike(images: Sequence[NDArray[np.uint8]], hints: Hints) -> list[int]:
-    """Batch indices: the primary view most like the last picture, those around it, its partner."""
+    """Batch indices: the primary view most similar to the last picture, those around it, and the
+    assistant's at its time."""
     layout, eyes, t_ns = GradientLayout(), np.asarray(hints.eyes)[:-1], hints.t_ns[:-1]
     primary, assistant = np.flatnonzero(eyes == 0), np.flatnonzero(eyes == 1)
     described = np.stack([layout.describe(images[int(v)]) for v in primary])
@@ -191,7 +193,7 @@ def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _with_tracks(marks: Landmarks, tracks: LoopTracks, pose: LoopPose, loop_view: int) -> Landmarks:
-    """Landmarks, then the inlier points with what the window's views and the loop view saw."""
+    """Landmarks, then the inlier points with their observations in the window and the loop view."""
     (chosen,) = np.nonzero(pose.inlier)
     number = np.full(len(pose.inlier), -1)
     number[chosen] = len(marks.points_s) + np.arange(len(chosen))

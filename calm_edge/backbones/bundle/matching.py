@@ -1,4 +1,4 @@
-"""What classical and learned matching share: a match, its noise, and the protocol of a matcher."""
+"""Matches between two pictures, and the protocol of learned matchers."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from calm_edge.types import Float, Float32
 
 Bool = NDArray[np.bool_]
 
-# What a followed corner is off by, an axis, drift along its track included.
+# Sigma, an axis, of a corner tracked by Lucas-Kanade, drift along its track included.
 FOLLOWED_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """uv: (N, 2) px of the other picture, the best there is where not sure. sigma_px: (N,) an axis.
+class Matches:
+    """Matches of N points. uv: (N, 2) px of the other picture. sigma_px: (N,) an axis.
 
-    sure: (N,) there and back agree. measured: (N,) on the pictures themselves as well, and both
-    agree.
+    sure: (N,) forward and backward matches agree. measured: (N,) refined by Lucas-Kanade too.
     """
 
     uv: Float32
@@ -32,20 +31,20 @@ class Found:
 
 
 class Matching(Protocol):
-    """Finds points without a guess, in place of Lucas-Kanade from one; from several threads."""
+    """Match points without an initial guess; thread-safe."""
 
     def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
-        """Pictures that will be asked for: what they need may begin. H_a_p: None if not known."""
+        """Start work on pictures that will be matched. H_a_p: None if unknown."""
         ...
 
-    def along(self, source: Gray, target: Gray, uv: Float32) -> Found:
-        """Points uv (N, 2) px of a picture in a later one of the same eye."""
+    def along(self, source: Gray, target: Gray, uv: Float32) -> Matches:
+        """Match points uv (N, 2) px of a picture to a later one of the same eye."""
         ...
 
     def homography(self, primary: Gray, assistant: Gray) -> Float | None:
-        """Rough H_a_p (3, 3) px, the rotation and the zoom between the eyes; None where unsure."""
+        """Rough H_a_p (3, 3) px, the rotation and the zoom between the eyes; None if not found."""
         ...
 
-    def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Found:
-        """Primary points uv (N, 2) px in the assistant's picture, which H_a_p makes alike."""
+    def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Matches:
+        """Match primary points uv (N, 2) px to the assistant's picture, given H_a_p."""
         ...

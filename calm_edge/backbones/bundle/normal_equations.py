@@ -1,6 +1,6 @@
 """Normal equations of one window, points eliminated by the Schur complement, in numpy.
 
-Bundle adjustment as in Triggs et al., Bundle Adjustment: A Modern Synthesis, 1999, section 6. The
+Bundle adjustment as in Triggs et al., Bundle Adjustment: A Modern Synthesis, 1999, section 6.1. The
 reduced system has 6 unknowns a view and those of the kit, some 200 in all: dense is fastest.
 """
 
@@ -23,14 +23,14 @@ from calm_edge.backbones.bundle.problem import (
 from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
-# What keeps the block of a point nobody constrains, or a view all but touches, invertible.
+# Keep the blocks of points without observations, or next to a camera, invertible.
 POINT_FLOOR = 1e-3
 POINT_FLOOR_SHARE = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """Rows sorted by a key, to sum blocks that share it. keys: (G,) the distinct keys."""
+    """Rows sorted by a key, to sum blocks of equal key. keys: (G,) the distinct keys."""
 
     order: Int
     starts: Int
@@ -49,9 +49,9 @@ def grouped(key: Int) -> Groups:
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """What of a window's normal equations never changes while it is solved.
+    """Sparsity of a window's normal equations, constant while it is solved.
 
-    views: rows of each view. cross: (18, O) where each observation's pose-point block goes.
+    views: rows of each view. cross: (18, O) position of each observation's pose-point block.
     """
 
     views: tuple[slice, ...]
@@ -88,7 +88,7 @@ class Normal:
     gradient: Float
 
     def point_step(self, delta: Float) -> Float:
-        """(M, 3) that goes with a step (D,) of the reduced unknowns."""
+        """Back-substitution: the points' step (M, 3) for a step (D,) of the reduced unknowns."""
         D = len(delta)
         coupled = self.gradient + (delta @ self.cross.reshape(D, -1)).reshape(3, -1)
         return np.asarray(-(self.root @ coupled.T[..., None])[..., 0])
@@ -107,7 +107,7 @@ def normal_equations(
     weight: Float,
     damping: float,
 ) -> Normal:
-    """Measurements and ties only: the kit prior and the gauge are added by the caller."""
+    """Normal equations of measurements and ties; the caller adds the kit prior and the gauge."""
     n_views, n_points = m.n_views, len(state.points)
     D = 6 * n_views + layout.SIZE
     jac = reprojection(state, m, tangent_basis(state.points))

@@ -1,7 +1,7 @@
-"""What a place looks like to the encoder: its own word for it, and where in the picture what is.
+"""Place descriptor from the encoder: its global descriptor, and the layout of its features.
 
-Both come from the pass that matching makes anyway. The word is the same wherever things stand in
-the picture, the layout tells streets apart whose things are alike.
+Both come from the pass that matching needs anyway. The global descriptor does not depend on where
+in the picture things are; the layout distinguishes streets with similar things.
 """
 
 from __future__ import annotations
@@ -13,24 +13,26 @@ from calm_edge.loops.descriptor import layout_likeness
 from calm_edge.types import Bytes, Float32
 
 ROWS, COLUMNS, CHANNELS = 4, 10, 64
-# A return is seldom in the same line and heading: columns a picture is moved by to fit.
+# Columns that a layout is shifted by to fit: a return is seldom in the same lane and heading.
 SHIFTS = (-1, 0, 1)
-# Of the layout beside the word, which by itself is the better of the two.
+# Of the layout against the global descriptor, which is the better one alone.
 LAYOUT_WEIGHT = 0.5
 
 
 class LearnedPlace:
-    """The encoder's word for a place, with the layout of its features, for `loops`."""
+    """The global descriptor with the layout of features, for `loops`."""
 
-    # of returns one in a hundred is below this
+    # one per cent of true returns are below
     min_similarity = 0.45
 
     def __init__(self, net: FeatureNet) -> None:
         self._net = net
 
     def describe(self, image: Bytes) -> Float32:
-        """(H, W, 3) uint8 BGR -> (256 + ROWS * COLUMNS * CHANNELS,) of unit length: the word, then
-        the layout, rows first; raises BackboneError."""
+        """(H, W, 3) uint8 BGR -> (256 + ROWS * COLUMNS * CHANNELS,) of unit length.
+
+        The global descriptor, then the layout, rows first. Raises BackboneError.
+        """
         of = self._net.of([image])[0]
         height, width = of.coarse.shape[:2]
         columns = np.tensordot(of.coarse, _overlap(COLUMNS, width), (1, 1))
@@ -41,7 +43,7 @@ class LearnedPlace:
     def similarity(self, queries: Float32, places: Float32) -> Float32:
         """(Q, D) and (P, D) -> (Q, P): weighted cosines, of the layout at the best of SHIFTS.
 
-        What all the places share says nothing of which of them it is, and is taken out first.
+        The mean over the places is subtracted first, since it does not distinguish them.
         """
         q, p = _parts(queries), _parts(places)
         layout = layout_likeness(q[1], p[1], SHIFTS)
@@ -50,15 +52,15 @@ class LearnedPlace:
 
 
 def _parts(described: Float32) -> tuple[Float32, Float32]:
-    """(N, D) -> the words (N, 1, 1, 256), a layout of one cell, and the layouts (N, rows, columns,
-    channels)."""
+    """(N, D) -> global descriptors (N, 1, 1, 256), a layout of one cell, and the layouts
+    (N, rows, columns, channels)."""
     n, word = len(described), described.shape[1] - ROWS * COLUMNS * CHANNELS
     layout = described[:, word:].reshape(n, ROWS, COLUMNS, CHANNELS)
     return described[:, :word].reshape(n, 1, 1, word), layout
 
 
 def _overlap(cells: int, samples: int) -> Float32:
-    """(cells, samples) how much of each sample lies in each of so many equal cells."""
+    """(cells, samples) share of each sample that lies in each of equal cells."""
     edges = np.arange(cells + 1) * samples / cells
     upto = np.clip(edges[:, None] - np.arange(samples), 0, 1)
     return np.asarray(np.diff(upto, axis=0), np.float32)

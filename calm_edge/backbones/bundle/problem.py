@@ -1,11 +1,12 @@
-"""The bundle adjustment's unknowns, measurements and residuals, with their derivatives.
+"""Unknowns, measurements and residuals of the bundle adjustment, with their derivatives.
 
-Unknowns: T_c_s of every view (the first is held), homogeneous points on the unit sphere in R^4
-(so that far points, which carry the rotation, stay well conditioned), and the kit (kit.py).
-Points are signed so that z > 0 where they are seen: noise may then push a far one through
-infinity (w < 0) and back without a wall in the cost.
-Every assistant pose is free but tied to the rig by a soft factor: at its own instant the primary
-is interpolated, so unsynchronised streams need no special case (paper IV-B, IV-C).
+Unknowns: T_c_s of every view (the first is fixed), homogeneous points on the unit sphere in R^4 (so
+that far points, which determine the rotation, stay well conditioned; Foerstner, "Minimal
+Representations for Uncertainty and Estimation in Projective Spaces", ACCV 2010), and the kit
+(kit/layout.py). Points are signed so that z > 0 where they are seen: noise may move a far one
+through infinity (w < 0) and back without a barrier in the cost.
+Every assistant pose is free but tied to the rig by a soft factor: the primary's pose is
+interpolated at its exposure, so unsynchronised streams need no special case (paper IV-B, IV-C).
 """
 
 from __future__ import annotations
@@ -14,19 +15,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.backbones.bundle import beat
+from calm_edge.backbones.bundle.jitter import jitter
 from calm_edge.geometry import se3
 from calm_edge.geometry.distortion import distorted, distorted_jacobian, term_jacobian
 from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
-# z of a unit homogeneous point, below which it is not in front of a view: its pixel would be wild
+# Smallest z of a unit homogeneous point that counts as in front of a view.
 NEAREST = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
 class Measurements:
-    """What is measured in one window; O observations of M points in C views.
+    """Measurements of one window: O observations of M points in C views.
 
     view, point: (O,) indices, in order of the view. uv: (O, 2) px. sigma_px: (O,) one sigma of uv.
     eye: (C,) 0 or 1, primary views first. t: (C,) seconds. size: (2, 2) width, height an eye.
@@ -102,7 +103,8 @@ class _Optics:
 
 
 def camera_points(state: State, m: Measurements) -> Float:
-    """(3, O) each observation's point in its camera, over the point's distance."""
+    """Homogeneous points (3, O) in camera axes: each observation's, scaled to unit length of the
+    sub-map's homogeneous point."""
     n_points, n_views = len(state.points), m.n_views
     # every view with every point in one product: few of them are seen, but it costs less
     every = state.points @ state.T_c_s[:, :3].reshape(-1, 4).T
@@ -110,7 +112,7 @@ def camera_points(state: State, m: Measurements) -> Float:
 
 
 def project(state: State, m: Measurements) -> tuple[Float, Float]:
-    """Predicted pixels (O, 2) and depths (O,) of the observations."""
+    """Predicted pixels (O, 2), and z (O,) of `camera_points`."""
     X, Y, Z = camera_points(state, m)
     lens, z = _Optics.of(state.theta, m), _away_from_zero(Z)
     return (distorted(np.stack([X / z, Y / z]), lens.k, lens.f) + lens.centre).T, Z
@@ -150,14 +152,14 @@ def times(rows: Float, matrices: Float, index: Int) -> Float:
 
 @dataclass(frozen=True, slots=True)
 class RigTies:
-    """Where each assistant view sits between two primary views, and how stiff its tie is.
+    """Soft constraints of the assistant's views to the rig on the interpolated primary.
 
-    assistant, before, after: (A,) view indices. alpha: (A,) share of the way from before to after
-    as the stamps say it. rate: (A,) that share a second. information_root: (A, 6) one over sigma
-    of (translation [spacings], rotation [rad]). off_beat: (A,) s, how much later than by even
-    beats of both cameras an assistant's stamp is; empty where there is no beat. late_s: (A,) what
-    of it alpha has been corrected by. along: (A, 6) in whitened residuals, where a tie gives way
-    because its instant is uncertain; 0 where it does not.
+    assistant, before, after: (A,) view indices. alpha: (A,) position of the stamp from before (0)
+    to after (1). rate: (A,) its change a second. information_root: (A, 6) one over sigma of
+    (translation [spacings], rotation [rad]). jitter_s: (A,) how much later the assistant's stamp is
+    than at fixed frame rates of both cameras; empty where there is no frame rate. late_s: (A,) the
+    part of it that alpha has been corrected by. along: (A, 6) in whitened residuals, the direction
+    in which a tie is softened because its instant is uncertain; 0 for none.
     """
 
     assistant: Int
@@ -166,19 +168,19 @@ class RigTies:
     alpha: Float
     rate: Float
     information_root: Float
-    off_beat: Float
+    jitter_s: Float
     late_s: Float
     along: Float
 
     def whitened(self, residual: Float) -> Float:
-        """(..., A, 6) -> the same in sigmas."""
+        """Residuals (..., A, 6) in sigmas."""
         out = residual * self.information_root
         if self.along.any():
             out -= self.along * (out * self.along).sum(-1, keepdims=True)
         return np.asarray(out)
 
 
-# A car's body between two instants: what constant velocity misses grows with their distance.
+# Sigma of a tie: the error of constant velocity between two instants grows with their distance.
 TIE_TRANSLATION_SIGMA = 2e-3  # spacings, when the instants coincide
 TIE_ROTATION_SIGMA_RAD = 1e-4
 ACCELERATION = 3.0  # spacings / s^2
@@ -192,12 +194,12 @@ def rig_ties(m: Measurements) -> RigTies:
     i = np.clip(np.searchsorted(t, m.t[assistant], side="right") - 1, 0, len(t) - 2)
     gap = t[i + 1] - t[i]
     alpha = (m.t[assistant] - t[i]) / gap
-    # the classical interpolation remainder, alpha (1 - alpha) / 2 dt^2 times the acceleration
+    # remainder of linear interpolation: alpha (1 - alpha) / 2 dt^2 times the acceleration
     bend = np.abs(alpha * (1 - alpha)) / 2 * gap**2
     root = np.empty((len(assistant), 6))
     root[:, :3] = 1 / np.hypot(TIE_TRANSLATION_SIGMA, ACCELERATION * bend)[:, None]
     root[:, 3:] = 1 / np.hypot(TIE_ROTATION_SIGMA_RAD, ANGULAR_ACCELERATION * bend)[:, None]
-    off_p, off_a = beat.off_beat(t), beat.off_beat(m.t[assistant])
+    off_p, off_a = jitter(t), jitter(m.t[assistant])
     off = np.zeros(0)
     if off_p is not None and off_a is not None:
         off = off_a - (1 - alpha) * off_p[i] - alpha * off_p[i + 1]
@@ -211,13 +213,13 @@ def tie_errors(
 ) -> Float:
     """(..., A, 6) log of (T_p(t_a) T_p_a)^-1 T_a; poses are T_c_s (..., A, 4, 4).
 
-    late_s: how much later than its stamp an assistant's picture was exposed.
+    late_s: the kit's time offset.
     """
-    # between them the primary moves along the geodesic: T_p(t)_s = exp(alpha log(T_1 T_0^-1)) T_0
+    # the primary moves along the geodesic: T_p(t)_s = exp(alpha log(T_1 T_0^-1)) T_0
     step = se3.log(T_after @ se3.inverse(T_before))
     share = ties.alpha + ties.rate * late_s
     T_p_s = se3.exp(share[:, None] * step) @ T_before
-    error = T_p_s @ se3.inverse(T_assistant)  # T_p_a as the poses have it
+    error = T_p_s @ se3.inverse(T_assistant)  # T_p_a by the poses
     return np.asarray(se3.log(se3.inverse(rig) @ error))
 
 
@@ -231,8 +233,9 @@ def tie_residuals(
 def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     """Residuals (A, 6) and derivatives (A, 6, 25) by (before, after, assistant, rig, time offset).
 
-    Exact. With P = exp(share xi) T_before the primary at that instant, the error E = T_p_a^-1 P
-    T_assistant^-1 answers to a step d of P, and P to steps of both its neighbours.
+    With P = exp(share xi) T_before the primary at that instant, the error is E = T_p_a^-1 P
+    T_assistant^-1, by the chain rule over P. Jacobians of SE(3) as in Barfoot, "State Estimation
+    for Robotics", 2017, section 7.1.
     """
     rig, late = layout.rig(state.theta), float(state.theta[layout.TIME_OFFSET])
     T_before, T_after, T_assistant = (
@@ -243,8 +246,7 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     xi = se3.log(T_after @ se3.inverse(T_before))
     share = (ties.alpha + ties.rate * late)[:, None]
     part = share * xi
-    # log turns a step on the left of its argument into the inverse of the left Jacobian, which is
-    # the right one of the opposite; exp turns it back
+    # the left Jacobian of log is the right one of the opposite
     spread = np.linalg.solve(se3.right_jacobian_inverse(-part), share[..., None] * np.eye(6))
     by_after = spread @ se3.right_jacobian_inverse(-xi)
     by_before = se3.adjoint(se3.exp(part)) - spread @ se3.right_jacobian_inverse(xi)
@@ -253,7 +255,7 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     J = np.empty((len(ties.alpha), 6, 25))
     J[..., :6], J[..., 6:12] = by_primary @ by_before, by_primary @ by_after
     J[..., 12:18] = -inverse_right
-    # the rig is a rotation vector and a centre, stepped by sums
+    # the rig is stepped by adding to its rotation vector and centre
     turn = state.theta[layout.RIG_ROTATION]
     step = np.zeros((6, 6))
     step[:3, 3:], step[3:, :3] = rig[:3, :3].T, se3.so3_left_jacobian(-turn)

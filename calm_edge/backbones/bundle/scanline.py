@@ -1,4 +1,4 @@
-"""Semi-global aggregation of a cost volume along rows and columns, all lines of a path at once."""
+"""Semi-global matching: aggregation of a cost volume along rows and columns."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from calm_edge.types import Bytes, Float32
 
-# Cost of a step of one plane, and of any jump; a jump is cheaper across an edge of the picture.
+# Penalties of a step of one plane (P1) and of a larger one (P2); P2 is lower across edges.
 STEP_COST = 0.1
 JUMP_COST = 0.8
 EDGE_LEVELS = 12.0
@@ -15,7 +15,7 @@ EDGE_LEVELS = 12.0
 def aggregate(cost: Float32, gray: Bytes) -> Float32:
     """(D, h, w) costs -> the mean of four semi-global path costs, the same shape.
 
-    gray: (h, w) levels of the picture the volume belongs to. Along a path
+    gray: (h, w), the picture of the volume. Hirschmueller, PAMI 2008: along a path
     L(p, d) = C(p, d) + min(L(q, d), L(q, d +- 1) + step, min_k L(q, k) + jump) - min_k L(q, k).
     """
     total = np.zeros_like(cost)

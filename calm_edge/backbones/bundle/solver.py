@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on one window, and what a solved window says of the kit."""
+"""Levenberg-Marquardt on one window, and the evidence of a solved window on the kit."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from calm_edge.geometry import se3
 from calm_edge.kit import layout
 from calm_edge.types import Float, KitBelief
 
-BEHIND = 100.0  # sigmas charged for a point behind its view: an outlier, not a wall
+BEHIND = 100.0  # residual [sigmas] of a point behind its view: an outlier, not a barrier
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """state, its cost and the whitened residual lengths (O,)."""
+    """State, its cost and the whitened residual lengths (O,)."""
 
     state: State
     cost: float
@@ -71,14 +71,14 @@ def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, 
 
 
 def _add_spacing(H: Float, theta: Float, sigma: float) -> None:
-    """The gauge, as a stiff spring on a direction `_step` rescales away: |t_p_a| stays 1."""
+    """Fix the gauge |t_p_a| = 1 by a stiff prior along t_p_a; `_step` rescales to exactly 1."""
     row = np.zeros(layout.SIZE)
     row[layout.RIG_CENTRE] = theta[layout.RIG_CENTRE] / sigma
     H[-layout.SIZE :, -layout.SIZE :] += np.outer(row, row)
 
 
 def _step(state: State, n_views: int, delta: Float, delta_points: Float) -> State:
-    """The stepped state, the whole scene rescaled so that the spacing is one again."""
+    """Apply a step, then rescale the scene so that the spacing is one again."""
     poses = se3.exp(delta[: 6 * n_views].reshape(n_views, 6)) @ state.T_c_s
     points = move_points(state.points, tangent_basis(state.points), delta_points)
     theta = state.theta + delta[-layout.SIZE :]
@@ -100,7 +100,10 @@ def solve(
     max_iterations: int = 30,
     tolerance: float = 1e-4,
 ) -> Solution:
-    """Minimise pixels (Cauchy), rig ties and the kit prior from `state`; view 0 stays."""
+    """Minimise pixels (Cauchy), rig ties and the kit prior from `state`, with view 0 fixed.
+
+    Levenberg-Marquardt with iteratively reweighted least squares. prior: on the kit.
+    """
     structure = Structure.of(m, len(state.points))
     damping = 1e-3
     cost = total_cost(state, m, ties, prior, robust_scale)
@@ -139,10 +142,10 @@ def solve(
 def kit_evidence(
     solution: Solution, m: Measurements, ties: RigTies, robust_scale: float, tempering: float
 ) -> KitBelief:
-    """What this window alone says of the kit: poses and points marginalised out, no prior.
+    """Gaussian on the kit from this window alone: poses and points marginalised out, no prior.
 
-    tempering: share of the measured information that is believed. Errors along one track are
-    not independent, so counting each observation as news would make the sigma a boast.
+    tempering: factor on the information. Residuals along one track are correlated, and counting
+    each as independent would understate the sigma.
     """
     state = solution.state
     weight = robust_weights(solution.residual, robust_scale)
@@ -150,7 +153,7 @@ def kit_evidence(
     n = 6 * m.n_views
     pose = slice(6, n)
     H, g = normal.H, normal.g
-    # only so that the length has a sigma: each window's t_p_a is one long in its own direction
+    # makes the information regular along t_p_a, whose length is the unit
     _add_spacing(H, state.theta, layout.EVIDENCE_SPACING_SIGMA)
     solved = np.linalg.solve(H[pose, pose] + 1e-9 * np.eye(n - 6), np.c_[H[pose, n:], g[pose]])
     information = H[n:, n:] - H[n:, pose] @ solved[:, :-1]

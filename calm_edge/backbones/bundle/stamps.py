@@ -1,9 +1,9 @@
-"""Whose an irregular stamp is: the camera's, exposed off its beat, or the host's, stamped late.
+"""Timestamp jitter: irregular exposure or host delay?
 
-Stamps alone cannot tell. A window's pictures can: pixels place an assistant along the path where
-it was, whatever its stamp says. So ties are first as soft along the path as the stamps are
-irregular, the share of it that is the stamps' is read off, and only where that is told from none
-are ties made stiff again at other instants.
+Stamps alone do not show it, but a window's pictures do: pixels place an assistant view on the path
+independently of its stamp. So ties are first solved with a sigma along the path as large as the
+jitter. Then the share of the jitter that is host delay is estimated, and where it is significant
+the instants are corrected and the ties stiffened again.
 """
 
 from __future__ import annotations
@@ -15,65 +15,65 @@ import numpy as np
 from calm_edge.backbones.bundle.problem import RigTies, State, tie_jacobians
 from calm_edge.types import Float
 
-# Less than this, one sigma, is no irregularity: a car moves a millimetre meanwhile.
+# Jitter below this, one sigma, is ignored: a car moves a millimetre in it.
 LEAST_S = 1e-4
-# A share of the irregularity this many sigmas from none is the stamps'.
-TOLD_SIGMAS = 2.0
+# Significance of the share of host delay, in sigmas.
+SIGNIFICANT_SIGMAS = 2.0
 MIN_TIES = 4
-STANDSTILL = 1e-3  # spacings a second, or their sigmas: below it no instant shows
+STANDSTILL = 1e-3  # spacings a second, or their sigmas: too slow to show an instant
 
 
 def irregular(ties: RigTies) -> bool:
-    """Whether some stamps may be wrong by more than LEAST_S."""
-    return len(ties.off_beat) >= MIN_TIES and _spread(ties) > LEAST_S
+    """Whether there are enough ties, with a jitter above LEAST_S."""
+    return len(ties.jitter_s) >= MIN_TIES and _spread(ties) > LEAST_S
 
 
 def freed(ties: RigTies, state: State) -> RigTies:
-    """Ties that hardly ask when an assistant was exposed, for poses near `state`."""
+    """Ties softened along the path by the jitter, for poses near `state`."""
     return _softened(ties, state, _spread(ties)) if irregular(ties) else ties
 
 
 def corrected(ties: RigTies, state: State) -> RigTies:
-    """Ties at the instants that `state`, solved with `freed` ties, speaks for."""
+    """Ties with instants corrected for host delay, from a `state` solved with `freed` ties."""
     if not irregular(ties):
         return ties
-    share, sigma = told_share(ties, state)
-    if share < TOLD_SIGMAS * sigma:
+    share, sigma = delay_share(ties, state)
+    if share < SIGNIFICANT_SIGMAS * sigma:
         return ties
-    late_s = -share * ties.off_beat
+    late_s = -share * ties.jitter_s
     moved = replace(ties, alpha=ties.alpha + ties.rate * late_s, late_s=late_s)
     return _softened(moved, state, sigma * _spread(ties))
 
 
 def common_sigma_s(ties: RigTies) -> float:
-    """One sigma that all instants of `corrected` ties share: their beats are known no better."""
+    """Sigma [s] left in the common time offset after the correction of jitter."""
     return float(np.sqrt(np.mean(ties.late_s**2) / len(ties.late_s)))
 
 
-def told_share(ties: RigTies, state: State) -> tuple[float, float]:
-    """The share of the irregularity that is the stamps', in [0, 1], and one sigma of it.
+def delay_share(ties: RigTies, state: State) -> tuple[float, float]:
+    """Share of the jitter that is host delay, in [0, 1], and its sigma.
 
-    By regression of the lateness that the assistant's place along the path speaks for.
+    By linear regression of the time offsets that the assistant's positions along the path imply.
     """
     root, residual, by_late = _unwhitened(ties, state)
     speed = np.maximum((by_late**2).sum(1), STANDSTILL**2)
     late = -(by_late * residual).sum(1) / speed
-    design = np.stack([-ties.off_beat, np.ones_like(late)], 1)
+    design = np.stack([-ties.jitter_s, np.ones_like(late)], 1)
     found = np.linalg.lstsq(design, late, rcond=None)[0]
     left = late - design @ found
-    # a tie knows the instant no better than the rig is stiff
+    # variance of an instant by the ties' own sigma
     stiff = 1 / np.maximum(((root * by_late) ** 2).sum(1), STANDSTILL**2)
     variance = float(left @ left) / (len(late) - 2) + float(stiff.mean())
-    centred = ties.off_beat - ties.off_beat.mean()
+    centred = ties.jitter_s - ties.jitter_s.mean()
     return float(np.clip(found[0], 0, 1)), float(np.sqrt(variance / (centred @ centred)))
 
 
 def _spread(ties: RigTies) -> float:
-    return float(np.sqrt(np.mean(ties.off_beat**2)))
+    return float(np.sqrt(np.mean(ties.jitter_s**2)))
 
 
 def _unwhitened(ties: RigTies, state: State) -> tuple[Float, Float, Float]:
-    """One over sigma, residuals and derivatives by lateness, each (A, 6), of stiff ties."""
+    """One over sigma, residuals and derivatives by the time offset, each (A, 6), of stiff ties."""
     stiff = replace(ties, along=np.zeros_like(ties.along))
     residual, J = tie_jacobians(state, stiff)
     root = ties.information_root
@@ -81,7 +81,7 @@ def _unwhitened(ties: RigTies, state: State) -> tuple[Float, Float, Float]:
 
 
 def _softened(ties: RigTies, state: State, sigma_s: float) -> RigTies:
-    """Ties whose instants are known to sigma_s only: D + sigma^2 d d^T, d by lateness.
+    """Ties with sigma_s of the instants added: D + sigma^2 d d^T, d by the time offset.
 
     Its inverse root is (I - a a^T) D^-1/2 with a along D^-1/2 d.
     """

@@ -1,7 +1,7 @@
-"""Correspondences: corners followed through the primary keyframes and across to the assistant.
+"""Corner tracks through the primary keyframes and across to the assistant.
 
-Sparse corners with a forward-backward check carry 0.2-0.45 px; dense classical flow is too biased
-for bundle adjustment. A learned encoder can take this file's place: it only has to make a Tracks.
+Shi-Tomasi corners and pyramidal Lucas-Kanade with a forward-backward check reach 0.2-0.45 px; dense
+classical flow is too biased for bundle adjustment.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from calm_edge.geometry.flow import Gray, LucasKanade, away_from, follow, neighb
 from calm_edge.types import Float, Float32, Int
 
 CORNERS_PER_VIEW = 320
-GRID = (8, 4)  # columns, rows: corners are spread over the picture
+GRID = (8, 4)  # columns, rows of cells that get equal numbers of corners
 EPIPOLAR_PX = 1.0
 MATCHING = LucasKanade(
     window_px=17,
@@ -77,7 +77,10 @@ def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) ->
 
 
 def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np.bool_]:
-    """Which matches (N, 2), (N, 2) one fundamental matrix explains; all when none is found."""
+    """Inliers of matches (N, 2), (N, 2) px for one fundamental matrix; all where none is found.
+
+    cv2.findFundamentalMat with USAC_MAGSAC.
+    """
     if len(a) < 16:
         return np.ones(len(a), bool)
     try:
@@ -90,9 +93,9 @@ def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np
 
 
 def sift_homography(primary: Gray, assistant: Gray) -> Float | None:
-    """Rough H_a_p (3, 3) taking primary pixels to assistant pixels, from wide-baseline matches.
+    """Rough H_a_p (3, 3) from primary to assistant pixels, from SIFT matches (Lowe, IJCV 2004).
 
-    It stands for the rotation and the zoom between the eyes; parallax is LK's to find.
+    It covers rotation and zoom between the eyes; parallax is left to Lucas-Kanade.
     """
     sift = cv2.SIFT.create(nfeatures=1500)
     ka, da = sift.detectAndCompute(primary, None)
@@ -154,10 +157,10 @@ def temporal_tracks(
 def _followed(
     source: Gray, target: Gray, uv: Float32, flow: Float32, known: NDArray[np.bool_]
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Lucas-Kanade from where the flow (N, 2) of the known ones (N,) leads."""
+    """Lucas-Kanade from the flow (N, 2) of the known ones (N,) and of their neighbours."""
     moved, ok = follow(source, target, uv, uv + neighbouring_flow(uv, flow, known), MATCHING)
     if not known.any() and ok.sum() > 20:
-        # the first pair had no guess: let its neighbours' flow give a second chance
+        # the first pair had no guess: try the lost ones again from their neighbours' flow
         guess = uv + neighbouring_flow(uv, moved - uv, ok)
         again, ok_again = follow(source, target, uv, guess, MATCHING)
         moved, ok = np.where(ok[:, None], moved, again), ok | ok_again
@@ -167,10 +170,10 @@ def _followed(
 def across_eyes(
     primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32, guess: Float32
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Primary corners uv (N, 2) found in the assistant -> (uv, ok).
+    """Match primary corners uv (N, 2) px to the assistant: (N, 2) px and whether found (N,).
 
-    The assistant is warped by H_a_p to look like the primary first, so zoom and roll do not
-    disturb the patches. guess: (N, 2) parallax left after the warp, px.
+    The assistant is first warped by H_a_p to look like the primary, so that patches match in zoom
+    and roll. guess: (N, 2) px of parallax after the warp.
     """
     height, width = primary.shape
     warped = cv2.warpPerspective(
@@ -203,7 +206,8 @@ def window_tracks(
 ) -> Tracks:
     """All tracks of a window. partner: for each assistant view the primary index nearest in time.
 
-    H_a_p: the infinite homography when the kit is known, else it is found from matches.
+    H_a_p: the infinite homography of a known kit (Hartley and Zisserman, "Multiple View Geometry",
+    13.4); None to estimate it from matches.
     """
     if matching is not None:
         matching.expect(primary, assistant, H_a_p)
@@ -224,7 +228,7 @@ def window_tracks(
         return ids[ok], np.full(int(ok.sum()), len(primary) + j), there[ok], sigma[ok]
 
     rows: list[Rows] = []
-    # a view's points are looked for in the other eye while they are followed to the next view
+    # a view's points are matched across the eyes while they are tracked to the next view
     with ThreadPoolExecutor(1, "across") as beside:
         found_across = []
         for i, (ids, uv, sigma) in enumerate(temporal_tracks(primary, matching)):
@@ -254,7 +258,7 @@ def _across_from(
     H_a_p: Float,
     points: Float32,
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """across_eyes from the parallax of the view before, which is brought up to date."""
+    """`across_eyes` from the parallax of the view before, which is updated."""
     known = np.array([i in parallax for i in ids], bool)
     flow = np.zeros_like(points)
     if known.any():
@@ -267,5 +271,5 @@ def _across_from(
 
 
 def _spread(n: int) -> list[int]:
-    """Indices 0..n-1, middle first: where to look first when any will do."""
+    """Indices 0..n-1, middle first."""
     return sorted(range(n), key=lambda i: abs(i - n // 2))

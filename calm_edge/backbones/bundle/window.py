@@ -19,8 +19,8 @@ from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
 
 MIN_VIEWS_OF_A_POINT = 3
 MIN_POINTS = 40
-FARTHEST = 1e6  # spacings: where a point at infinity is written down
-KEPT_PX = 5.0  # an observation farther off than this is no observation of its point
+FARTHEST = 1e6  # spacings: distance given to points at infinity
+KEPT_PX = 5.0  # largest reprojection error of an observation that is kept
 
 
 def split_eyes(hints: Hints) -> tuple[Int, Int]:
@@ -48,8 +48,8 @@ def measure(
 ) -> Measurements:
     """Matches of all pictures (H, W, 3) as measurements; raises BackboneError when too few.
 
-    theta: kit, which guides the search across the eyes when `rig_known`. matching: a
-    network's; None is Lucas-Kanade.
+    theta: the kit, which guides the search across the eyes when `rig_known`. matching: by a
+    network; None for Lucas-Kanade.
     """
     primary, assistant = split_eyes(hints)
     gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
@@ -63,7 +63,7 @@ def measure(
 
 
 def _infinite_homography(theta: Float, size: Int) -> Float:
-    """H_a_p (3, 3): where far points seen by the primary appear to the assistant."""
+    """H_a_p (3, 3) px of points at infinity, from primary to assistant."""
     K_p, K_a = (camera.matrix for camera in layout.cameras(theta, size))
     return np.asarray(K_a @ layout.rig(theta)[:3, :3].T @ np.linalg.inv(K_p))
 
@@ -86,7 +86,7 @@ def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
 
 
 def thinned(m: Measurements, n_points: int) -> Measurements:
-    """The same window with its `n_points` most often seen points only."""
+    """The window with its `n_points` most often seen points only."""
     count = np.bincount(m.point)
     kept = np.sort(np.argsort(-count, kind="stable")[:n_points])
     rows = np.isin(m.point, kept)
@@ -95,7 +95,7 @@ def thinned(m: Measurements, n_points: int) -> Measurements:
 
 
 def to_landmarks(state: State, m: Measurements) -> Landmarks:
-    """The solved points, none of them beyond infinity, and the observations that fit them.
+    """The solved points, those beyond infinity at FARTHEST, and the observations that fit them.
 
     Sigmas that are all FOLLOWED_PX are left out.
     """
@@ -112,7 +112,10 @@ def to_landmarks(state: State, m: Measurements) -> Landmarks:
 def from_prediction(
     prediction: Prediction, hints: Hints, theta: Float
 ) -> tuple[Measurements, State]:
-    """An earlier solution as a problem again, at another kit; raises BackboneError."""
+    """Measurements and initial state from an earlier solution and another kit theta.
+
+    Raises BackboneError.
+    """
     marks = prediction.landmarks
     if marks is None or hints.sizes is None:
         raise BackboneError("bundle: a prediction without landmarks cannot be solved again")

@@ -1,4 +1,4 @@
-"""A window of two eyes whose truth is known to the last digit: points, path, kit, pixels."""
+"""A synthetic window of two eyes with exact truth: points, path, kit, pixels."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def window(
 ) -> Window:
     """Points about a path, seen by both eyes; the assistant sits exactly on the rig.
 
-    delay_s: of its exposures; its stamps are early by theta's lateness.
+    delay_s: of its exposures; its stamps are early by theta's time offset.
     outliers: share of the pixels moved by up to 60 px. Points lie 3 to 300 spacings ahead.
     """
     rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ def wall(x=0.0, z=0.0, error=1.0):
     return DepthView(zeta, K, T_s_c)
 
 
-def test_right_views_of_a_wall_agree_wherever_they_see_it():
+def test_right_views_of_a_wall_agree_where_they_overlap():
     found = agree(wall(), [wall(x=1.0), wall(z=2.0), wall(x=-1.0, z=-2.0)], 0.01, 0.0)
     middle = found.votes[10:30, 15:45]
     assert (middle == 3).all()
@@ -25,7 +25,7 @@ def test_right_views_of_a_wall_agree_wherever_they_see_it():
     assert (found.votes[:, 0] < 3).all()
 
 
-def test_a_wrong_view_has_no_vote_and_a_tolerable_one_is_averaged():
+def test_an_outlier_view_gets_no_vote_and_an_inlier_is_averaged():
     found = agree(wall(), [wall(x=1.0, error=1.2), wall(x=-1.0, error=1.02)], 0.05, 0.0)
     middle = (slice(10, 30), slice(15, 45))
     assert (found.votes[middle] == 1).all()
@@ -33,7 +33,7 @@ def test_a_wrong_view_has_no_vote_and_a_tolerable_one_is_averaged():
     assert np.allclose(found.spread[middle], 0.1 - 0.1 / 1.02, rtol=1e-2)
 
 
-def test_no_other_view_is_no_vote():
+def test_without_other_views_there_are_no_votes():
     found = agree(wall(), [], 0.05, 0.0)
     assert not found.votes.any() and not found.spread.any()
     assert np.array_equal(found.zeta, wall().zeta)

@@ -104,7 +104,7 @@ def shape_error(prediction, batch):
     return np.sqrt((error**2).mean()) / path_length(p_true[:N]), fit.scale
 
 
-def test_a_turn_gives_both_focals_and_says_how_well(solved, turn):
+def test_a_turn_determines_both_focals_and_their_sigmas(solved, turn):
     error, sigma = log_focal_error(solved, turn), solved.focal_log_sigma[[0, N]]
     assert np.abs(error).max() < 0.03
     assert (np.abs(error) < 3 * sigma).all()
@@ -112,7 +112,7 @@ def test_a_turn_gives_both_focals_and_says_how_well(solved, turn):
     assert np.array_equal(solved.focal_log_sigma, sigma[turn.hints.eyes])
 
 
-def test_a_turn_has_its_shape_and_its_scale(solved, turn):
+def test_a_turn_has_the_true_shape_and_scale(solved, turn):
     error, metres_a_spacing = shape_error(solved, turn)
     assert error < 0.01
     assert metres_a_spacing == pytest.approx(SETTINGS.spacing_m, rel=0.05)
@@ -129,7 +129,7 @@ def test_the_spacing_is_one_and_the_rig_is_the_true_one(solved, turn):
     assert np.array_equal(solved.T_s_c[0], np.eye(4))
 
 
-def test_landmarks_fit_the_poses_and_focals_they_come_with(solved):
+def test_landmarks_fit_their_poses_and_focals(solved):
     marks = solved.landmarks
     T_c_s = se3.inverse(solved.T_s_c)[marks.view]
     q = (T_c_s[:, :3, :3] @ marks.points_s[marks.index][..., None])[..., 0] + T_c_s[:, :3, 3]
@@ -138,9 +138,7 @@ def test_landmarks_fit_the_poses_and_focals_they_come_with(solved):
     assert len(marks.points_s) > 150
 
 
-def test_a_straight_drive_knows_its_shape_but_says_it_does_not_know_the_focal(
-    solved_straight, straight
-):
+def test_a_straight_drive_has_the_true_shape_and_a_large_focal_sigma(solved_straight, straight):
     error, sigma = log_focal_error(solved_straight, straight), solved_straight.focal_log_sigma
     assert (sigma > 0.05).all()
     assert (np.abs(error) < 3 * sigma[[0, N]]).all()
@@ -165,13 +163,13 @@ def test_resolving_under_a_sharper_kit_moves_the_focal_there(solved_straight, st
     assert shape_error(moved, straight)[0] < 0.01
 
 
-def test_resolving_under_what_is_known_already_changes_nothing_much(solved, turn):
+def test_resolving_under_the_same_belief_changes_little(solved, turn):
     again = BACKBONE.resolve(solved, turn.hints)
     assert np.allclose(log_focal_error(again, turn), log_focal_error(solved, turn), atol=2e-3)
     assert np.abs(again.T_s_c - solved.T_s_c)[:, :3, 3].max() < 0.1
 
 
-def test_resolving_looks_at_no_picture(solved, turn, monkeypatch):
+def test_resolving_reads_no_picture(solved, turn, monkeypatch):
     monkeypatch.setattr(window, "measure", None)
     assert BACKBONE.resolve(solved, turn.hints).landmarks is not None
     with pytest.raises(BackboneError, match="cannot be solved again"):
@@ -187,7 +185,7 @@ def arrays(prediction):
     ]  # fmt: skip
 
 
-def test_the_same_call_gives_the_same_bits(solved, turn, solved_straight):
+def test_the_same_call_gives_the_same_bytes(solved, turn, solved_straight):
     other = bundle.BundleBackbone(BackboneConfig())
     before = [image.tobytes() for image in turn.images]
     cv2.setRNGSeed(12345)
@@ -197,7 +195,7 @@ def test_the_same_call_gives_the_same_bits(solved, turn, solved_straight):
     assert [image.tobytes() for image in turn.images] == before
 
 
-def test_what_turns_taught_carries_a_straight_drive(
+def test_evidence_of_turns_determines_a_straight_drive(
     solved, straight, solved_straight, drive, monkeypatch
 ):
     second = drive(6.5).infer(kit=solved.kit)
@@ -205,32 +203,32 @@ def test_what_turns_taught_carries_a_straight_drive(
     belief = product([solved.kit, second.kit] * 2)
     # the rig is known: nothing is searched between the eyes
     monkeypatch.setattr(tracks, "sift_homography", None)
-    told = straight.infer(kit=belief)
-    error, sigma = log_focal_error(told, straight), told.focal_log_sigma
+    informed = straight.infer(kit=belief)
+    error, sigma = log_focal_error(informed, straight), informed.focal_log_sigma
     assert np.abs(error).max() < 0.04
     assert (np.abs(error) < 3 * sigma[[0, N]]).all()
     assert (sigma < 0.5 * solved_straight.focal_log_sigma).all()
-    assert shape_error(told, straight)[0] < 0.01
-    off = se3.so3_log(rig_of(told, straight)[:, :3, :3].swapaxes(1, 2) @ T_P_A[:3, :3])
+    assert shape_error(informed, straight)[0] < 0.01
+    off = se3.so3_log(rig_of(informed, straight)[:, :3, :3].swapaxes(1, 2) @ T_P_A[:3, :3])
     assert np.degrees(np.linalg.norm(off, axis=1)).max() < 0.5
-    # it hands on what it saw itself, not what it was told
-    own = np.linalg.inv(product([layout.prior((None, None)), told.kit]).information)
+    # its evidence excludes the belief of the hints
+    own = np.linalg.inv(product([layout.prior((None, None)), informed.kit]).information)
     assert np.sqrt(own[0, 0]) > 0.1
 
 
-def test_a_hint_of_the_field_of_view_is_heard(straight):
+def test_a_hint_of_the_field_of_view_is_used(straight):
     hinted = straight.infer(hfov_deg=SETTINGS.hfov_deg)
     assert np.abs(log_focal_error(hinted, straight)).max() < 0.005
     assert (hinted.focal_log_sigma < 0.02).all()
 
 
-def test_black_pictures_are_said(turn):
+def test_black_pictures_raise(turn):
     black = [np.zeros_like(image) for image in turn.images]
     with pytest.raises(BackboneError, match=r"^bundle: only 0 points could be followed \(dark"):
         BACKBONE.infer(black, turn.hints)
 
 
-def test_eyes_that_see_different_places_are_said(turn, straight):
+def test_eyes_that_see_different_places_raise(turn, straight):
     """Nothing matches across: an assistant that looks the other way cannot give the unit."""
     swapped = turn.images[:N] + [image[::-1, ::-1].copy() for image in straight.images[N:]]
     with pytest.raises(BackboneError, match=r"^bundle: [^\n]+$"):
@@ -241,7 +239,7 @@ def with_pixels(prediction, uv):
     return replace(prediction, landmarks=replace(prediction.landmarks, uv=uv.astype(np.float32)))
 
 
-def test_matches_that_no_rigid_scene_explains_are_said(solved, turn):
+def test_matches_that_fit_no_rigid_scene_raise(solved, turn):
     shuffled = np.random.default_rng(0).permutation(solved.landmarks.uv)
     with pytest.raises(BackboneError, match="do not fit one rigid scene"):
         BACKBONE.resolve(with_pixels(solved, shuffled), turn.hints)
@@ -255,18 +253,18 @@ def test_a_poor_fit_is_no_evidence_on_the_kit(solved, turn):
     assert poor.focal_log_sigma == pytest.approx(np.full(2 * N, np.hypot(0.30, bundle.FOCAL_FLOOR)))
 
 
-def test_depth_that_is_there_is_kept(solved, turn):
+def test_existing_depth_is_kept(solved, turn):
     depth = np.ones((2 * N, 4, 8), np.float32)
     dense = replace(solved, depth=depth, confidence=depth)
     assert BACKBONE.densify(turn.images, turn.hints, dense) is dense
 
 
-def test_belief_is_the_prior_times_what_others_taught(solved):
-    told = bundle.believed(
+def test_the_belief_is_the_prior_times_the_evidence_of_others(solved):
+    informed = bundle.kit_belief(
         Hints(eyes=np.array([0, 1]), t_ns=np.zeros(2, int), hfov_deg=(78.0, None), kit=solved.kit)
     )
     prior = layout.prior((78.0, None))
-    assert np.allclose(told.information, prior.information + solved.kit.information)
-    assert np.linalg.norm(told.mean[layout.RIG_CENTRE]) == pytest.approx(1, abs=1e-12)
-    alone = bundle.believed(Hints(eyes=np.array([0, 1]), t_ns=np.zeros(2, int)))
+    assert np.allclose(informed.information, prior.information + solved.kit.information)
+    assert np.linalg.norm(informed.mean[layout.RIG_CENTRE]) == pytest.approx(1, abs=1e-12)
+    alone = bundle.kit_belief(Hints(eyes=np.array([0, 1]), t_ns=np.zeros(2, int)))
     assert np.array_equal(alone.mean, layout.prior((None, None)).mean)

@@ -1,4 +1,4 @@
-"""Matching by features, with features whose truth is known: one picture is the other, moved."""
+"""Matching by synthetic features: one picture is the other, shifted."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def centres(x, y):
     return np.stack([16 * (np.asarray(x) + 0.5) - 0.5, 16 * (np.asarray(y) + 0.5) - 0.5], 1)
 
 
-def test_cells_that_moved_are_found_where_they_went(coarse):
+def test_moved_cells_are_matched(coarse):
     a, b = features(coarse), features(np.roll(coarse, (2, 3), (0, 1)))
     uv = centres([4, 5, 9, 12], [3, 6, 2, 8]).astype(np.float32)
     found = correspond.find(Refiner(), a, b, uv)
@@ -50,14 +50,14 @@ def test_cells_that_moved_are_found_where_they_went(coarse):
     np.testing.assert_allclose(found.sigma_px, 2)
 
 
-def test_a_point_between_cells_is_found_between_them(coarse):
+def test_a_point_between_cells_is_interpolated(coarse):
     a = features(coarse)
     uv = np.array([[16 * 6.0 - 0.5, 16 * 4.5 - 0.5]], np.float32)
     found = correspond.find(Refiner(), a, a, uv)
     assert abs(found.uv[0, 0] - uv[0, 0]) < 5
 
 
-def test_what_left_the_picture_is_not_sure(coarse):
+def test_a_point_that_left_the_picture_is_not_sure(coarse):
     gone = coarse.copy()
     gone[:, :10] = np.random.default_rng(1).normal(size=(CELLS[0], 10, 64))
     gone /= np.linalg.norm(gone, axis=2, keepdims=True)
@@ -67,7 +67,7 @@ def test_what_left_the_picture_is_not_sure(coarse):
     assert correspond.find(Refiner(), features(coarse), features(gone), stayed).sure.all()
 
 
-def test_what_the_encoder_does_not_rely_on_is_not_sure(coarse):
+def test_a_point_of_low_reliability_is_not_sure(coarse):
     reliability = np.ones(CELLS, np.float32)
     reliability[:, 10:] = 0.01
     uv = centres([4, 15], [5, 5]).astype(np.float32)
@@ -75,7 +75,7 @@ def test_what_the_encoder_does_not_rely_on_is_not_sure(coarse):
     assert correspond.find(Refiner(), a, a, uv).sure.tolist() == [True, False]
 
 
-def test_pictures_of_unlike_size_meet_in_their_own_pixels(coarse):
+def test_matches_are_in_the_pixels_of_pictures_of_different_size(coarse):
     uv = centres([4, 9], [3, 6]).astype(np.float32)
     found = correspond.find(Refiner(), features(coarse), features(coarse, zoom=4.0), uv)
     np.testing.assert_allclose(found.uv, 2 * (uv + 0.5) - 0.5, atol=5)

@@ -46,7 +46,7 @@ def test_planes_map_points_of_that_depth():
     assert np.allclose(ratio, 1)
 
 
-def test_the_right_plane_scores_best_and_one_occluded_view_is_forgiven():
+def test_the_right_plane_scores_best_in_spite_of_one_occluded_view():
     zeta = np.linspace(0, 2 / DEPTH, 17)
     others = [view(of_wall(x), x) for x in (0.8, -0.8)]
     scores = match_scores(view(texture()), others, zeta, (W // 2, H // 2))

@@ -87,7 +87,7 @@ def test_confident_depth_is_right_and_confidence_ranks_error(turn):
     assert np.mean(best) < 0.6 * np.mean(worst)
 
 
-def test_slightly_wrong_poses_and_focal_cost_little(turn):
+def test_slightly_wrong_poses_and_focals_lose_little_depth(turn):
     rng = np.random.default_rng(1)
     shake = np.zeros((2 * N, 6))
     shake[:, 3:] = rng.normal(0, np.radians(0.02), (2 * N, 3))
@@ -104,7 +104,7 @@ def test_black_pictures_have_no_depth(turn):
     assert not confidence.any() and not depth.any()
 
 
-def test_one_assistant_picture_and_no_landmarks_are_enough(turn):
+def test_one_assistant_picture_without_landmarks_suffices(turn):
     keep = [0, 1, N]
     hints = Hints(eyes=np.array([0, 0, 1]), t_ns=turn.hints.t_ns[keep])
     prediction = Prediction(

@@ -36,7 +36,7 @@ def test_pixels_go_to_the_input_and_back(net):
     np.testing.assert_allclose(of.to_picture(of.to_input(uv)), uv, atol=1e-4)
 
 
-def test_a_picture_is_encoded_once_and_always_alike(net):
+def test_a_picture_is_encoded_once(net):
     first, again, grey = net.of(
         [picture(0), picture(0), cv2.cvtColor(picture(0), cv2.COLOR_BGR2GRAY)]
     )

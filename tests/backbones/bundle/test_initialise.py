@@ -44,7 +44,7 @@ def test_a_point_seen_once_starts_far_ahead(exact):
     assert np.allclose(np.delete(placed, 3, 0), np.delete(exact.truth.points, 3, 0), atol=1e-9)
 
 
-def test_the_right_focals_give_the_truth_at_once(exact):
+def test_the_right_focals_give_the_true_state(exact):
     state = initialise.initial_state(
         exact.m, guess_of(exact.truth, 1.0), rig_known=False, seed_share=0.5
     )
@@ -53,7 +53,7 @@ def test_the_right_focals_give_the_truth_at_once(exact):
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
-def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
+def test_focals_wrong_by_a_fifth_give_a_state_to_start_from(exact, factor):
     state = initialise.initial_state(
         exact.m, guess_of(exact.truth, factor), rig_known=False, seed_share=0.5
     )
@@ -72,23 +72,25 @@ def test_focals_wrong_by_a_fifth_still_give_a_start(exact, factor):
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.3])
-def test_the_assistants_focal_is_found_from_the_primarys_points(exact, factor):
+def test_the_assistants_focal_is_estimated_from_the_primarys_points(exact, factor):
     theta = guess_of(exact.truth, 1.0)
     theta[layout.LOG_FOCAL[1]] += np.log(factor)
     state = initialise.initial_state(exact.m, theta, rig_known=False, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta, atol=5e-3)
 
 
-def test_a_known_rig_is_kept_and_gives_the_unit(exact):
+def test_a_known_rig_is_kept_and_sets_the_scale(exact):
     state = initialise.initial_state(exact.m, exact.truth.theta, rig_known=True, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta)
     assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
 
 
-def test_an_assistant_on_the_other_side_than_believed_is_said(exact):
+def test_an_assistant_on_the_other_side_of_the_known_rig_raises(exact):
     theta = exact.truth.theta.copy()
     theta[layout.RIG_CENTRE] *= -1
-    with pytest.raises(BackboneError, match=r"^bundle: the assistant is not where the kit says$"):
+    with pytest.raises(
+        BackboneError, match=r"^bundle: the rig does not fit the matches between the cameras$"
+    ):
         initialise.initial_state(exact.m, theta, rig_known=True, seed_share=0.5)
 
 
@@ -96,19 +98,19 @@ def kept(m, rows):
     return replace(m, view=m.view[rows], point=m.point[rows], uv=m.uv[rows])
 
 
-def test_no_matches_between_the_eyes_are_said(exact):
+def test_without_matches_between_the_eyes_it_raises(exact):
     m = kept(exact.m, exact.m.eye[exact.m.view] == 0)
     with pytest.raises(BackboneError, match=r"^bundle: no matches between the two eyes$"):
         initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)
 
 
-def test_a_first_keyframe_that_shares_nothing_is_said(exact):
+def test_a_first_keyframe_without_matches_raises(exact):
     m = kept(exact.m, exact.m.view != 0)
     with pytest.raises(BackboneError, match=r"^bundle: the first keyframes share too few"):
         initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)
 
 
-def test_a_keyframe_that_shares_nothing_is_said(exact):
+def test_a_keyframe_without_matches_raises(exact):
     m = kept(exact.m, exact.m.view != 5)
     with pytest.raises(BackboneError, match=r"^bundle: a keyframe shares too few"):
         initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)

@@ -6,7 +6,7 @@ import pytest
 
 from calm_edge.backbones.bundle import learned, tracks
 from calm_edge.backbones.bundle.backbone import BundleBackbone
-from calm_edge.backbones.bundle.matching import Found
+from calm_edge.backbones.bundle.matching import Matches
 from calm_edge.config import BackboneConfig
 from tests.backbones.bundle.demo_pictures import picture
 
@@ -48,7 +48,7 @@ def judged(found, truth, gray):
     return (error[inside] < 1).mean(), (error[found.sure & inside] < 3).mean()
 
 
-def test_a_shift_no_pyramid_reaches_is_found(matching, gray):
+def test_a_shift_beyond_the_pyramid_is_found(matching, gray):
     H = similarity(gray, 1.0, 0.0, (90.0, 12.0))
     uv = tracks.detect_corners(gray, NONE)
     right, of_found = judged(matching.along(gray, seen(gray, H), uv), through(H, uv), gray)
@@ -58,14 +58,14 @@ def test_a_shift_no_pyramid_reaches_is_found(matching, gray):
 @pytest.mark.parametrize(
     ("zoom", "turn"), [(1.0, 12.0), (1.5, 0.0), (0.6, -8.0), (2.0, 20.0), (0.5, -20.0)]
 )
-def test_pictures_turned_and_zoomed_against_each_other(matching, gray, zoom, turn):
+def test_rotated_and_zoomed_pictures_are_matched(matching, gray, zoom, turn):
     H = similarity(gray, zoom, turn)
     uv = tracks.detect_corners(gray, NONE)
     right, of_found = judged(matching.match(gray, seen(gray, H), uv), through(H, uv), gray)
     assert right > 0.5 and of_found > 0.9
 
 
-def test_the_homography_between_the_eyes(matching, gray):
+def test_the_homography_between_the_eyes_is_found(matching, gray):
     H = similarity(gray, 1.3, 6.0)
     rough = matching.homography(gray, seen(gray, H))
     corners = np.array([[100.0, 60.0], [400.0, 60.0], [100.0, 200.0], [400.0, 200.0]])
@@ -80,14 +80,14 @@ def test_nothing_to_match_gives_nothing(matching, gray):
     assert matching.match(gray, flat, uv).sure.mean() < 0.1
 
 
-def test_a_guess_is_measured_and_a_wrong_one_not_believed(gray):
+def test_a_guess_is_refined_and_a_wrong_one_dropped(gray):
     H = similarity(gray, 1.0, 0.0, (7.3, -2.6))
     uv = tracks.detect_corners(gray, NONE)
     truth = through(H, uv).astype(np.float32)
     off = np.random.default_rng(0).normal(0, 1.5, truth.shape).astype(np.float32)
     wrong = np.arange(len(uv)) % 10 == 0
     off[wrong] += 60
-    guess = Found(
+    guess = Matches(
         truth + off,
         np.ones(len(uv), bool),
         np.full(len(uv), 2.0, np.float32),
@@ -97,8 +97,8 @@ def test_a_guess_is_measured_and_a_wrong_one_not_believed(gray):
     error = np.linalg.norm(found.uv - truth, axis=1)
     assert np.median(error[found.sure & ~wrong]) < 0.15
     assert found.sure[~wrong].mean() > 0.7 and found.sure[wrong].mean() < 0.2
-    said = (1 / found.sigma_px[found.measured] ** 2).mean()
-    assert said == pytest.approx(1 / tracks.FOLLOWED_PX**2, rel=0.1)
+    information = (1 / found.sigma_px[found.measured] ** 2).mean()
+    assert information == pytest.approx(1 / tracks.FOLLOWED_PX**2, rel=0.1)
 
 
 def test_sigma_grows_with_the_error(matching, gray):
@@ -122,7 +122,7 @@ def test_sigma_grows_with_the_error(matching, gray):
     assert np.median(error[surest]) < 0.5 * np.median(error[~surest])
 
 
-def test_a_network_follows_a_window_as_lucas_kanade_does(matching):
+def test_a_network_tracks_a_window_as_lucas_kanade_does(matching):
     primary, assistant = (
         [cv2.cvtColor(picture(k, eye), cv2.COLOR_BGR2GRAY) for k in (20, 22, 24)] for eye in (0, 1)
     )
@@ -133,7 +133,7 @@ def test_a_network_follows_a_window_as_lucas_kanade_does(matching):
     assert (found.sigma_px > 0).all() and np.isfinite(found.uv).all()
 
 
-def test_a_picture_told_of_is_encoded_before_its_window(matching, monkeypatch):
+def test_an_expected_picture_is_encoded_before_its_window(matching, monkeypatch):
     encoded = []
     own = matching.net._encoded
     monkeypatch.setattr(matching.net, "_encoded", lambda gray: encoded.append(gray) or own(gray))

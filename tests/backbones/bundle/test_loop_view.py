@@ -105,7 +105,7 @@ def test_the_loop_view_is_placed_to_centimetres(solved, batch):
     assert solved.focal_log_sigma[-1] == solved.focal_log_sigma[0]
 
 
-def test_the_window_is_what_it_is_without_the_loop_view(solved, lost, alone):
+def test_the_loop_view_does_not_change_the_window(solved, lost, alone):
     assert same_window(solved, alone) and same_window(lost, alone)
     assert np.array_equal(solved.kit.mean, alone.kit.mean)
     n = len(alone.landmarks.index)
@@ -115,7 +115,7 @@ def test_the_window_is_what_it_is_without_the_loop_view(solved, lost, alone):
     assert np.array_equal(part.landmarks.index, alone.landmarks.index)
 
 
-def test_what_the_loop_view_saw_fits_its_pose(solved):
+def test_landmarks_of_the_loop_view_fit_its_pose(solved):
     marks = solved.landmarks
     rows = marks.view == LOOP
     assert rows.sum() >= loop_view.MIN_INLIERS
@@ -127,14 +127,14 @@ def test_what_the_loop_view_saw_fits_its_pose(solved):
     assert np.bincount(marks.index[seen])[marks.index[rows]].min() >= 2
 
 
-def test_another_street_is_said_not_to_be_found(lost, alone):
+def test_a_picture_of_another_street_is_not_found(lost, alone):
     assert not lost.loop_found
     assert np.array_equal(lost.T_s_c[-1], np.eye(4))
     assert LOOP not in lost.landmarks.view
     assert len(lost.landmarks.points_s) == len(alone.landmarks.points_s)
 
 
-def test_the_same_batch_gives_the_same_bits(solved, alone, batch):
+def test_the_same_batch_gives_the_same_bytes(solved, alone, batch):
     cv2.setRNGSeed(77)
     again = loop_view.with_loop(batch.images, batch.hints, alone)
     assert again.T_s_c.tobytes() == solved.T_s_c.tobytes()
@@ -163,12 +163,12 @@ def test_solving_again_places_the_loop_view_again_without_a_picture(solved, batc
     assert T_loop_error(moved, batch)[0] < 0.15
 
 
-def test_solving_again_what_was_not_found_finds_nothing(lost, batch):
+def test_solving_again_does_not_find_a_loop_view_that_was_not_found(lost, batch):
     again = BACKBONE.resolve(lost, batch.hints)
     assert not again.loop_found and len(again.T_s_c) == 2 * N + 1
 
 
-def test_sigmas_of_the_window_go_with_it(solved, alone):
+def test_sigmas_stay_with_the_window(solved, alone):
     assert solved.landmarks.sigma_px is None
     sigma = np.arange(len(solved.landmarks.uv), dtype=np.float32)
     weighed = replace(solved, landmarks=replace(solved.landmarks, sigma_px=sigma))
@@ -214,7 +214,7 @@ def few(batch, prediction, loop_image):
     )  # fmt: skip
 
 
-def test_the_loop_view_has_depth_of_the_window_and_none_where_it_has_no_place(solved, lost, batch):
+def test_the_loop_view_has_depth_only_with_a_pose(solved, lost, batch):
     dense = BACKBONE.densify(*few(batch, solved, batch.images[-1]))
     assert len(dense.depth) == len(dense.confidence) == 7
     assert (dense.confidence[-1] > 0.5).mean() > 0.1
@@ -225,7 +225,7 @@ def test_the_loop_view_has_depth_of_the_window_and_none_where_it_has_no_place(so
     assert np.array_equal(none.depth[:-1], dense.depth[:-1])
 
 
-def test_the_loop_view_is_swept_against_what_is_near():
+def test_the_loop_view_is_matched_against_near_views():
     T = np.tile(np.eye(4), (6, 1, 1))
     T[:, 2, 3] = [0, 3, 6, 9, 100, 6.5]
     assert loop_sources(T) == [2, 3, 1, 0]
@@ -246,7 +246,7 @@ def exact_tracks(n=60, seed=0, wrong=0):
     return (camera,) * 3, T_s_c, LoopTracks(point, view, np.concatenate(seen), loop_uv), points
 
 
-def test_exact_tracks_give_the_exact_pose_through_wrong_matches():
+def test_exact_tracks_with_outliers_give_the_exact_pose():
     cameras, T_s_c, tracks, points = exact_tracks(wrong=20)
     pose = locate(cameras, T_s_c, tracks)
     assert np.allclose(pose.T_s_c, T_QUERY_LOOP, atol=1e-6)

@@ -8,7 +8,7 @@ from calm_edge.kit import layout
 from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
 
 
-def test_eliminating_points_is_the_schur_complement_of_the_whole():
+def test_eliminating_points_is_the_schur_complement():
     made = window(turn(3), theta_of(), n_points=25, noise_px=1.0)
     m, state, ties = made.m, perturbed(made.truth), made.ties
     # landmarks may keep a point whose observations were all dropped

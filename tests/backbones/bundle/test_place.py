@@ -36,14 +36,14 @@ def test_a_descriptor_is_a_unit_vector(known, place):
     assert blank.shape == known[0].shape and np.isfinite(blank).all()
 
 
-def test_a_place_looks_more_like_itself_from_a_step_on_than_like_another(known, place):
+def test_a_place_is_more_similar_to_itself_from_nearby_than_to_another(known, place):
     likeness = place.similarity(np.stack([place.describe(picture(k + 1)) for k in PLACES]), known)
     assert (likeness.argmax(1) == np.arange(len(PLACES))).all()
     assert likeness.diagonal().min() > place.min_similarity > np.median(likeness)
     np.testing.assert_allclose(place.similarity(known, known).diagonal(), 1, atol=1e-4)
 
 
-def test_night_leaves_a_place_what_it_is(known, place):
+def test_a_place_at_night_is_similar_to_itself(known, place):
     rng = np.random.default_rng(0)
     for number, k in enumerate(PLACES[::3]):
         dark = 0.4 * picture(k) + 6 * rng.standard_normal(picture(k).shape)
@@ -51,7 +51,7 @@ def test_night_leaves_a_place_what_it_is(known, place):
         assert place.similarity(query[None], known)[0].argmax() == 3 * number
 
 
-def test_the_layout_knows_where_things_are_and_the_word_does_not(place):
+def test_the_layout_depends_on_position_and_the_global_descriptor_does_not(place):
     """The same things elsewhere in the picture are another place, but not by their word alone."""
     word = slice(0, -learned_place.ROWS * learned_place.COLUMNS * learned_place.CHANNELS)
     image = picture(20)
@@ -75,17 +75,17 @@ def test_the_picture_of_a_place_is_not_encoded_again_for_matching(monkeypatch):
     assert len(runs) == 1
 
 
-def test_loops_take_the_network_of_the_backbone_unless_told_otherwise(place):
+def test_loops_use_the_backbones_network_by_default(place):
     own = BundleBackbone(BackboneConfig(), places=place)
     bare = BundleBackbone(BackboneConfig())
     assert descriptor_of(own, "auto") is place and descriptor_of(own, "learned") is place
-    for backbone, asked in ((own, "gradients"), (bare, "auto"), (SimpleNamespace(), "auto")):
-        assert isinstance(descriptor_of(backbone, asked), GradientLayout)
+    for backbone, name in ((own, "gradients"), (bare, "auto"), (SimpleNamespace(), "auto")):
+        assert isinstance(descriptor_of(backbone, name), GradientLayout)
     with pytest.raises(ConfigError, match=r"loops\.descriptor=learned"):
         descriptor_of(bare, "learned")
 
 
-def test_the_localizer_looks_places_up_as_configured(place):
+def test_the_localizer_uses_the_configured_descriptor(place):
     learned, gradients = Config(), merge(Config(), {"loops": {"descriptor": "gradients"}})
     own = BundleBackbone(BackboneConfig(), places=place)
     assert Localizer(learned, own)._loops._descriptor is place

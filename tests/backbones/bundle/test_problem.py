@@ -72,7 +72,7 @@ def test_pixels_by_point_tangent(seen):
     assert_jacobian(problem.reprojection(state, m, basis).point, numeric)
 
 
-def test_pixels_are_the_pinholes_where_nothing_is_bent():
+def test_without_distortion_pixels_are_a_pinholes():
     made = window(turn(3), theta_of(), n_points=30)
     uv, z = problem.project(made.truth, made.m)
     p_c = problem.camera_points(made.truth, made.m).T
@@ -114,7 +114,7 @@ def test_tangent_bases_are_orthonormal(points):
     assert np.allclose(whole.transpose(0, 2, 1) @ whole, np.eye(4), atol=1e-12)
 
 
-def test_a_far_point_goes_through_infinity_without_a_wall():
+def test_a_far_point_passes_through_infinity_smoothly():
     made = window(turn(4), theta_of(), n_points=40)
     points = np.tile([0.1, 0.0, 1.0, 0.0], (len(made.truth.points), 1))
     pixels = []
@@ -128,7 +128,7 @@ def test_a_far_point_goes_through_infinity_without_a_wall():
     assert 0 < np.abs(pixels[0] - pixels[1]).max() < 0.1
 
 
-def test_a_point_behind_its_view_is_told():
+def test_a_point_behind_its_view_is_marked():
     made = window(turn(4), theta_of(), n_points=40)
     behind = made.m.point == 0
     made.truth.points[0] *= -1
@@ -156,7 +156,7 @@ def test_ties_vanish_on_a_rig_that_follows_the_geodesic(delay_s):
     assert softer == (delay_s != 0)
 
 
-def test_a_tie_softens_with_what_constant_velocity_misses():
+def test_a_tie_softens_with_the_error_of_constant_velocity():
     m = window(turn(3), theta_of(), n_points=10, delay_s=0.1).m
     # a third of the way through 0.3 s: 0.33 x 0.67 / 2 x 0.09 s^2, the last one beyond the end
     bend = np.array([0.01, 0.01, 0.02])

@@ -17,7 +17,7 @@ def test_a_hole_is_filled_from_both_sides():
     assert (chosen == 3).all()
 
 
-def test_a_lone_wrong_pixel_yields_and_a_step_stays():
+def test_a_single_outlier_is_smoothed_and_a_step_is_kept():
     plane = np.where(np.arange(W) < 8, 2, 6) * np.ones((H, 1), int)
     cost = volume(plane)
     cost[7, 6, 3], cost[2, 6, 3] = 0, 0.3  # a little better elsewhere

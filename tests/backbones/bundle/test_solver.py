@@ -18,7 +18,7 @@ FOCALS = layout.LOG_FOCAL
 
 
 def evidence(made, tempering=1.0):
-    """What a window measured with noise teaches, once solved from its truth."""
+    """Evidence of a window measured with noise, solved from its truth."""
     solution = solver.solve(made.truth, made.m, made.ties, PRIOR)
     return solver.kit_evidence(solution, made.m, made.ties, 2.0, tempering)
 
@@ -49,14 +49,14 @@ def test_gross_outliers_and_noise_leave_the_focal_within_a_percent():
     solution = solver.solve(start, made.m, made.ties, PRIOR)
     assert np.abs(solution.state.theta - made.truth.theta)[FOCALS].max() < 0.01
     assert solution.cost < solver.total_cost(start, made.m, made.ties, PRIOR, 2.0)
-    # the outliers are told from the rest
+    # the residuals separate the outliers
     wrong = np.linalg.norm(problem.project(made.truth, made.m)[0] - made.m.uv, axis=1) > 3
     assert 0.1 < wrong.mean() < 0.16
     assert (solution.residual[wrong] > 4).mean() > 0.95
     assert (solution.residual[~wrong] < 4).mean() > 0.95
 
 
-def test_a_prior_decides_where_the_pixels_are_silent():
+def test_a_prior_determines_the_directions_that_pixels_do_not():
     made = window(turn(N, yaw_rad=0.0), theta_of())
     mean = made.truth.theta.copy()
     mean[FOCALS] += 0.05
@@ -65,7 +65,7 @@ def test_a_prior_decides_where_the_pixels_are_silent():
     assert solution.state.theta[FOCALS] == pytest.approx(mean[FOCALS], abs=0.01)
 
 
-def test_a_point_started_in_a_view_is_no_end_of_the_window():
+def test_a_point_started_in_a_view_does_not_stop_the_solver():
     made = window(turn(N), theta_of())
     start = perturbed(made.truth)
     T_s_c = np.linalg.inv(start.T_c_s)
@@ -103,7 +103,7 @@ def test_an_outlier_costs_no_more_the_farther_it_is():
     assert (length[behind] == 100).all() and length[3:][~behind[3:]].max() < 1e-6
 
 
-def test_a_straight_drive_says_nothing_of_the_focal_and_a_turn_does(curved):
+def test_a_turn_determines_the_focal_and_a_straight_drive_does_not(curved):
     straight = evidence(window(turn(N, yaw_rad=0.0), theta_of(), noise_px=0.3))
     assert sigma(curved)[FOCALS].max() < 0.01
     # both focals can still change together
@@ -131,7 +131,7 @@ def test_evidence_is_a_proper_gaussian_around_the_truth(curved):
     assert np.abs(off[FOCALS]).max() < 0.01
 
 
-def test_evidence_does_not_hold_what_the_prior_said():
+def test_evidence_excludes_the_prior():
     made = window(turn(N), theta_of(), noise_px=0.3)
     mean = made.truth.theta.copy()
     mean[FOCALS] += 0.01
@@ -144,7 +144,7 @@ def test_evidence_does_not_hold_what_the_prior_said():
     assert (moved > 3e-4).all() and (apart < 0.3 * moved).all()
 
 
-def test_evidence_takes_the_last_step_to_the_optimum_itself():
+def test_evidence_includes_the_last_step_to_the_optimum():
     """It holds from any state near the optimum, so the solver may stop a little early."""
     made = window(turn(N), theta_of())
     start = perturbed(made.truth, pose=3e-4, focal=3e-4)
@@ -175,7 +175,7 @@ def changing_speed(n):
     return np.concatenate([[np.eye(4)], np.array(list(accumulate(se3.exp(steps), np.matmul)))])
 
 
-def test_lateness_shows_where_the_speed_changes_and_not_at_constant_velocity():
+def test_the_time_offset_is_observable_where_the_speed_changes_only():
     theta = theta_of()
     theta[layout.TIME_OFFSET] = 0.02
     sigmas = []

@@ -56,7 +56,7 @@ def test_new_corners_keep_away_from_known_ones():
     assert len(tracks.detect_corners(texture(), first, count=32)) < 8
 
 
-def test_following_a_known_warp():
+def test_a_known_warp_is_tracked():
     picture, H = texture(), similarity(1.03, 1.0, [6.4, -2.3])
     target = cv2.warpPerspective(picture, H, SIZE)
     uv = tracks.detect_corners(picture, NONE)
@@ -80,14 +80,14 @@ def test_a_guess_reaches_where_the_pyramid_does_not():
     assert share_found(uv + np.float32([86, 1])) > 0.9
 
 
-def test_what_does_not_come_back_is_not_followed():
+def test_a_point_that_fails_the_backward_check_is_dropped():
     uv = tracks.detect_corners(texture(), NONE)
     _, ok = follow(texture(), texture(seed=1), uv, uv.copy(), tracks.MATCHING)
     assert ok.mean() < 0.1
     assert follow(texture(), texture(), NONE, NONE, tracks.MATCHING)[1].shape == (0,)
 
 
-def test_planted_outliers_are_off_their_epipolar_lines():
+def test_outliers_are_found_off_their_epipolar_lines():
     rng = np.random.default_rng(0)
     p = np.c_[rng.uniform(-1, 1, (200, 2)) * [4, 1.5], rng.uniform(4, 20, 200)]
     q = p @ cv2.Rodrigues(np.array([0.01, 0.05, 0.0]))[0].T + [0.3, 0.0, -1.0]
@@ -96,7 +96,7 @@ def test_planted_outliers_are_off_their_epipolar_lines():
     b[wrong] += rng.uniform(5, 20, (int(wrong.sum()), 2)) * rng.choice([-1, 1], (wrong.sum(), 2))
     kept = tracks.on_epipolar_lines(a.astype(np.float32), b.astype(np.float32), 1.0)
     assert kept[~wrong].mean() > 0.97
-    # one that moved along its line cannot be told
+    # an outlier along its epipolar line is not detected
     assert kept[wrong].mean() < 0.25
     assert tracks.on_epipolar_lines(a[:15], b[:15], 1.0).all()
 
@@ -123,7 +123,7 @@ def test_corners_are_found_across_zoom_and_roll(eyes):
     assert np.median(error_px(bare, H, uv)[ok]) > 5 * error
 
 
-def test_what_moves_on_its_own_is_no_match_across_eyes():
+def test_a_moving_object_is_not_matched_across_eyes():
     primary, still = texture(), np.eye(3)
     assistant = primary.copy()
     # depth may shift a part along one direction; a smaller part that goes another way is traffic
@@ -141,7 +141,7 @@ def test_what_moves_on_its_own_is_no_match_across_eyes():
     assert traffic.sum() > 5 and ok[traffic].mean() < 0.2
 
 
-def test_a_homography_is_found_from_nothing(eyes):
+def test_a_homography_is_found_without_a_guess(eyes):
     primary, assistant, H = eyes
     found = tracks.sift_homography(primary, assistant)
     grid = np.stack(np.meshgrid([40, 160, 280], [30, 64, 98]), -1).reshape(-1, 2)
@@ -170,7 +170,7 @@ def test_tracks_of_a_window_are_the_same_points_in_every_view():
         assert len(np.unique(pairs, axis=0)) == len(pairs)
 
 
-def test_parallax_that_grows_from_view_to_view_is_kept_up_with():
+def test_parallax_that_grows_from_view_to_view_is_tracked():
     big = texture((480, 200))
     primary = [big[:128, :320].copy()] * 5
     assistant = [big[:128, 16 * k : 320 + 16 * k].copy() for k in range(1, 6)]
@@ -183,7 +183,7 @@ def test_parallax_that_grows_from_view_to_view_is_kept_up_with():
     assert (np.abs(moved_by - [-80, 0]).max(1) < 0.1).mean() > 0.95
 
 
-def test_matches_opencv_itself_fails_on_are_all_kept(monkeypatch):
+def test_matches_are_all_kept_where_opencv_fails(monkeypatch):
     """Seen on a drive: USAC's own assertion (`!model.empty()`), which no small case reproduces."""
 
     def fails(*_):

@@ -64,7 +64,7 @@ def test_only_observations_that_fit_are_landmarks():
     assert np.allclose(marks.points_s, X[:, :3] / X[:, 3:])
 
 
-def test_sigmas_stay_with_their_observations_and_are_left_out_where_alike():
+def test_sigmas_stay_with_their_observations_and_equal_ones_are_omitted():
     made = exact_window(turn(N), theta_of())
     plain = prediction_of(made)
     assert plain.landmarks.sigma_px is None
@@ -79,7 +79,7 @@ def test_sigmas_stay_with_their_observations_and_are_left_out_where_alike():
 
 
 @pytest.mark.parametrize("missing", ["landmarks", "sizes"])
-def test_what_was_not_kept_cannot_be_solved_again(missing):
+def test_a_prediction_without_landmarks_or_sizes_cannot_be_solved_again(missing):
     made = exact_window(turn(N), theta_of())
     prediction, hints = prediction_of(made), hints_of(made.m)
     if missing == "landmarks":
@@ -101,7 +101,7 @@ def test_thinning_keeps_the_longest_tracks_whole():
     assert len(window.thinned(m, 10_000).uv) == len(m.uv)
 
 
-def test_a_known_kit_tells_where_far_points_appear_to_the_other_eye():
+def test_a_known_kit_maps_far_points_to_the_other_eye():
     theta = theta_of(rotation_deg=(3.0, -8.0, 5.0))
     far = np.array([[0.2, 0.1, 1.0], [-0.4, -0.1, 1.0], [0.0, 0.0, 1.0]])
     K_p, K_a = (camera.matrix for camera in layout.cameras(theta, SIZE))
@@ -123,7 +123,7 @@ T_NS = np.array([0, 200, 400, 17, 217]) * 1_000_000
     ],
     ids=["assistant first", "mixed", "back in time", "twice"],
 )
-def test_views_out_of_order_are_said(eyes, t_ns):
+def test_views_out_of_order_raise(eyes, t_ns):
     with pytest.raises(BackboneError, match=r"^bundle: pictures must be in order"):
         window.split_eyes(Hints(eyes=np.array(eyes), t_ns=t_ns))
 

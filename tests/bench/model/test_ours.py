@@ -5,7 +5,7 @@ from bench.model import ours
 from bench.model.depth_makers import SweepDepth
 from bench.model.ours import ModelMatcher, contestant
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle.matching import Found
+from calm_edge.backbones.bundle.matching import Matches
 from calm_edge.evaluation import EvaluationError
 
 
@@ -15,7 +15,7 @@ class Shifts:
     def match(self, a, b, uv):
         assert a.ndim == b.ndim == 2 and uv.dtype == np.float32
         sure = np.arange(len(uv)) > 0
-        return Found(uv + np.float32([1, 0]), sure, np.full(len(uv), 0.4, np.float32), sure)
+        return Matches(uv + np.float32([1, 0]), sure, np.full(len(uv), 0.4, np.float32), sure)
 
 
 def test_a_model_s_matches_come_in_the_shape_of_the_others():

@@ -1,4 +1,4 @@
-"""How far the stamps of a window are from the beat of a camera that runs at a fixed rate."""
+"""Jitter of a window's stamps against the frame rate of their camera."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import numpy as np
 from calm_edge.types import Float
 
 MIN_FRAMES = 6
-# Above this share of the period, one sigma, there is no beat to speak of.
+# Stamps with a jitter above this share of the period, one sigma, have no frame rate.
 LARGEST_SHARE = 0.1
-# Periods tried, as multiples of the shortest gap: keyframes may all lie two or three frames apart.
+# Periods tried, as multiples of the shortest gap: keyframes may all be two or three frames apart.
 TRIED = np.geomspace(0.3, 1.25, 120)
 ITERATIONS = 4
 
 
-def off_beat(t: Float) -> Float | None:
-    """Stamps t (N,) s, growing, less the nearest even beat (N,) s; None where they have none.
+def jitter(t: Float) -> Float | None:
+    """Residuals (N,) s of stamps t (N,) s, increasing, from a fixed frame rate; None without one.
 
-    Frames may be missing. Where several rates explain the gaps the slowest does best.
+    Frames may be missing. Where several rates explain the gaps, any of them gives the residuals.
     """
     gaps = np.diff(t)
     if len(t) < MIN_FRAMES or gaps.min() <= 0:

@@ -1,4 +1,4 @@
-"""Pictures turned or zoomed against each other: what makes one look like the other."""
+"""Homographies between pictures that are rotated or zoomed against each other."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.backbones.bundle.matching import Bool, Found
+from calm_edge.backbones.bundle.matching import Bool, Matches
 from calm_edge.backbones.bundle.tracks import on_epipolar_lines
 from calm_edge.geometry.flow import Gray
 from calm_edge.types import Float, Float32
 
-# Turned or zoomed by less, patches are alike as they are.
+# Patches match without a warp below this rotation and log zoom.
 SAME_TURN_RAD, SAME_ZOOM = 0.07, 0.12
 MIN_FOR_WARP, WARP_SHARE, MIN_ZOOM = 12, 0.3, 0.2
 WARP_EPIPOLAR_PX = 3.0
-WARP_INLIER = 0.03  # of the picture's width: parallax stays outside of the homography
+WARP_INLIER = 0.03  # of the picture's width: leaves room for parallax
 
 
-def homography(uv: Float32, found: Found, width: int) -> Float | None:
-    """H_b_a (3, 3) px through the sure ones of N matches, parallax left out; None where too few."""
+def homography(uv: Float32, found: Matches, width: int) -> Float | None:
+    """H_b_a (3, 3) px from the sure ones of N matches by RANSAC; None with too few inliers."""
     sure = found.sure.copy()
     sure[sure] = on_epipolar_lines(uv[sure], found.uv[sure], WARP_EPIPOLAR_PX)
     if sure.sum() < MIN_FOR_WARP:
@@ -35,13 +35,13 @@ def homography(uv: Float32, found: Found, width: int) -> Float | None:
 
 
 def are_alike(H_b_a: Float, a: Gray) -> bool:
-    """Patches in the middle of a look the same in b."""
+    """Patches in the middle of a need no warp to match those of b."""
     zoom, turn = _zoom_and_turn(H_b_a, _middle(a))
     return abs(np.log(zoom)) < SAME_ZOOM and abs(turn) < SAME_TURN_RAD
 
 
 def zoom_of(H_b_a: Float, a: Gray) -> float:
-    """How much larger b shows the middle of a."""
+    """Magnification of the middle of a in b."""
     return _zoom_and_turn(H_b_a, _middle(a))[0]
 
 
@@ -51,7 +51,7 @@ def _middle(picture: Gray) -> Float:
 
 
 def _zoom_and_turn(H: NDArray[Any], at: NDArray[Any]) -> tuple[float, float]:
-    """What H (3, 3) px does around a pixel (2,): its zoom, and its turn in radians."""
+    """Zoom and rotation [rad] of H (3, 3) px to first order at a pixel (2,)."""
     x, y, w = H @ np.array([*at, 1.0])
     local = (H[:2, :2] - np.outer([x / w, y / w], H[2, :2])) / w
     turn = np.arctan2(local[1, 0] - local[0, 1], local[0, 0] + local[1, 1])
@@ -59,7 +59,7 @@ def _zoom_and_turn(H: NDArray[Any], at: NDArray[Any]) -> tuple[float, float]:
 
 
 def warped(b: Gray, H_b_a: Float, a: Gray) -> Gray:
-    """b as a would show it, smoothed where that shrinks it: what aliases has moved."""
+    """Warp b to look like a, low-pass filtered before it is shrunk, against aliasing."""
     zoom = float(np.sqrt(abs(np.linalg.det(H_b_a[:2, :2]))))
     if zoom > 1 + SAME_ZOOM:
         b = np.asarray(cv2.GaussianBlur(b, (0, 0), 0.5 * np.sqrt(zoom**2 - 1)), np.uint8)
@@ -68,7 +68,7 @@ def warped(b: Gray, H_b_a: Float, a: Gray) -> Gray:
 
 
 def turned(a: Gray, b: Gray, turn_deg: float, zoom: float) -> Float:
-    """H_b_a (3, 3) px: about the middles, b being zoomed and turned against a."""
+    """H_b_a (3, 3) px of a zoom and a rotation about the middles of both pictures."""
     (ha, wa), (hb, wb) = a.shape, b.shape
     centred = np.array([[1, 0, -(wa - 1) / 2], [0, 1, -(ha - 1) / 2], [0, 0, 1]])
     c, s = zoom * np.cos(np.radians(turn_deg)), zoom * np.sin(np.radians(turn_deg))
@@ -77,7 +77,7 @@ def turned(a: Gray, b: Gray, turn_deg: float, zoom: float) -> Float:
 
 
 def seen_at(H_b_a: Float, uv: Float32, b: Gray) -> tuple[Float32, Bool]:
-    """Points uv (N, 2) px of a in b (N, 2) px, and whether b shows them (N,)."""
+    """Points uv (N, 2) px of a mapped to b (N, 2) px, and whether they lie in it (N,)."""
     if len(uv) == 0:
         return uv, np.zeros(0, bool)
     there = cv2.perspectiveTransform(uv[None].astype(np.float64), H_b_a)[0]
@@ -86,11 +86,10 @@ def seen_at(H_b_a: Float, uv: Float32, b: Gray) -> tuple[Float32, Bool]:
     return np.asarray(there, np.float32), inside
 
 
-def agreeing(uv: Float32, found: Found, width: int) -> int:
-    """How many sure matches one turn, zoom and shift explains, but for parallax.
+def agreeing(uv: Float32, found: Matches, width: int) -> int:
+    """Number of sure matches that are inliers of one similarity (RANSAC).
 
-    What is only sure may be wrong all over: in a picture that shows something else, half of all
-    cells find their way back.
+    Being mutual is no proof: between pictures of different scenes half of all cells are.
     """
     if found.sure.sum() < MIN_FOR_WARP:
         return 0
