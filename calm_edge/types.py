@@ -8,6 +8,7 @@ host-monotonic nanoseconds.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -302,6 +303,20 @@ class AnchorTable:
     seen_anchor: Int32
     seen_view: Int32
     uv: Float32
+
+    @classmethod
+    def empty(cls) -> AnchorTable:
+        """A table without rows."""
+        unseen = np.empty(0, np.int32)
+        return cls(
+            np.empty(0, np.int64), np.empty((0, 3)), unseen, unseen, np.empty((0, 2), np.float32)
+        )
+
+    @classmethod
+    def joined(cls, tables: Iterable[AnchorTable]) -> AnchorTable:
+        """The rows of all tables in the given order."""
+        tables = [cls.empty(), *tables]
+        return cls(*(np.concatenate([getattr(t, name) for t in tables]) for name in cls.__slots__))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,18 +12,13 @@ from typing import Protocol
 log = logging.getLogger(__name__)
 
 IDENTIFIER = "calm-edge"
-# least time between two pings, as a share of the watchdog's interval: at a hundred pings a second
+# least time between two pings as a share of the watchdog's interval: at a hundred pings a second
 # systemd falls behind and detects a hang late
 PING_SHARE = 0.1
 
 
 class Notifier(Protocol):
-    """Sender of messages to the service manager; no method raises or blocks.
-
-    watchdog_s: longest time allowed between two pings; None without a watchdog.
-    """
-
-    watchdog_s: float | None
+    """Sender of messages to the service manager; no method raises or blocks."""
 
     def ready(self) -> None:
         """Report that start-up is complete."""
@@ -48,8 +43,6 @@ class Notifier(Protocol):
 
 class NullNotifier:
     """Notifier for a process that no service manager started: does nothing."""
-
-    watchdog_s: float | None = None
 
     def ready(self) -> None:
         pass
@@ -77,7 +70,7 @@ class SystemdNotifier:
         watchdog_s: float | None,
         journal: Callable[..., object] | None = None,
     ) -> None:
-        self.watchdog_s = watchdog_s
+        self._ping_period_s = PING_SHARE * (watchdog_s or 0.0)
         self._notify, self._journal = notify, journal
         self._status = self._state = ""
         self._last_ping_s = float("-inf")
@@ -87,7 +80,7 @@ class SystemdNotifier:
 
     def watchdog(self) -> None:
         now_s = time.monotonic()
-        if now_s - self._last_ping_s >= PING_SHARE * (self.watchdog_s or 0.0):
+        if now_s - self._last_ping_s >= self._ping_period_s:
             self._last_ping_s = now_s
             self._send("WATCHDOG=1")
 

@@ -17,12 +17,11 @@ _PROCESSOR = ("processor", "cpufreq", "cpu")
 class Thermal:
     """Temperature and throttling of the computer.
 
-    celsius: temperature of the hottest zone, None if none can be read. zone: its name. throttled:
-    True if a cooling device of the processor is active.
+    celsius: temperature of the hottest zone, None if none can be read. throttled: True if
+    a cooling device of the processor is active.
     """
 
     celsius: float | None = None
-    zone: str = ""
     throttled: bool = False
 
 
@@ -34,15 +33,14 @@ class ThermalReader:
 
     def read(self) -> Thermal:
         """Read all zones and cooling devices once."""
-        celsius, zone = max(self._zones(), default=(None, ""))
-        return Thermal(celsius, zone, any(self._throttling()))
+        return Thermal(max(self._zones(), default=None), any(self._throttling()))
 
-    def _zones(self) -> Iterator[tuple[float, str]]:
+    def _zones(self) -> Iterator[float]:
         for zone in self._root.glob("thermal_zone*"):
             millidegrees = _number(zone / "temp")
             low, high = _PLAUSIBLE_C
             if millidegrees is not None and low <= millidegrees / 1000 <= high:
-                yield millidegrees / 1000, _text(zone / "type") or zone.name
+                yield millidegrees / 1000
 
     def _throttling(self) -> Iterator[bool]:
         for device in self._root.glob("cooling_device*"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.views import DenseViews, confirmed, lift, sight
 from calm_edge.types import AnchorTable, Int, Int32
 
@@ -67,7 +66,7 @@ def extract(
         keep = confirmed(sightings, own)
         ids = np.arange(first_id, first_id + int(keep.sum()))
         first_id += len(ids)
-        table = anchor_rows.from_sightings(ids, p_s[keep], sightings.of(keep))
+        table = sightings.of(keep).rows(ids, p_s[keep])
         filled[table.seen_view, cell_of(views, table.seen_view, table.uv, grid)] = True
         tables.append(table)
-    return anchor_rows.join(tables)
+    return AnchorTable.joined(tables)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.views import DenseViews, confirmed, lift, sample, sight
 from calm_edge.types import AnchorTable, Int, Submap
 from device.frame import Eye
@@ -40,7 +39,7 @@ def carried(source: AnchorTable, pairs: Int, present: Int) -> AnchorTable:
     other_view[pairs[:, 0]] = pairs[:, 1]
     view = other_view[source.seen_view]
     take = (view >= 0) & ~np.isin(source.seen_anchor, present)
-    none = anchor_rows.empty()
+    none = AnchorTable.empty()
     return AnchorTable(
         none.anchor,
         none.p_s,
@@ -71,7 +70,7 @@ def place(carried_rows: AnchorTable, target: DenseViews, tolerance: float) -> An
     order = np.lexsort((-support, anchor))
     order = order[np.unique(anchor[order], return_index=True)[1]]
     best = order[support[order] > 0]
-    return anchor_rows.from_sightings(anchor[best], p_s[best], sightings.of(best))
+    return sightings.of(best).rows(anchor[best], p_s[best])
 
 
 def copy_forward(
@@ -81,10 +80,10 @@ def copy_forward(
 
     sources: (anchor table, pairs (P, 2) of (its view, target's view)) of each earlier sub-map.
     """
-    seeds = anchor_rows.empty()
+    seeds = AnchorTable.empty()
     for table, pairs in sources:
         rows = carried(table, pairs, seeds.anchor)
-        seeds = anchor_rows.join([seeds, place(rows, target, tolerance)])
+        seeds = AnchorTable.joined([seeds, place(rows, target, tolerance)])
     return seeds
 
 
@@ -106,12 +105,12 @@ def spread_back(
     while queue:
         at, rows = queue.popleft()
         for other, pairs in shared(at):
-            there = anchor_rows.join([tables[other], added.get(other, anchor_rows.empty())])
+            there = AnchorTable.joined([tables[other], added.get(other, AnchorTable.empty())])
             moving = carried(rows, pairs, there.anchor)
             if not len(moving.seen_anchor):
                 continue
             placed = place(moving, views_of(other), tolerance)
             if len(placed.anchor):
-                added[other] = anchor_rows.join([added.get(other, anchor_rows.empty()), placed])
+                added[other] = AnchorTable.joined([added.get(other, AnchorTable.empty()), placed])
                 queue.append((other, placed))
     return added

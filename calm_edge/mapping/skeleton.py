@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.config import MappingConfig
-from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.extract import extract
 from calm_edge.mapping.propagate import copy_forward, picture_keys, same_pictures, spread_back
 from calm_edge.mapping.spool import Spool
@@ -79,7 +78,7 @@ class Skeleton:
         self._tables[submap.id] = table
         back = spread_back(submap.id, self._tables, self._shared.__getitem__, self.views, tolerance)
         for other, rows in back.items():
-            self._tables[other] = anchor_rows.join([self._tables[other], rows])
+            self._tables[other] = AnchorTable.joined([self._tables[other], rows])
         return {submap.id: table, **back}
 
     def views(self, submap_id: int) -> DenseViews:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera, back_project_each
-from calm_edge.types import Bytes, CalmEdgeError, Float, Float32, Int, Int32, Submap
+from calm_edge.types import AnchorTable, Bytes, CalmEdgeError, Float, Float32, Int, Int32, Submap
 
 Bool = NDArray[np.bool_]
 
@@ -57,6 +57,12 @@ class Sightings:
     def of(self, points: Int | Bool) -> Sightings:
         """The subset of points given by indices or mask."""
         return Sightings(self.uv[points], self.agrees[points], self.floats[points])
+
+    def rows(self, anchor: Int, p_s: Float) -> AnchorTable:
+        """The points as anchors (M,) at p_s (M, 3), observed in each view that agrees."""
+        row, view = np.nonzero(self.agrees)
+        seen = anchor[row].astype(np.int32)
+        return AnchorTable(anchor, p_s, seen, view.astype(np.int32), self.uv[row, view])
 
 
 def prepare(

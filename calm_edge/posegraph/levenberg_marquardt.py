@@ -14,8 +14,8 @@ _MAX_DAMPING = 1e6
 _STEP_TOLERANCE = 1e-9
 
 
-def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -> tuple[State, int]:
-    """Minimise the cost from `state`, keyframe 0 fixed; return the state and the iterations used.
+def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -> State:
+    """Minimise the cost from `state`, keyframe 0 fixed.
 
     tolerance: relative decrease of the cost at which the iteration stops.
     """
@@ -23,7 +23,7 @@ def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -
     current = cost(problem, r, kernel)
     damping = least = _FIRST_DAMPING
     layout = Layout(problem.edges, len(state.T_w_p))
-    for iteration in range(1, MAX_ITERATIONS + 1):
+    for _ in range(MAX_ITERATIONS):
         linear = LinearSystem(problem, state, r, kernel, layout)
         while True:
             steps = linear.solve(damping)
@@ -32,9 +32,9 @@ def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -
                 damping = least = 10 * damping
                 continue
             if steps is None:
-                return state, iteration
+                return state
             if np.abs(steps).max() < _STEP_TOLERANCE:
-                return state, iteration
+                return state
             candidate = State(state.T_w_p @ se3.exp(steps[:-1]), state.T_p_a @ se3.exp(steps[-1]))
             r_new = residuals(problem, candidate)
             new = cost(problem, r_new, kernel)
@@ -42,10 +42,10 @@ def minimise(problem: Problem, state: State, kernel: Kernel, tolerance: float) -
                 break
             damping *= 10
             if damping > _MAX_DAMPING:
-                return state, iteration
+                return state
         done = current - new <= tolerance * current
         state, r, current = candidate, r_new, new
         damping = max(damping / 10, least)
         if done:
-            return state, iteration
-    return state, MAX_ITERATIONS
+            return state
+    return state

@@ -33,14 +33,10 @@ _HALF_WEIGHT = 3.0
 class Optimum:
     """Result of an optimisation.
 
-    cost_before, cost_after: half the sum of squared Mahalanobis distances, without rejected
-    loops. loops: (R,) whether each loop was accepted, in the order they were added.
+    loops: (R,) whether each loop was accepted, in the order they were added.
     """
 
     state: State
-    iterations: int
-    cost_before: float
-    cost_after: float
     loops: NDArray[np.bool_]
 
 
@@ -52,22 +48,14 @@ def optimum(problem: Problem, start: State, tolerance: float = TOLERANCE) -> Opt
     edges = problem.edges
     noise = measured_noise(problem) or assumed_noise(problem)
     loops = np.zeros(int(edges.robust.sum()), bool)
-    state, iterations = start, 0
-    kept = problem
+    state = start
     for count in range(_ROUNDS):
         more = loops | accepted_loops(problem, state.T_w_p, noise)
         if count and (more == loops).all():
             break
-        loops, kept = more, _with_loops(problem, more)
-        state, steps = _descend(kept, state, tolerance)
-        iterations += steps
-    return Optimum(
-        state=state,
-        iterations=iterations,
-        cost_before=cost(kept, residuals(kept, start), cauchy),
-        cost_after=cost(kept, residuals(kept, state), cauchy),
-        loops=loops,
-    )
+        loops = more
+        state = _descend(_with_loops(problem, loops), state, tolerance)
+    return Optimum(state, loops)
 
 
 def _with_loops(problem: Problem, loops: NDArray[np.bool_]) -> Problem:
@@ -77,19 +65,19 @@ def _with_loops(problem: Problem, loops: NDArray[np.bool_]) -> Problem:
     return replace(problem, edges=problem.edges.chosen(kept))
 
 
-def _descend(problem: Problem, start: State, tolerance: float) -> tuple[State, int]:
-    """Local minimum from `start`, and the iterations used.
+def _descend(problem: Problem, start: State, tolerance: float) -> State:
+    """Local minimum from `start`.
 
     If the Cauchy kernel has rejected a loop, minimise again from a first pass with the convex
     Huber kernel, which closes a true loop over any drift. The result with the lower cost is
     returned: a false loop bends the trajectory and costs more.
     """
-    state, iterations = minimise(problem, start, cauchy, tolerance)
+    state = minimise(problem, start, cauchy, tolerance)
     r = residuals(problem, state)
     if (norms(problem, r)[problem.edges.robust] < _HALF_WEIGHT).all():
-        return state, iterations
-    pulled, coarse = minimise(problem, start, huber, _COARSE)
-    pulled, fine = minimise(problem, pulled, cauchy, tolerance)
+        return state
+    pulled = minimise(problem, start, huber, _COARSE)
+    pulled = minimise(problem, pulled, cauchy, tolerance)
     if cost(problem, residuals(problem, pulled), cauchy) < cost(problem, r, cauchy):
-        state = pulled
-    return state, iterations + coarse + fine
+        return pulled
+    return state

@@ -16,7 +16,6 @@ import numpy as np
 
 from calm_edge.config import Config, ConfigError, merge
 from calm_edge.recording import RecordingError, schema
-from calm_edge.recording.losses import describe
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
 from calm_edge.recording.segment import recording_files
 from calm_edge.recording.window_record import WindowRecord, rebuild
@@ -63,7 +62,7 @@ class Recording:
                 self.losses.append(str(error))
                 continue
             self._segments.append(index)
-            self.losses += describe(index)
+            self.losses += index.losses()
         if not self._segments:
             raise RecordingError(
                 f"{path}: none of its {len(files)} files can be read; {self.losses[0]}"

@@ -13,7 +13,6 @@ from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
 from calm_edge.recording import RecordingError
-from calm_edge.recording.losses import describe
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
 from calm_edge.recording.segment import PART, recording_files
 
@@ -71,7 +70,7 @@ def validate(path: Path) -> RecordingReport:
         except RecordingError as error:
             losses.append(str(error))
             continue
-        losses += describe(index)
+        losses += index.losses()
         read.append(file)
         for topic, (n, _) in _digest(index).items():
             messages[topic] = messages.get(topic, 0) + n
@@ -107,13 +106,13 @@ def recover(source: Path, target: Path) -> RecordingReport:
         try:
             index = scan(file, check=True)
             if index.n_messages == 0:
-                losses += [*describe(index), f"{file}: holds no intact message; not copied"]
+                losses += [*index.losses(), f"{file}: holds no intact message; not copied"]
                 continue
             counts = _copy(index, copy)
         except RecordingError as error:
             losses.append(str(error))
             continue
-        losses += describe(index)
+        losses += index.losses()
         written.append(copy)
         for topic, n in counts.items():
             messages[topic] = messages.get(topic, 0) + n

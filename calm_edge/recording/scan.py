@@ -23,6 +23,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 
 from calm_edge.recording import RecordingError
+from calm_edge.recording.schema import IMAGE_TOPICS
 
 MAGIC = b"\x89MCAP0\r\n"
 # calm-edge's chunks are about 1 MiB plus one message; larger ones are regarded as damaged
@@ -96,6 +97,40 @@ class SegmentIndex:
             for i, c in self.channels.items()
             if c.topic == topic and i in self.rows
         ]
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Log time of the newest image, else of the newest message; None without any.
+
+        Images are preferred: in a replay the other messages are stamped by another clock.
+        """
+        images = [rows for topic in IMAGE_TOPICS.values() for _, rows in self.topic_rows(topic)]
+        return max((max(rows.log_time) for rows in images or self.rows.values()), default=None)
+
+    def losses(self) -> list[str]:
+        """Describe each loss in one line: file, cause, time of the loss, messages recovered."""
+        lines = []
+        recovered = f"recovered: {self.n_messages} messages"
+        if self.cut and not self.data_ended:
+            end = self.newest_ns
+            since = "all of it" if end is None else f"everything after t = {end / 1e9:.3f} s"
+            lines.append(
+                f"{self.path}: {self.cut}; lost: {since} ({self.cut_bytes} bytes unreadable); "
+                f"{recovered}"
+            )
+        elif self.cut:
+            lines.append(
+                f"{self.path}: {self.cut}, after the last message; "
+                f"recovered: all {self.n_messages} messages"
+            )
+        if self.damaged:
+            lines.append(
+                f"{self.path}: {len(self.damaged)} damaged chunks left out "
+                f"({sum(c.size for c in self.damaged)} bytes); {recovered}"
+            )
+        if self.loose_messages:
+            lines.append(f"{self.path}: {self.loose_messages} messages outside of chunks left out")
+        return lines
 
 
 def _walk(read: ReadAt, start: int, end: int) -> Iterator[tuple[int, int, int]]:

@@ -26,7 +26,7 @@ HEALTH = Health(
     stage_ms={"infer": 812.34567},
     pose_age_ms=43.21,
     writer=WRITER,
-    thermal=Thermal(61.2, "cpu", False),
+    thermal=Thermal(61.2, False),
 )
 
 

@@ -25,7 +25,7 @@ def test_the_hottest_plausible_zone_is_reported(tmp_path: Path) -> None:
     entry(tmp_path, "thermal_zone3", type="bogus", temp="999000")
     entry(tmp_path, "thermal_zone4", type="broken", temp="n/a")
     entry(tmp_path, "thermal_zone5", type="silent")
-    assert ThermalReader(tmp_path).read() == Thermal(70.5, "gpu", False)
+    assert ThermalReader(tmp_path).read() == Thermal(70.5, False)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +44,7 @@ def test_only_processor_cooling_counts_as_throttling(
     tmp_path: Path, kind: str, level: str, throttled: bool
 ) -> None:
     entry(tmp_path, "cooling_device0", type=kind, cur_state=level)
-    assert ThermalReader(tmp_path).read() == Thermal(None, "", throttled)
+    assert ThermalReader(tmp_path).read() == Thermal(None, throttled)
 
 
 def test_without_sensors_there_is_no_temperature(tmp_path: Path) -> None:

@@ -5,8 +5,8 @@ import pytest
 
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import project_each
-from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.extract import cell_of, draw_candidates, extract
+from calm_edge.types import AnchorTable
 from tests.mapping import scene
 
 STREET = scene.street(2)
@@ -16,7 +16,7 @@ GRID = 24
 def run(piece, seed=0, seeds=None, first_id=0):
     return extract(
         piece.views(),
-        anchor_rows.empty() if seeds is None else seeds,
+        AnchorTable.empty() if seeds is None else seeds,
         first_id,
         GRID,
         0.02,

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calm_edge.geometry import se3
-from calm_edge.mapping import anchor_rows, fuse
+from calm_edge.mapping import fuse
 from calm_edge.mapping.views import MappingError
 from calm_edge.types import AnchorTable
 from tests.mapping import scene
@@ -21,7 +21,7 @@ def submaps():
 
 def rows(anchor, p_s) -> AnchorTable:
     return dataclasses.replace(
-        anchor_rows.empty(),
+        AnchorTable.empty(),
         anchor=np.asarray(anchor),
         p_s=np.asarray(p_s, float),
     )

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from calm_edge.geometry import se3
-from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.extract import extract
 from calm_edge.mapping.propagate import (
     carried,
@@ -12,6 +11,7 @@ from calm_edge.mapping.propagate import (
     same_pictures,
     spread_back,
 )
+from calm_edge.types import AnchorTable
 from tests.mapping import scene
 
 STREET = scene.street(3)
@@ -20,7 +20,7 @@ STREET = scene.street(3)
 def extracted(piece, first_id, seeds=None):
     return extract(
         piece.views(),
-        anchor_rows.empty() if seeds is None else seeds,
+        AnchorTable.empty() if seeds is None else seeds,
         first_id,
         24,
         0.02,
@@ -131,7 +131,7 @@ def test_backward_propagation_recurses_to_the_submap_before_last(far_chain):
         assert np.quantile(on_scene(far_chain[k], added[k]), 0.95) < 0.01
     # a second propagation adds almost nothing
     tables = {
-        k: anchor_rows.join([tables[k], added[k]] if k in added else [tables[k]]) for k in tables
+        k: AnchorTable.joined([tables[k], added[k]] if k in added else [tables[k]]) for k in tables
     }
     again = spread_back(2, tables, shared, lambda i: far_chain[i].views(), 0.02)
     assert sum(len(t.anchor) for t in again.values()) < 0.05 * len(fresh)
@@ -155,7 +155,7 @@ def test_a_loop_frame_carries_anchors_both_ways():
 
 
 def test_depth_is_only_loaded_if_a_common_image_observes_an_anchor(far_chain):
-    tables = {0: anchor_rows.empty(), 1: anchor_rows.empty(), 2: anchor_rows.empty()}
+    tables = {0: AnchorTable.empty(), 1: AnchorTable.empty(), 2: AnchorTable.empty()}
 
     def never(_):
         raise AssertionError("loaded")

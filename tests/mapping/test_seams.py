@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from calm_edge.geometry import se3, thin_plate
-from calm_edge.mapping import anchor_rows
 from calm_edge.mapping.deform import Deformation
 from calm_edge.mapping.seams import Seam, seams, summary
+from calm_edge.types import AnchorTable
 
 
 def rows(anchor, p_s):
-    return dataclasses.replace(anchor_rows.empty(), anchor=np.asarray(anchor), p_s=p_s)
+    return dataclasses.replace(AnchorTable.empty(), anchor=np.asarray(anchor), p_s=p_s)
 
 
 def rms(gaps):

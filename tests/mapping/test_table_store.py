@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calm_edge.mapping import anchor_rows, table_store
+from calm_edge.mapping import table_store
 from calm_edge.mapping.table_store import TableStore
 from calm_edge.mapping.views import MappingError
 from calm_edge.types import AnchorTable
@@ -33,10 +33,10 @@ def test_tables_are_read_back_as_last_set(tmp_path, monkeypatch):
     for k in range(6):
         store[k] = table(k)
     # sub-map 1 gets more rows after it was written to disk
-    store[1] = anchor_rows.join([store[1], table(70)])
+    store[1] = AnchorTable.joined([store[1], table(70)])
     for k in (0, 2, 3, 4, 5):
         assert_same(store[k], table(k))
-    assert_same(store[1], anchor_rows.join([table(1), table(70)]))
+    assert_same(store[1], AnchorTable.joined([table(1), table(70)]))
     assert list(store) == [0, 1, 2, 3, 4, 5] and len(store) == 6
     assert 3 in store and 6 not in store
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calm_edge.recording.losses import describe
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.scan import scan
 from device.frame import Eye
@@ -14,11 +13,11 @@ from tests.recording import samples
 def test_the_loss_of_a_truncated_file_names_file_time_and_count(tmp_path: Path) -> None:
     folder = samples.small_recording(tmp_path / "rec")
     whole = folder / "0000.mcap"
-    assert describe(scan(whole)) == []
+    assert scan(whole).losses() == []
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole.read_bytes()[:40_000])
     index = scan(cut)
-    (line,) = describe(index)
+    (line,) = index.losses()
     assert str(cut) in line
     newest = max(f.t_ns for f in Recording(cut).frames())
     assert newest < samples.frame(Eye.ASSISTANT, 11).t_ns
@@ -33,5 +32,5 @@ def test_truncation_after_the_last_message_loses_nothing(tmp_path: Path) -> None
     cut.write_bytes(whole.read_bytes()[:-4])
     index = scan(cut)
     assert index.n_messages == scan(whole).n_messages
-    (line,) = describe(index)
+    (line,) = index.losses()
     assert "after the last message" in line
