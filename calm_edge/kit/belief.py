@@ -33,7 +33,10 @@ def product(beliefs: Iterable[KitBelief | None]) -> KitBelief | None:
 
 
 def _solve(A: Float, y: Float) -> Float:
-    """A^+ y of a symmetric positive semidefinite A whose rows differ in unit."""
+    """Solve A x = y by the pseudo-inverse, A symmetric positive semidefinite.
+
+    A is first scaled to unit diagonal, since its rows have different units.
+    """
     diagonal = np.diag(A)
     unit = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(A * unit[:, None] * unit)

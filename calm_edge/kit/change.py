@@ -20,13 +20,13 @@ from calm_edge.types import Float, KitBelief
 FALSE_ALARM = 1e-3
 # A direction counts as observed where its sigma is below this share of the prior's.
 _OBSERVED_SHARE = 0.5
-# Directions weaker than this share of the strongest are taken for rounding errors.
+# Eigenvalues of the information below this share of the largest count as rounding errors.
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Difference of one part of the kit from the earlier drive's.
+    """Difference of one part of the kit between this drive and earlier ones.
 
     distance2: squared Mahalanobis distance over the `observed` directions, those known to both
     beliefs; chi-square distributed with that many degrees of freedom if nothing changed. p_value:

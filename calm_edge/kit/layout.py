@@ -15,8 +15,8 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Float, Int, KitBelief
 
-# Indices of each eye's optics (2, terms), and of single terms of both eyes; those of the primary
-# are also a term's place among the optics of an eye.
+# Indices into theta: the optics of each eye (2, terms), then single terms of both eyes. The optics
+# of the primary come first, so its indices are also those within the optics of one eye.
 OPTICS = np.arange(8).reshape(2, 4)
 LOG_FOCAL = OPTICS[:, 0]
 PRINCIPAL_POINT = OPTICS[:, 1:3]
@@ -27,8 +27,9 @@ RIG = slice(RIG_ROTATION.start, RIG_CENTRE.stop)
 TIME_OFFSET = RIG.stop
 SIZE = TIME_OFFSET + 1
 
-# Sigmas of the prior. Phone, dashboard and web cameras have fields of view of 45 to 110 degrees,
-# which in log(f / W) are centred near 73 degrees. A hint is the field of view in a data sheet.
+# Mean and sigmas of the prior. Phone, dashboard and web cameras have fields of view of 45 to 110
+# degrees; the middle of log(f / width) is at 73 degrees. HINTED: for a field of view that was
+# configured, e.g. from a data sheet.
 DEFAULT_HFOV_DEG = 73.0
 LOG_FOCAL_SIGMA = 0.30
 HINTED_LOG_FOCAL_SIGMA = 0.01
@@ -53,7 +54,7 @@ RADIAL_DRIFT = 0.0001
 RIG_ROTATION_DRIFT_RAD = 0.005
 # 5 mm for cameras half a metre apart
 RIG_CENTRE_DRIFT = 0.01
-# the offset is a new one in each drive
+# large: the time offset of one drive does not predict that of the next
 TIME_OFFSET_DRIFT_S = 1.0
 
 
@@ -65,7 +66,7 @@ def _vector(
     centre: float,
     time_offset: float,
 ) -> Float:
-    """(SIZE,) one number for each kind of term, the same for both eyes."""
+    """Fill a vector (SIZE,) from one value for each kind of term, equal for both eyes."""
     out = np.empty(SIZE)
     out[LOG_FOCAL], out[PRINCIPAL_POINT], out[DISTORTION] = log_focal, principal_point, radial
     out[RIG_ROTATION], out[RIG_CENTRE], out[TIME_OFFSET] = rotation, centre, time_offset
@@ -101,7 +102,7 @@ def cameras(theta: Float, size: Int) -> tuple[Perspective, Perspective]:
 
 
 def camera(theta: Float, eye: int, width: int, height: int) -> Perspective:
-    """Camera of an eye whose pictures are width x height px."""
+    """Camera of an eye for pictures of width x height px."""
     f = float(np.exp(theta[LOG_FOCAL[eye]]) * width)
     cx, cy = (theta[PRINCIPAL_POINT[eye]] * width).tolist()
     k = tuple(theta[DISTORTION[eye]].tolist())

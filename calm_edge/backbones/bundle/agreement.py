@@ -17,7 +17,7 @@ NEAREST_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class DepthView:
-    """zeta: (h, w) inverse depth, 1/spacings. K: (3, 3) px of it. T_s_c: (4, 4)."""
+    """Depth map of a view: inverse depth zeta (h, w), 1/spacings; its K (3, 3) px; T_s_c (4, 4)."""
 
     zeta: Float32
     K: Float
@@ -26,8 +26,9 @@ class DepthView:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Each (h, w). zeta: mean of the views that agree, 1/spacings. votes: number of other views.
+    """Consistent inverse depth of a view; each field is (h, w).
 
+    zeta: mean over the views that agree, 1/spacings. votes: number of other views that agree.
     spread: root mean square of their differences, 1/spacings.
     """
 
@@ -39,9 +40,10 @@ class Agreement:
 def agree(
     view: DepthView, others: Sequence[DepthView], relative: float, absolute: float
 ) -> Agreement:
-    """Reproject every pixel into other views and their depth back, and compare.
+    """Compare the inverse depth of every pixel with that of other views, by reprojection.
 
-    Inverse depths agree when they differ by less than `relative` of it plus `absolute` 1/spacings.
+    Inverse depths agree if they differ by less than `absolute` [1/spacings] plus `relative` times
+    the inverse depth.
     The check of Schoenberger et al., "Pixelwise View Selection for Unstructured Multi-View
     Stereo", ECCV 2016.
     """

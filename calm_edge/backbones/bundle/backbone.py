@@ -30,7 +30,7 @@ from calm_edge.types import Float, Hints, KitBelief, Prediction
 # Residuals along a track and within a texture are correlated: factor on the information of
 # independent observations, fitted to the scatter between windows.
 TEMPERING = 0.02
-# Model error of the focal (distortion, rolling shutter, stamps) as a share of it.
+# Sigma of log focal by errors of the model: distortion, rolling shutter, stamps.
 FOCAL_FLOOR = 0.015
 # Cauchy scales [sigmas]: wide first, so that a poor start loses no match; then narrow, since wrong
 # matches are biased: most are too near and shrink the scene. The wide solution is only a start and
@@ -44,15 +44,15 @@ FOCAL_GUESSES = (1.0, 1.25, 0.75)
 GUESS_ITERATIONS = 15
 GUESS_POINTS = 200
 SEED_SHARES = (0.5, 0.3, 0.15)
-# Cost an observation below which a start of a known kit needs no alternatives.
+# With a known kit, a start of a lower cost per observation is used without trying others.
 GOOD_START = 1.0
-# Largest median reprojection errors of a sub-map, and of one that is evidence on the kit.
+# Largest median reprojection errors [px] of a sub-map, and of one that gives evidence on the kit.
 MAX_MEDIAN_PX = 2.0
 MAX_EVIDENCE_PX = 0.8
 
 
 class BundleBackbone:
-    """Stateless: beliefs on the kit come in `Hints.kit`, evidence goes out in `Prediction.kit`."""
+    """Backbone `bundle`. Stateless: Hints.kit is its prior, Prediction.kit the new evidence."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class BundleBackbone:
 
     @property
     def expects_pictures(self) -> bool:
-        """Only a network can start before the window is complete."""
+        """Whether to send keyframes early: a network can start before the window is complete."""
         return self._matching is not None
 
     def expect(self, image: NDArray[np.uint8]) -> None:
@@ -151,7 +151,10 @@ def _sigma(belief: KitBelief) -> Float:
 
 
 def _untempered(belief: KitBelief) -> KitBelief:
-    """The belief scaled to weigh against a window's untempered pixels."""
+    """Scale the information of a belief by 1 / TEMPERING.
+
+    The solver does not temper the pixels of a window, so the prior is raised instead.
+    """
     return KitBelief(belief.mean, belief.information / TEMPERING)
 
 
@@ -167,7 +170,7 @@ def _solvable() -> Iterator[None]:
 def _solve(
     start: State, m: Measurements, ties: RigTies, belief: KitBelief
 ) -> tuple[Solution, RigTies]:
-    """The solution, and the ties with corrected instants."""
+    """Solve a window; return the solution, and the ties corrected for jitter of the stamps."""
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
     for robust_scale, tolerance, timed in passes:
         timed_ties = timed(ties, start)

@@ -30,7 +30,7 @@ NEAREST_SHARE = 0.15
 
 @dataclass(frozen=True, slots=True)
 class SweepView:
-    """Input of the sweep: white (h, w) whitened, K (3, 3) px of it, T_s_c (4, 4)."""
+    """View of the sweep: whitened picture (h, w), K (3, 3) at its size [px], T_s_c (4, 4)."""
 
     white: Float32
     K: Float

@@ -26,9 +26,9 @@ PLANES = 64
 # texture, and the road before the bumper is nearer than any of them.
 NEAR_PERCENT = 1.0
 NEAR_SHARE = 0.7
-NEAREST = 2.0  # spacings: no plane is nearer
-NEAR_DEFAULT = 5.0  # spacings, without landmarks
-# Largest distance of neighbours in time that are matched.
+NEAREST = 2.0  # smallest depth of a plane, spacings
+NEAR_DEFAULT = 5.0  # depth of the nearest plane if there are no landmarks, spacings
+# Largest distance between two views that are matched.
 REACH = 12.0  # spacings
 NEIGHBOURS_A_SIDE = 2
 # Tolerance between the inverse depths of two views: a share of it, and steps of the sweep.
@@ -93,7 +93,7 @@ def judge(agreement: Agreement) -> tuple[Float32, Float32]:
     gives a confidence of at most 0.5, two 0.67; a spread of SPREAD of the inverse depth halves it.
     """
     zeta, votes = agreement.zeta, agreement.votes
-    # foreground fattening: windows at a silhouette give the sky beside it its depth
+    # foreground fattening: beside a silhouette the sky gets the depth of the foreground
     sky = (zeta <= 1 / FARTHEST).astype(np.uint8)
     fringe = cv2.dilate(sky, np.ones((FRINGE_PX, FRINGE_PX), np.uint8)) > 0
     known = (votes > 0) & ~fringe
@@ -104,7 +104,7 @@ def judge(agreement: Agreement) -> tuple[Float32, Float32]:
 
 
 def _shrunk(image: NDArray[np.uint8], width: int) -> tuple[int, int]:
-    """(w, h) of a picture brought down to `width`, aspect kept."""
+    """Size (w, h) of a picture reduced to `width`, with its aspect ratio."""
     height, full = image.shape[:2]
     width = min(width, full)
     return width, max(2, round(height * width / full))

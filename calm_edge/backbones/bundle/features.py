@@ -1,4 +1,4 @@
-"""The learned encoder, run once a picture, for matching and place recognition.
+"""Learned encoder for matching and place recognition, run once for each picture.
 
 It has its own threads: the pictures of a window are encoded while the first ones are matched.
 """
@@ -22,19 +22,19 @@ from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry.flow import Gray
 from calm_edge.types import Bytes, Float32
 
-# Pictures in the cache: windows overlap.
+# Number of pictures in the cache. Windows overlap, so pictures are used again.
 KEPT = 64
-# Pictures encoded at a time.
+# Number of pictures encoded in parallel.
 ENCODERS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Of one picture. Cell k of a map is centred on (k + 0.5) * stride - 0.5 px of the input.
+    """Feature maps of one picture, at 1/8 (h8, w8) and 1/4 (h4, w4) of the network's input size.
 
-    fit: how the picture lies in the input. coarse: (h8, w8, 64) of unit length a cell.
-    reliability: (h8, w8) in [0, 1]. fine: (h4, w4, 32) of unit length a cell. place: (256,) of
-    unit length.
+    Cell k of a map is centred on (k + 0.5) * stride - 0.5 px of the input. fit: transform from
+    picture to input. coarse: (h8, w8, 64) and fine: (h4, w4, 32), of unit length in each cell.
+    reliability: (h8, w8) in [0, 1]. place: global descriptor (256,) of unit length.
     """
 
     fit: Fit
@@ -44,18 +44,18 @@ class Features:
     place: Float32
 
     def to_input(self, uv: Float32) -> Float32:
-        """(N, 2) px of the picture -> px of the input."""
+        """Convert (N, 2) px of the picture to px of the input."""
         scale = np.array(self.fit.scale, np.float32)
         return np.asarray((uv + 0.5) * scale - 0.5, np.float32)
 
     def to_picture(self, uv: Float32) -> Float32:
-        """(N, 2) px of the input -> px of the picture."""
+        """Convert (N, 2) px of the input to px of the picture."""
         scale = np.array(self.fit.scale, np.float32)
         return np.asarray((uv + 0.5) / scale - 0.5, np.float32)
 
     @property
     def pixel(self) -> float:
-        """Picture pixels an input pixel, the mean of both axes."""
+        """Size of an input pixel in picture pixels, the mean of both axes."""
         return 2 / sum(self.fit.scale)
 
 
@@ -66,7 +66,7 @@ class FeatureNet:
     """
 
     def __init__(self, manifest: Manifest, precision: Precision) -> None:
-        """Raises BackboneError."""
+        """Load the graphs of a model; raises BackboneError."""
         missing = [role for role in ("encoder", "refine") if role not in manifest.graphs]
         if missing:
             raise ManifestError(f"{manifest.name}: bundle needs the graph {missing[0]}")

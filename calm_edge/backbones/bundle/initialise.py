@@ -21,12 +21,12 @@ from calm_edge.types import Float, Int
 MIN_COMMON = 30
 MIN_RESECTION = 10
 RESECTION_PX = 4.0
-DEPTHS_IN_SPACINGS = (2.0, 2000.0)  # range of a scene's median depth
+DEPTHS_IN_SPACINGS = (2.0, 2000.0)  # range searched for the median depth of a scene
 N_SPACINGS = 120
 
 
 def normalised(m: Measurements, theta: Float) -> Float:
-    """Observations as rays (O, 2) on z = 1, distortion neglected: a start need not be exact."""
+    """Observations as rays (O, 2) on z = 1, without distortion: exact enough for a start."""
     out = np.empty_like(m.uv)
     for eye, camera in enumerate(_pinholes(m, theta)):
         rows = m.eye[m.view] == eye
@@ -56,7 +56,7 @@ def two_views(m: Measurements, rays: Float, first: int, second: int, f: float) -
         E, mask = cv2.findEssentialMat(
             pa, pb, np.eye(3), method=cv2.USAC_MAGSAC, prob=0.999, threshold=1.0 / f
         )
-    except cv2.error:  # its own assertion, where no sample gives a model
+    except cv2.error:  # raised if no sample gives a model
         return None
     if E is None or E.shape != (3, 3):
         return None
@@ -87,7 +87,7 @@ def resection(points: Float, rays: Float, f: float, guess: Float | None) -> Floa
 
 
 def _in_front(p_c: Float) -> Float:
-    """Points (n, 3) with those behind the camera moved before it, so that pixels stay finite."""
+    """Move points (n, 3) behind the camera to the front of it, so that pixels stay finite."""
     return np.concatenate([p_c[:, :2], np.maximum(p_c[:, 2:], 1e-6)], 1)
 
 
@@ -136,14 +136,14 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
 
 
 def triangulated(m: Measurements, T_c_s: Float, theta: Float) -> Float:
-    """(M, 4) every point from its views; at infinity ahead where fewer than two see it."""
+    """Triangulate all points (M, 4), homogeneous; those seen in one view only are at infinity."""
     n_points = int(m.point.max()) + 1
     X = triangulate(T_c_s, m.view, m.point, normalised(m, theta), n_points)
     return np.where(np.isfinite(X[:, :1]), X, [0.0, 0.0, 1.0, 0.0])
 
 
 def _seed(m: Measurements, rays: Float, primary: Int, f: float, share: float) -> dict[int, Float]:
-    """The first view and the one `share` of the window later."""
+    """Poses T_c_s of the first pair: the first view, and the view `share` of the window later."""
     second = int(primary[max(1, int(share * (len(primary) - 1)))])
     T = two_views(m, rays, int(primary[0]), second, f)
     if T is None:

@@ -1,4 +1,4 @@
-"""Jitter of a window's stamps against the frame rate of their camera."""
+"""Jitter of a window's stamps: their deviation from a constant frame rate."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from calm_edge.types import Float
 
 MIN_FRAMES = 6
-# Stamps with a jitter above this share of the period, one sigma, have no frame rate.
+# If the sigma of the jitter exceeds this share of the period, there is no constant frame rate.
 LARGEST_SHARE = 0.1
 # Periods tried, as multiples of the shortest gap: keyframes may all be two or three frames apart.
 TRIED = np.geomspace(0.3, 1.25, 120)

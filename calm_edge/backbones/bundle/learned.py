@@ -43,7 +43,7 @@ FROM_FEATURES = replace(MATCHING, levels=1)
 HALF_WINDOW = replace(MATCHING, window_px=MATCHING.window_px // 2 + 1, levels=1)
 # Largest distance of the refined match from the features' one, in its sigmas.
 MAX_SIGMAS = 3.0
-# Sigma of matches by neighbouring flow alone, and largest sigma of matches by features alone.
+# Sigma of matches from the flow of neighbours alone; largest sigma of matches by features alone.
 UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
 # Above this zoom the smaller picture is enlarged instead of the larger one shrunk, which would lose
 # too much detail; below it enlarging costs more accuracy, by the blur.
@@ -54,7 +54,7 @@ TURNS_DEG, ZOOMS = (-20.0, 0.0, 20.0), (0.5, 1.0, 2.0)
 
 
 class LearnedMatching:
-    """The `Matching` protocol by a network."""
+    """Implementation of the `Matching` protocol by a network."""
 
     def __init__(self, net: FeatureNet) -> None:
         self.net = net
@@ -67,7 +67,7 @@ class LearnedMatching:
         if H_a_p is not None:
             a = primary[0]
             self._expected = [(b, H_a_p, _made_alike(a, b, H_a_p)) for b in assistant]
-        # in the order they will be matched in
+        # encode in the order of matching: the two cameras alternately
         for pair in zip_longest(primary, (alike for _, _, alike in self._expected)):
             self.net.begin([picture for picture in pair if picture is not None])
 
@@ -105,7 +105,7 @@ class LearnedMatching:
 
     def _across(self, a: Gray, b: Gray, H_b_a: Float, uv: Float32) -> Matches:
         if are_alike(H_b_a, a):
-            # for features; Lucas-Kanade still needs the warp to be exact
+            # the features need no warp, but Lucas-Kanade is more accurate with it
             found = _found(self.net, a, b, uv)
             back, _ = seen_at(np.asarray(np.linalg.inv(H_b_a)), found.uv, a)
             there = finished(a, warped(b, H_b_a, a), uv, replace(found, uv=back))
@@ -117,7 +117,7 @@ class LearnedMatching:
         return _through(self._measured(a, alike, uv), H_b_a, b)
 
     def _enlarged(self, a: Gray, b: Gray, H_b_a: Float, uv: Float32) -> Matches:
-        """Points of a in b, which is zoomed in: a is enlarged."""
+        """Match points of a to b, which shows the scene larger: a is enlarged first."""
         start, inside = seen_at(H_b_a, uv, b)
         seen = warped(a, np.asarray(np.linalg.inv(H_b_a)), b)
         there = self._measured(seen, b, start[inside])

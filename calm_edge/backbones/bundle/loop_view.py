@@ -25,10 +25,10 @@ from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
 
 MAX_FEATURES = 800
 VIEWS_A_SIDE = 2  # primary views matched before and after the most similar one
-POINT_PX = 2.0  # in a picture REFERENCE_WIDTH_PX wide
+POINT_PX = 2.0  # largest reprojection error, in a picture REFERENCE_WIDTH_PX wide
 MIN_INLIERS = 20
 MIN_INLIER_SHARE = 0.5
-MAX_SIGMA = 0.3  # spacings, of the centre of the picture
+MAX_SIGMA = 0.3  # largest sigma of the loop view's position, spacings
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +46,10 @@ class LoopTracks:
 
 @dataclass(frozen=True, slots=True)
 class LoopPose:
-    """T_s_c: (4, 4) of the loop view. points_s: (L, 3), NaN where unknown. inlier: (L,) bool.
+    """Pose of the loop view, and the points that determine it.
 
-    kept: (O,) bool, observations that fit their point.
+    T_s_c: (4, 4) of the loop view. points_s: (L, 3), NaN if unknown. inlier: (L,) bool, points
+    that fit the pose. kept: (O,) bool, observations in the window that fit their point.
     """
 
     T_s_c: Float
@@ -139,7 +140,7 @@ def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopP
     rays = camera.normalized(tracks.loop_uv)
     try:
         guess = resection(points[known], rays[known], camera.fx, None)
-    except cv2.error:  # its own assertion, where no sample gives a model
+    except cv2.error:  # raised if no sample gives a model
         return None
     if guess is None:
         return None

@@ -13,15 +13,16 @@ from calm_edge.types import Float, Float32
 
 Bool = NDArray[np.bool_]
 
-# Sigma, an axis, of a corner tracked by Lucas-Kanade, drift along its track included.
+# Sigma per axis of a corner tracked by Lucas-Kanade, drift along its track included.
 FOLLOWED_PX = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Matches of N points. uv: (N, 2) px of the other picture. sigma_px: (N,) an axis.
+    """Matches of N points. uv: (N, 2) px of the other picture. sigma_px: (N,) sigma per axis.
 
-    sure: (N,) forward and backward matches agree. measured: (N,) refined by Lucas-Kanade too.
+    sure: (N,) bool, forward and backward match agree. measured: (N,) bool, and the match was also
+    refined by Lucas-Kanade.
     """
 
     uv: Float32
@@ -31,7 +32,7 @@ class Matches:
 
 
 class Matching(Protocol):
-    """Match points without an initial guess; thread-safe."""
+    """Interface of matchers that need no initial guess; thread-safe."""
 
     def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
         """Start work on pictures that will be matched. H_a_p: None if unknown."""

@@ -1,7 +1,7 @@
 """Normal equations of one window, points eliminated by the Schur complement, in numpy.
 
 Bundle adjustment as in Triggs et al., Bundle Adjustment: A Modern Synthesis, 1999, section 6.1. The
-reduced system has 6 unknowns a view and those of the kit, some 200 in all: dense is fastest.
+reduced system has 6 unknowns per view and those of the kit, some 200 in all: dense is fastest.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Groups:
     keys: Int
 
     def sum(self, blocks: Float) -> Float:
-        """(..., O) -> (..., G)."""
+        """Sum blocks (..., O) over rows of equal key -> (..., G)."""
         return np.asarray(np.add.reduceat(blocks.take(self.order, -1), self.starts, -1))
 
 
@@ -57,7 +57,7 @@ class Structure:
     views: tuple[slice, ...]
     by_point: Groups
     by_point_and_eye: Groups
-    rows: Int  # (C, 6 + optics) of each view's pose and optics in the reduced system
+    rows: Int  # (C, 6 + optics) indices of each view's pose and optics in the reduced system
     cross: Int
 
     @classmethod
@@ -75,10 +75,11 @@ class Structure:
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """The normal equations, points eliminated. H: (D, D), g: (D,) of poses then kit.
+    """Reduced normal equations H (D, D), g (D,) of poses, then kit, with the points eliminated.
 
-    With L L^T the inverse of each point's 3x3 block: root (M, 3, 3) is L, cross (D, 3, M) the
-    pose-point blocks times L, gradient (3, M) the points' gradient times L: to step the points.
+    For the back-substitution of the points, with L L^T the inverse of each point's 3x3 block: root
+    (M, 3, 3) is L, cross (D, 3, M) the pose-point blocks times L, gradient (3, M) that of the
+    points times L.
     """
 
     H: Float
@@ -137,7 +138,8 @@ def normal_equations(
 
     blocks = np.einsum("iko,jko->ijo", camera, times(point, root, m.point))
     cross = np.zeros((D, 3, n_points))
-    cross.reshape(-1)[structure.cross] = blocks[:6].reshape(18, -1)  # a view sees a point once
+    # no sum is needed: a view observes a point at most once
+    cross.reshape(-1)[structure.cross] = blocks[:6].reshape(18, -1)
     pairs = structure.by_point_and_eye
     optics = 6 * n_views + layout.OPTICS[pairs.keys % 2]
     cross[optics, :, pairs.keys[:, None] // 2] = pairs.sum(blocks[6:]).transpose(2, 0, 1)

@@ -15,7 +15,7 @@ from calm_edge.types import Bytes, Float32
 ROWS, COLUMNS, CHANNELS = 4, 10, 64
 # Columns that a layout is shifted by to fit: a return is seldom in the same lane and heading.
 SHIFTS = (-1, 0, 1)
-# Of the layout against the global descriptor, which is the better one alone.
+# Weight of the layout; that of the global descriptor, which alone is the better one, is 1.
 LAYOUT_WEIGHT = 0.5
 
 
@@ -29,9 +29,9 @@ class LearnedPlace:
         self._net = net
 
     def describe(self, image: Bytes) -> Float32:
-        """(H, W, 3) uint8 BGR -> (256 + ROWS * COLUMNS * CHANNELS,) of unit length.
+        """Descriptor (256 + ROWS * COLUMNS * CHANNELS,) of unit length of (H, W, 3) uint8 BGR.
 
-        The global descriptor, then the layout, rows first. Raises BackboneError.
+        Contains the global descriptor, then the layout, rows first. Raises BackboneError.
         """
         of = self._net.of([image])[0]
         height, width = of.coarse.shape[:2]
@@ -41,9 +41,10 @@ class LearnedPlace:
         return np.asarray(both / np.linalg.norm(both), np.float32)
 
     def similarity(self, queries: Float32, places: Float32) -> Float32:
-        """(Q, D) and (P, D) -> (Q, P): weighted cosines, of the layout at the best of SHIFTS.
+        """Similarity (Q, P) of (Q, D) and (P, D): weighted mean of the cosines of both parts.
 
-        The mean over the places is subtracted first, since it does not distinguish them.
+        The layout's cosine is the largest over SHIFTS. The mean over the places is subtracted
+        first, since it does not distinguish them.
         """
         q, p = _parts(queries), _parts(places)
         layout = layout_likeness(q[1], p[1], SHIFTS)
@@ -60,7 +61,7 @@ def _parts(described: Float32) -> tuple[Float32, Float32]:
 
 
 def _overlap(cells: int, samples: int) -> Float32:
-    """(cells, samples) share of each sample that lies in each of equal cells."""
+    """Share (cells, samples) of each sample that lies in each of `cells` equal cells."""
     edges = np.arange(cells + 1) * samples / cells
     upto = np.clip(edges[:, None] - np.arange(samples), 0, 1)
     return np.asarray(np.diff(upto, axis=0), np.float32)

@@ -48,7 +48,7 @@ class Measurements:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """T_c_s: (C, 4, 4) spacings. points: (M, 4) unit homogeneous, sub-map frame. theta: the kit."""
+    """Unknowns: T_c_s (C, 4, 4) [spacings], points (M, 4) unit homogeneous, sub-map; kit theta."""
 
     T_c_s: Float
     points: Float
@@ -57,7 +57,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class ReprojectionJacobians:
-    """Of the projected pixel of each observation. predicted: (O, 2); in_front: (O,) bool.
+    """Predicted pixels (O, 2) of all observations and their derivatives; in_front: (O,) bool.
 
     camera: (6 + optics, 2, O), by the pose, then by the terms of layout.OPTICS. point: (3, 2, O) in
     the tangent of `tangent_basis`. Observations come last: sums over them are several times faster.
@@ -70,7 +70,7 @@ class ReprojectionJacobians:
 
 
 def tangent_basis(points: Float) -> Float:
-    """(M, 4) unit vectors -> (M, 4, 3) orthonormal bases of their tangent spaces."""
+    """Orthonormal bases (M, 4, 3) of the tangent spaces at unit vectors (M, 4)."""
     # Householder of the last axis: columns 0..2 of I - v v^T / (1 + |x_3|), sign for stability
     sign = np.where(points[:, 3] >= 0, 1.0, -1.0)
     v = points.copy()
@@ -80,14 +80,14 @@ def tangent_basis(points: Float) -> Float:
 
 
 def move_points(points: Float, basis: Float, delta: Float) -> Float:
-    """Points (M, 4) stepped by delta (M, 3) in their tangents, back onto the sphere."""
+    """Move points (M, 4) by delta (M, 3) in their tangent spaces, and normalise them again."""
     moved = points + (basis @ delta[..., None])[..., 0]
     return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
 
 @dataclass(frozen=True, slots=True)
 class _Optics:
-    """Of each observation: f (O,) [px], centre (2, O) [px], k: distortion, (O,) a term."""
+    """Optics for each observation: f (O,) px, centre (2, O) px; k: distortion terms, (O,) each."""
 
     f: Float
     centre: Float
@@ -106,7 +106,7 @@ def camera_points(state: State, m: Measurements) -> Float:
     """Homogeneous points (3, O) in camera axes: each observation's, scaled to unit length of the
     sub-map's homogeneous point."""
     n_points, n_views = len(state.points), m.n_views
-    # every view with every point in one product: few of them are seen, but it costs less
+    # product of all views and all points: faster than selecting the few observed pairs
     every = state.points @ state.T_c_s[:, :3].reshape(-1, 4).T
     return np.ascontiguousarray(every.reshape(n_points, n_views, 3)[m.point, m.view].T)
 
@@ -145,21 +145,21 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
 
 
 def times(rows: Float, matrices: Float, index: Int) -> Float:
-    """Rows (I, 2, O) of each observation times its matrix of (N, I, J) -> (J, 2, O)."""
+    """Multiply rows (I, 2, O) by matrices[index] of (N, I, J), for each observation: (J, 2, O)."""
     chosen = np.ascontiguousarray(matrices.transpose(1, 2, 0)).take(index, axis=2)
     return np.asarray(np.einsum("iko,ijo->jko", rows, chosen))
 
 
 @dataclass(frozen=True, slots=True)
 class RigTies:
-    """Soft constraints of the assistant's views to the rig on the interpolated primary.
+    """Ties: soft constraints of each assistant view to the rig at the interpolated primary pose.
 
-    assistant, before, after: (A,) view indices. alpha: (A,) position of the stamp from before (0)
-    to after (1). rate: (A,) its change a second. information_root: (A, 6) one over sigma of
-    (translation [spacings], rotation [rad]). jitter_s: (A,) how much later the assistant's stamp is
-    than at fixed frame rates of both cameras; empty where there is no frame rate. late_s: (A,) the
-    part of it that alpha has been corrected by. along: (A, 6) in whitened residuals, the direction
-    in which a tie is softened because its instant is uncertain; 0 for none.
+    assistant, before, after: (A,) view indices. alpha: (A,) position of the exposure between the
+    primary views before (0) and after (1). rate: (A,) change of alpha per second.
+    information_root: (A, 6) one over sigma of (translation [spacings], rotation [rad]). jitter_s:
+    (A,) delay of the assistant's stamp against constant frame rates of both cameras; empty if there
+    are none. late_s: (A,) part of the jitter for which alpha is corrected. along: (A, 6) direction
+    in whitened residuals in which a tie is softened, because its instant is uncertain; 0 for none.
     """
 
     assistant: Int
@@ -180,15 +180,16 @@ class RigTies:
         return np.asarray(out)
 
 
-# Sigma of a tie: the error of constant velocity between two instants grows with their distance.
-TIE_TRANSLATION_SIGMA = 2e-3  # spacings, when the instants coincide
+# Sigma of a tie: that of simultaneous exposures, and the error of interpolating the primary at
+# constant velocity, which grows with these accelerations.
+TIE_TRANSLATION_SIGMA = 2e-3  # spacings
 TIE_ROTATION_SIGMA_RAD = 1e-4
 ACCELERATION = 3.0  # spacings / s^2
 ANGULAR_ACCELERATION = 0.3  # rad / s^2
 
 
 def rig_ties(m: Measurements) -> RigTies:
-    """Ties of the assistant views to the primary views around their instants."""
+    """Create the ties of all assistant views, each to the primary views before and after it."""
     primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
     t = m.t[primary]
     i = np.clip(np.searchsorted(t, m.t[assistant], side="right") - 1, 0, len(t) - 2)
@@ -211,22 +212,23 @@ def rig_ties(m: Measurements) -> RigTies:
 def tie_errors(
     T_before: Float, T_after: Float, T_assistant: Float, rig: Float, late_s: float, ties: RigTies
 ) -> Float:
-    """(..., A, 6) log of (T_p(t_a) T_p_a)^-1 T_a; poses are T_c_s (..., A, 4, 4).
+    """Errors (..., A, 6) of the ties: log of T_p_a^-1 T_p(t_a) T_a^-1, with poses T_c_s.
 
+    T_before, T_after, T_assistant: (..., A, 4, 4); T_p is interpolated between the first two.
     late_s: the kit's time offset.
     """
     # the primary moves along the geodesic: T_p(t)_s = exp(alpha log(T_1 T_0^-1)) T_0
     step = se3.log(T_after @ se3.inverse(T_before))
     share = ties.alpha + ties.rate * late_s
     T_p_s = se3.exp(share[:, None] * step) @ T_before
-    error = T_p_s @ se3.inverse(T_assistant)  # T_p_a by the poses
+    error = T_p_s @ se3.inverse(T_assistant)  # the rig T_p_a implied by the poses
     return np.asarray(se3.log(se3.inverse(rig) @ error))
 
 
 def tie_residuals(
     T_before: Float, T_after: Float, T_assistant: Float, rig: Float, late_s: float, ties: RigTies
 ) -> Float:
-    """tie_errors in sigmas, (..., A, 6)."""
+    """Whitened residuals (..., A, 6) of the ties: `tie_errors` in sigmas."""
     return ties.whitened(tie_errors(T_before, T_after, T_assistant, rig, late_s, ties))
 
 
@@ -246,7 +248,7 @@ def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     xi = se3.log(T_after @ se3.inverse(T_before))
     share = (ties.alpha + ties.rate * late)[:, None]
     part = share * xi
-    # the left Jacobian of log is the right one of the opposite
+    # the left Jacobian at xi is the right Jacobian at -xi
     spread = np.linalg.solve(se3.right_jacobian_inverse(-part), share[..., None] * np.eye(6))
     by_after = spread @ se3.right_jacobian_inverse(-xi)
     by_before = se3.adjoint(se3.exp(part)) - spread @ se3.right_jacobian_inverse(xi)

@@ -22,12 +22,12 @@ from calm_edge.geometry import se3
 from calm_edge.kit import layout
 from calm_edge.types import Float, KitBelief
 
-BEHIND = 100.0  # residual [sigmas] of a point behind its view: an outlier, not a barrier
+BEHIND = 100.0  # residual [sigmas] of a point behind its view: counts as an outlier
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """State, its cost and the whitened residual lengths (O,)."""
+    """Solved state, its cost and the whitened residual lengths (O,)."""
 
     state: State
     cost: float
@@ -40,7 +40,7 @@ def robust_weights(residual: Float, scale: float) -> Float:
 
 
 def whitened_lengths(state: State, m: Measurements) -> Float:
-    """(O,) reprojection error in sigmas; BEHIND for points behind their view."""
+    """Lengths (O,) of the reprojection errors in sigmas; BEHIND for points behind their view."""
     predicted, z = project(state, m)
     length = np.linalg.norm(predicted - m.uv, axis=1) / m.sigma_px
     return np.where(z > NEAREST, np.minimum(length, BEHIND), BEHIND)

@@ -1,9 +1,9 @@
-"""Timestamp jitter: irregular exposure or host delay?
+"""Correct timestamps for host delay, as distinguished from irregular exposure.
 
-Stamps alone do not show it, but a window's pictures do: pixels place an assistant view on the path
-independently of its stamp. So ties are first solved with a sigma along the path as large as the
-jitter. Then the share of the jitter that is host delay is estimated, and where it is significant
-the instants are corrected and the ties stiffened again.
+Both cause jitter of the stamps. The pictures distinguish them: they determine the position of an
+assistant view on the path independently of its stamp. So a window is first solved with ties that
+are softened along the path by the jitter. Then the share of the jitter that is host delay is
+estimated, and if it is significant the instants are corrected and the ties made stiff again.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ import numpy as np
 from calm_edge.backbones.bundle.problem import RigTies, State, tie_jacobians
 from calm_edge.types import Float
 
-# Jitter below this, one sigma, is ignored: a car moves a millimetre in it.
+# Jitter with a sigma below this is ignored: a car moves a millimetre in this time.
 LEAST_S = 1e-4
-# Significance of the share of host delay, in sigmas.
+# The share of host delay is significant if it is above this many sigmas.
 SIGNIFICANT_SIGMAS = 2.0
 MIN_TIES = 4
-STANDSTILL = 1e-3  # spacings a second, or their sigmas: too slow to show an instant
+STANDSTILL = 1e-3  # spacings per second, or sigmas per second: too slow to determine an instant
 
 
 def irregular(ties: RigTies) -> bool:
-    """Whether there are enough ties, with a jitter above LEAST_S."""
+    """Whether the stamps have a jitter above LEAST_S, and enough ties to correct them."""
     return len(ties.jitter_s) >= MIN_TIES and _spread(ties) > LEAST_S
 
 
 def freed(ties: RigTies, state: State) -> RigTies:
-    """Ties softened along the path by the jitter, for poses near `state`."""
+    """Soften ties along the path by the jitter, for poses near `state`."""
     return _softened(ties, state, _spread(ties)) if irregular(ties) else ties
 
 
 def corrected(ties: RigTies, state: State) -> RigTies:
-    """Ties with instants corrected for host delay, from a `state` solved with `freed` ties."""
+    """Correct the instants of ties for host delay, given a `state` solved with `freed` ties."""
     if not irregular(ties):
         return ties
     share, sigma = delay_share(ties, state)
@@ -61,7 +61,7 @@ def delay_share(ties: RigTies, state: State) -> tuple[float, float]:
     design = np.stack([-ties.jitter_s, np.ones_like(late)], 1)
     found = np.linalg.lstsq(design, late, rcond=None)[0]
     left = late - design @ found
-    # variance of an instant by the ties' own sigma
+    # variance of an instant [s^2] that follows from the sigma of its tie
     stiff = 1 / np.maximum(((root * by_late) ** 2).sum(1), STANDSTILL**2)
     variance = float(left @ left) / (len(late) - 2) + float(stiff.mean())
     centred = ties.jitter_s - ties.jitter_s.mean()
@@ -81,9 +81,10 @@ def _unwhitened(ties: RigTies, state: State) -> tuple[Float, Float, Float]:
 
 
 def _softened(ties: RigTies, state: State, sigma_s: float) -> RigTies:
-    """Ties with sigma_s of the instants added: D + sigma^2 d d^T, d by the time offset.
+    """Add an uncertainty sigma_s of the instants to ties.
 
-    Its inverse root is (I - a a^T) D^-1/2 with a along D^-1/2 d.
+    Covariance D + sigma^2 d d^T, with d the derivative of the residual by the time offset. Its
+    inverse root is (I - a a^T) D^-1/2, with a along D^-1/2 d.
     """
     root, _, by_late = _unwhitened(ties, state)
     d = root * by_late

@@ -85,7 +85,7 @@ def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np
         return np.ones(len(a), bool)
     try:
         F, mask = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, threshold_px, 0.999, 500)
-    except cv2.error:  # its own assertion, where no sample gives a model
+    except cv2.error:  # raised if no sample gives a model
         return np.ones(len(a), bool)
     if F is None or mask is None:
         return np.ones(len(a), bool)
@@ -157,7 +157,7 @@ def temporal_tracks(
 def _followed(
     source: Gray, target: Gray, uv: Float32, flow: Float32, known: NDArray[np.bool_]
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Lucas-Kanade from the flow (N, 2) of the known ones (N,) and of their neighbours."""
+    """Lucas-Kanade, started from a known flow (N, 2), or from that of neighbours if not `known`."""
     moved, ok = follow(source, target, uv, uv + neighbouring_flow(uv, flow, known), MATCHING)
     if not known.any() and ok.sum() > 20:
         # the first pair had no guess: try the lost ones again from their neighbours' flow
@@ -244,7 +244,7 @@ def window_tracks(
 def _first_homography(
     primary: list[Gray], assistant: list[Gray], partner: list[int], matching: Matching | None
 ) -> Float | None:
-    """H_a_p (3, 3) of the first pair that gives one, the middle of the window before its ends."""
+    """H_a_p (3, 3) of the first pair with enough matches, tried from the middle of the window."""
     homography = sift_homography if matching is None else matching.homography
     tried = (homography(primary[partner[j]], assistant[j]) for j in _spread(len(assistant)))
     return next((H_a_p for H_a_p in tried if H_a_p is not None), None)
@@ -258,7 +258,7 @@ def _across_from(
     H_a_p: Float,
     points: Float32,
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """`across_eyes` from the parallax of the view before, which is updated."""
+    """`across_eyes`, started from the parallax of the previous view, which is then updated."""
     known = np.array([i in parallax for i in ids], bool)
     flow = np.zeros_like(points)
     if known.any():

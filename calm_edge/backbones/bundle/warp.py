@@ -17,7 +17,7 @@ from calm_edge.types import Float, Float32
 SAME_TURN_RAD, SAME_ZOOM = 0.07, 0.12
 MIN_FOR_WARP, WARP_SHARE, MIN_ZOOM = 12, 0.3, 0.2
 WARP_EPIPOLAR_PX = 3.0
-WARP_INLIER = 0.03  # of the picture's width: leaves room for parallax
+WARP_INLIER = 0.03  # inlier threshold, share of the picture's width; includes parallax
 
 
 def homography(uv: Float32, found: Matches, width: int) -> Float | None:
@@ -35,7 +35,7 @@ def homography(uv: Float32, found: Matches, width: int) -> Float | None:
 
 
 def are_alike(H_b_a: Float, a: Gray) -> bool:
-    """Patches in the middle of a need no warp to match those of b."""
+    """Whether patches in the middle of a match those of b without a warp."""
     zoom, turn = _zoom_and_turn(H_b_a, _middle(a))
     return abs(np.log(zoom)) < SAME_ZOOM and abs(turn) < SAME_TURN_RAD
 
@@ -46,7 +46,7 @@ def zoom_of(H_b_a: Float, a: Gray) -> float:
 
 
 def _middle(picture: Gray) -> Float:
-    """(2,) px."""
+    """Centre (2,) px of a picture."""
     return np.array(picture.shape[::-1]) / 2
 
 
@@ -89,7 +89,7 @@ def seen_at(H_b_a: Float, uv: Float32, b: Gray) -> tuple[Float32, Bool]:
 def agreeing(uv: Float32, found: Matches, width: int) -> int:
     """Number of sure matches that are inliers of one similarity (RANSAC).
 
-    Being mutual is no proof: between pictures of different scenes half of all cells are.
+    Mutual matches alone prove nothing: pictures of different scenes have them in half of all cells.
     """
     if found.sure.sum() < MIN_FOR_WARP:
         return 0

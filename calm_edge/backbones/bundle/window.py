@@ -1,4 +1,4 @@
-"""From pictures, or from the landmarks of an earlier solution, to a window's measurements."""
+"""Measurements of a window, from pictures or from the landmarks of an earlier solution."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
 
 MIN_VIEWS_OF_A_POINT = 3
 MIN_POINTS = 40
-FARTHEST = 1e6  # spacings: distance given to points at infinity
-KEPT_PX = 5.0  # largest reprojection error of an observation that is kept
+FARTHEST = 1e6  # distance [spacings] stored for points at infinity
+KEPT_PX = 5.0  # observations with a larger reprojection error are dropped
 
 
 def split_eyes(hints: Hints) -> tuple[Int, Int]:
@@ -35,7 +35,7 @@ def split_eyes(hints: Hints) -> tuple[Int, Int]:
 
 
 def seconds(hints: Hints) -> Float:
-    """(N,) stamps as seconds since the first."""
+    """Stamps (N,) in seconds since the first."""
     return np.asarray((hints.t_ns - hints.t_ns[0]) * 1e-9)
 
 
@@ -95,9 +95,10 @@ def thinned(m: Measurements, n_points: int) -> Measurements:
 
 
 def to_landmarks(state: State, m: Measurements) -> Landmarks:
-    """The solved points, those beyond infinity at FARTHEST, and the observations that fit them.
+    """Convert the solved points to landmarks, with the observations that fit them.
 
-    Sigmas that are all FOLLOWED_PX are left out.
+    Points at or beyond infinity (w <= 0) are placed at FARTHEST. sigma_px is None if all sigmas are
+    FOLLOWED_PX.
     """
     X = state.points.copy()
     X[:, 3] = np.maximum(X[:, 3], np.linalg.norm(X[:, :3], axis=1) / FARTHEST)
