@@ -164,7 +164,9 @@ def _solvable() -> Iterator[None]:
     try:
         yield
     except (np.linalg.LinAlgError, cv2.error):
-        raise BackboneError("bundle: the pictures do not determine their poses") from None
+        raise BackboneError(
+            "bundle: the pictures do not determine their poses (too few matches?)"
+        ) from None
 
 
 def _solve(

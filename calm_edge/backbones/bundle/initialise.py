@@ -191,7 +191,7 @@ def _resected(
         if pose is not None:
             found.append(se3.inverse(pose @ T_s_p))
     if not found:
-        raise BackboneError("bundle: no matches between the two eyes")
+        raise BackboneError("bundle: no matches between the cameras; let them see the same scene")
     return found
 
 
@@ -250,7 +250,7 @@ def _seen_across(m: Measurements, X: Float, assistant: Int, at: Float) -> tuple[
     rows = np.flatnonzero(np.isin(m.view, assistant))
     rows = rows[_usable(X[m.point[rows]])]
     if len(rows) < MIN_RESECTION:
-        raise BackboneError("bundle: no matches between the two eyes")
+        raise BackboneError("bundle: no matches between the cameras; let them see the same scene")
     points = X[m.point[rows], :3] / X[m.point[rows], 3:]
     T_p_s = se3.inverse(at)[np.searchsorted(assistant, m.view[rows])]
     return m.uv[rows], (T_p_s[:, :3, :3] @ points[..., None])[..., 0] + T_p_s[:, :3, 3]

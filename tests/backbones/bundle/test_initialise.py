@@ -100,7 +100,7 @@ def kept(m, rows):
 
 def test_without_matches_between_the_eyes_it_raises(exact):
     m = kept(exact.m, exact.m.eye[exact.m.view] == 0)
-    with pytest.raises(BackboneError, match=r"^bundle: no matches between the two eyes$"):
+    with pytest.raises(BackboneError, match=r"^bundle: no matches between the cameras; let"):
         initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)
 
 
