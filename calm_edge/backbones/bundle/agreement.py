@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Float32
 
 # Smallest depth in the other view, as a share of the depth in this one, that is compared.
@@ -17,10 +18,10 @@ NEAREST_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class DepthView:
-    """Depth map of a view: inverse depth zeta (h, w), 1/spacings; its K (3, 3) px; T_s_c (4, 4)."""
+    """Depth of a view: inverse depth zeta (h, w), 1/spacings; its pinhole camera; T_s_c (4, 4)."""
 
     zeta: Float32
-    K: Float
+    camera: Camera
     T_s_c: Float
 
 
@@ -49,8 +50,8 @@ def agree(
     """
     h, w = view.zeta.shape
     y, x = np.mgrid[:h, :w]
-    pixels = np.stack([x.ravel(), y.ravel(), np.ones(h * w)])
-    ray = (np.linalg.inv(view.K) @ pixels).astype(np.float32)
+    pixels = np.stack([x.ravel(), y.ravel()], -1)
+    ray = view.camera.back_project(pixels, np.ones(h * w)).T.astype(np.float32)
     zeta = view.zeta.ravel()
     total, votes, squares = zeta.copy(), np.zeros_like(zeta), np.zeros_like(zeta)
     for other in others:
@@ -58,14 +59,14 @@ def agree(
         R, t = T_o_v[:3, :3], T_o_v[:3, 3]
         q = R @ ray + t[:, None] * zeta  # homogeneous: a point's coordinates times its zeta
         in_front = q[2] > NEAREST_SHARE
-        z = np.where(in_front, q[2], 1)
-        uv = other.K[:2].astype(np.float32) @ (q / z)
+        q /= np.where(in_front, q[2], 1)
+        uv = other.camera.project(np.where(in_front, q, 1).T).T
         found = cv2.remap(
             other.zeta, uv[0].reshape(h, w), uv[1].reshape(h, w), cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT, borderValue=-1,
         ).ravel()  # fmt: skip
         # z in this view, times `found`, of the point the other sees there
-        back_z = R[:, 2] @ (q / z) - found * (R[:, 2] @ t)
+        back_z = R[:, 2] @ q - found * (R[:, 2] @ t)
         back = np.where(back_z > 1e-3, found / np.maximum(back_z, 1e-3), -1)
         close = in_front & (found >= 0) & (np.abs(back - zeta) < relative * zeta + absolute)
         votes += close

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32
 
 WHITENING_PX = 7
@@ -30,10 +31,10 @@ NEAREST_SHARE = 0.15
 
 @dataclass(frozen=True, slots=True)
 class SweepView:
-    """View of the sweep: whitened picture (h, w), K (3, 3) at its size [px], T_s_c (4, 4)."""
+    """View of the sweep: whitened picture (h, w), pinhole camera at its size, T_s_c (4, 4)."""
 
     white: Float32
-    K: Float
+    camera: Camera
     T_s_c: Float
 
 
@@ -56,7 +57,8 @@ def plane_homographies(view: SweepView, other: SweepView, zeta: Float) -> tuple[
     T_o_v = se3.inverse(other.T_s_c) @ view.T_s_c
     planes = np.broadcast_to(T_o_v[:3, :3], (len(zeta), 3, 3)).copy()
     planes[:, :, 2] += zeta[:, None] * T_o_v[:3, 3]
-    return np.asarray(other.K @ planes @ np.linalg.inv(view.K)), np.asarray(planes[:, 2, 2])
+    H = other.camera.matrix @ planes @ np.linalg.inv(view.camera.matrix)
+    return np.asarray(H), np.asarray(planes[:, 2, 2])
 
 
 def match_scores(

@@ -76,8 +76,8 @@ def sweep_window(
     views = []
     for i, view in enumerate(sweep):
         scores = match_scores(view, [sweep[j] for j in sources[i]], zeta, size)
-        K = _resized(prediction.cameras[i], gray[i], size)
-        views.append(DepthView(choose(scores, small[i], zeta), K, prediction.T_s_c[i]))
+        camera = _resized(prediction.cameras[i], gray[i], size)
+        views.append(DepthView(choose(scores, small[i], zeta), camera, prediction.T_s_c[i]))
     step = float(zeta[1] - zeta[0])
     judged = [
         judge(agree(view, [views[j] for j in sources[i]], AGREE_RELATIVE, AGREE_STEPS * step))
@@ -114,9 +114,9 @@ def _shrink(gray: Bytes, size: tuple[int, int]) -> Bytes:
     return np.asarray(cv2.resize(gray, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _resized(camera: Camera, gray: Bytes, size: tuple[int, int]) -> Float:
+def _resized(camera: Camera, gray: Bytes, size: tuple[int, int]) -> Camera:
     height, width = gray.shape[:2]
-    return camera.scaled(size[0] / width, size[1] / height).matrix
+    return camera.scaled(size[0] / width, size[1] / height)
 
 
 def nearest_depth(prediction: Prediction) -> float:

@@ -6,6 +6,8 @@ assistant's views by resection (PnP). The rig's rotation is unconstrained.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
@@ -208,11 +210,12 @@ def _rig(
     start = stack[int(np.argmin(np.median(np.linalg.norm(rotation, axis=2), axis=1)))]
     uv, p_p = _seen_across(m, X, assistant, at)
     camera = _pinholes(m, theta)[1]
+    unit = replace(camera, fx=1.0, fy=1.0)
 
     def error_px(x: Float) -> Float:
         f = np.exp(x[6]) * camera.fx
-        p_a = _in_front(se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p)))
-        predicted = f * p_a[:, :2] / p_a[:, 2:] + [camera.cx, camera.cy]
+        p_a = se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p))
+        predicted = unit.project(_in_front(p_a) * [f, f, 1.0])
         return np.asarray(np.clip(predicted - uv, -1e3, 1e3).ravel())
 
     fit = least_squares(error_px, np.zeros(7), loss="cauchy", f_scale=2.0, max_nfev=30)

@@ -5,14 +5,14 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
 
 W, H, DEPTH = 60, 40, 10.0
-K = Perspective(50.0, 50.0, (W - 1) / 2, (H - 1) / 2, W, H).matrix
+CAMERA = Perspective(50.0, 50.0, (W - 1) / 2, (H - 1) / 2, W, H)
 
 
 def wall(x=0.0, z=0.0, error=1.0):
     """A view of a wall at z = DEPTH of the first, from (x, 0, z), its depth off by `error`."""
     T_s_c = se3.compose(np.eye(3), np.array([x, 0.0, z]))
     zeta = np.full((H, W), 1 / ((DEPTH - z) * error), np.float32)
-    return DepthView(zeta, K, T_s_c)
+    return DepthView(zeta, CAMERA, T_s_c)
 
 
 def test_right_views_of_a_wall_agree_where_they_overlap():

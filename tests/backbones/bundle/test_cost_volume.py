@@ -11,7 +11,7 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
 
 W, H, DEPTH = 120, 60, 8.0
-K = Perspective(90.0, 90.0, (W - 1) / 2, (H - 1) / 2, W, H).matrix
+CAMERA = Perspective(90.0, 90.0, (W - 1) / 2, (H - 1) / 2, W, H)
 
 
 def texture():
@@ -20,12 +20,12 @@ def texture():
 
 
 def view(gray, x=0.0):
-    return SweepView(whitened(gray), K, se3.compose(np.eye(3), np.array([x, 0.0, 0.0])))
+    return SweepView(whitened(gray), CAMERA, se3.compose(np.eye(3), np.array([x, 0.0, 0.0])))
 
 
 def of_wall(x):
     """The wall at DEPTH with `texture` as the view from the origin sees it, seen from (x, 0, 0)."""
-    shift = np.array([[1, 0, -K[0, 0] * x / DEPTH], [0, 1, 0]])
+    shift = np.array([[1, 0, -CAMERA.fx * x / DEPTH], [0, 1, 0]])
     return cv2.warpAffine(texture(), shift, (W, H))
 
 
