@@ -35,8 +35,9 @@ class Metric:
     """One requirement.
 
     key: of `eval --json`; if its value is a list, the entry largest in magnitude counts. most:
-    largest value that passes. least: value that all entries must exceed, where null is an infinite
-    sigma. may_be_null: null entries pass, for quantities that are reported only if observed.
+    largest value that passes. least: value that all entries must exceed, for a sigma; null entries,
+    infinite sigmas, pass. may_be_null: null entries pass `most`, for quantities that are reported
+    only if observed.
     """
 
     key: str

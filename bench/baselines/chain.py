@@ -40,7 +40,7 @@ ALIGNMENTS = {
 
 @dataclass(frozen=True, slots=True)
 class LoopOverlap:
-    """Correspondences of two sub-maps that share a picture of one place.
+    """Correspondences of two sub-maps that a loop closure joins.
 
     previous, new: indices of the sub-maps, previous < new.
     """

@@ -17,7 +17,8 @@ SAMPLES = 300
 # Published value, for a scene whose points have a mean distance of one.
 INLIER_DISTANCE = 0.01
 SEED = 0
-# Numbers of points on which a sample is scored, and to which the homography is fitted.
+# Random subsets, for speed: largest number of points on which a sample is scored, and to which the
+# homography is fitted.
 _SCORED, _FITTED = 500, 1000
 _REFITS = 2
 # With a smaller ratio of singular values the homography is undetermined.

@@ -72,8 +72,8 @@ class _Beside:
 def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) -> list[Optimisation]:
     """Optimise the final graph at several lengths, without and with loops.
 
-    shares: lengths as shares of the drive. Uses the sub-maps before correction, since this
-    uncoupled model has no errors to correct.
+    shares: lengths as shares of the drive. Uses the sub-maps before correction: the scripted
+    backbone is uncoupled here, so its focal errors do not bend the poses.
     """
     scaled = _uncorrected(course)
     _optimise(course.config, scaled[:2], with_loops=False)  # warm-up: loads GTSAM
@@ -114,7 +114,7 @@ def snapshot(course: Course) -> Snapshot:
 
 
 def _uncorrected(course: Course) -> list[Submap]:
-    """Sub-maps in world units with their raw poses, which are unbiased in the uncoupled model."""
+    """Sub-maps in world units with raw poses, which the scripted focal errors do not bias."""
     plain = [
         replace(s, T_s_c=s.T_s_c_raw, cameras=s.cameras_raw, scale=1.0) for s in course.submaps
     ]

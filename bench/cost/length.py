@@ -32,7 +32,8 @@ FLAT_SHARE = 0.1
 MOST_MB = 600
 # Length of the kit vector: four terms per eye, six of the rig, one time offset.
 _KIT = 15
-# Landmarks per sub-map. Nearly all views of the room see each: about 7,000 observations.
+# Landmarks per sub-map. Nothing is occluded in the convex room, so nearly all views see each of
+# them: about 7,000 observations.
 _LANDMARKS = 350
 
 
@@ -75,7 +76,7 @@ class Course:
 
     stage_ms: processor time of each stage except the backbone; its key `rest` is the time outside
     all stages. infer_ms: processor time of the backbone. rss: memory of this process, bytes.
-    replaced: whether all poses were replaced at this sub-map.
+    replaced: whether earlier poses moved at this sub-map (a new epoch).
     """
 
     stage_ms: dict[str, Float]

@@ -157,7 +157,7 @@ def load(root: Path, name: str, frames: int | None = None) -> Drive:
     inside = [[t for t in p if t_pose[0] <= t <= t_pose[-1]] for p in pictures]
     if not all(inside):
         raise DatasetError(
-            f"{log / 'poses'}: of one camera no picture lies between the first and the last pose"
+            f"{log / 'poses'}: one camera has no picture between the first and the last pose"
         )
     t_ns = (np.array(inside[0], np.int64), np.array(inside[1], np.int64))
     seconds = (t_pose - t_pose[0]) / 1e9

@@ -41,8 +41,8 @@ class ScriptedLoops:
     """Scripted `LoopFinder` of a drive; deterministic for a seed.
 
     detection: probability that a window with a true loop yields it. false_share: probability that
-    any other window yields a keyframe of another place. aliased: the relative pose of a false
-    candidate agrees with the backbone's false pose of it, as for places that look alike.
+    any other window yields a keyframe of another place. aliased: finder and backbone give a
+    false candidate the same relative pose, as for places that look alike.
     """
 
     def __init__(

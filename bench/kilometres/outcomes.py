@@ -42,8 +42,8 @@ class OutcomeError(CalmEdgeError):
 class Setting:
     """Conditions of a run.
 
-    loops: loop closing on. detection, false_share: see ScriptedLoops; the baselines get no false
-    loops.
+    loops: whether loops are closed. detection, false_share: see ScriptedLoops; the baselines get no
+    false loops.
     """
 
     name: str
@@ -57,9 +57,9 @@ class Setting:
 class Focals:
     """Focal lengths of a run, one value per eye, px.
 
-    raw: mean absolute error of the backbone's focals over sub-maps. mean: their mean over the
-    drive. held: final estimate of the search. log_sigma: of its log, None if not observed. damping:
-    see CONVENTIONS.md.
+    true: ground truth. raw: mean absolute error of the backbone's focals over sub-maps. mean: mean
+    of these focals over the drive. held: final estimate of the search. log_sigma: sigma of its log,
+    None if not observed. damping: see CONVENTIONS.md.
     """
 
     true: tuple[float, ...]
@@ -104,8 +104,8 @@ class Measured:
 class Store:
     """Folder of outcomes.
 
-    stale: use the latest outcome of earlier code for a run that has none of this code. earlier:
-    number of outcomes of earlier code returned so far.
+    stale: for a run without an outcome of the present code, use the latest one of earlier code.
+    earlier: number of outcomes of earlier code returned so far.
     """
 
     def __init__(self, folder: Path = OUTCOMES, stale: bool = False) -> None:

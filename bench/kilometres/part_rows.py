@@ -34,7 +34,8 @@ from device.frame import Eye
 
 FOCAL_PX = 8.0
 SYNC_RATIO = 1.1
-# Targets; the paper reports 0.239 and 0.050 (table 7).
+# Targets of the scale error and its standard deviation over windows of 100 keyframes; the paper
+# reports 0.239 and 0.050 (table 7).
 SCALE_ERROR, SCALE_STD = 0.15, 0.03
 
 
@@ -105,7 +106,7 @@ def scales(results: Results, command: str) -> Table:
 
 
 def observed(focals: Focals) -> bool:
-    """Whether the focal of the primary is observed: its sigma within the limit of the report."""
+    """Whether the primary's focal is observed: sigma at most MAX_FOCAL_SIGMA_PERCENT."""
     sigma = focals.log_sigma[Eye.PRIMARY]
     return sigma is not None and 100 * sigma <= MAX_FOCAL_SIGMA_PERCENT
 

@@ -92,7 +92,7 @@ ABLATIONS = (
 )
 
 TABLES = ("ate", "loops", "sync", "scale", "focal", "ablation")
-# in order of length
+# the shorter drives, fewest frames first
 SHORT = ("04", "03", "07", "06", "10", "09", "05")
 REVISITING = ("00", "02", "05", "06", "07", "09")
 
@@ -112,8 +112,9 @@ def batches(
 ) -> list[Batch]:
     """List the runs of the tables `only`, those that most tables need first.
 
-    At the first seed all drives run loops off; then follow the other settings and seeds, first on
-    the drives in SHORT. repeated: drives to run at the seeds after the first; all if empty.
+    At the first seed all drives run without loop closing; then follow the other settings and seeds,
+    first on the drives in SHORT. repeated: drives to run at the seeds after the first; all if
+    empty.
     """
     first, further, last = [], [], []
     ordered = [n for n in SHORT if n in names] + [n for n in names if n not in SHORT]

@@ -42,7 +42,7 @@ def _aligner(name: str, held: HeldViews) -> Aligner:
 
 
 class HeldViews:
-    """Cache of the raw sub-maps of one drive, the last one requested."""
+    """Cache of the raw sub-maps of the drive requested last."""
 
     def __init__(self) -> None:
         self._of: tuple[Drive, ScriptedLoops | None] | None = None
@@ -144,7 +144,7 @@ class _Views:
         return self._found[key]
 
     def _with_depth(self, k: int, views: Int) -> Prediction:
-        """Prediction of sub-map k, with depth of these views and perhaps of others."""
+        """Prediction of sub-map k with depth in at least the views given by index."""
         held = self._held.get(k)
         if held is not None and held.depth is not None and held.depth[views].any((1, 2)).all():
             return held

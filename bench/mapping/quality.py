@@ -85,7 +85,7 @@ def measure(
 
 
 def against(rows: Sequence[Quality]) -> tuple[Check, ...]:
-    """Requirement that all three errors of our map are smaller than those of each baseline."""
+    """Require accuracy, completeness and Chamfer distance better than those of each baseline."""
     found = {row.name: row for row in rows}
     checks = []
     for alignment in (ALIGNMENTS[kind] for kind in BASELINES):

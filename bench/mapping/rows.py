@@ -19,7 +19,8 @@ from calm_edge.geometry.similarity import align
 from calm_edge.mapping.seams import SeamSummary, summary
 from calm_edge.types import Float, Float32, Int, Submap
 
-# Each without one part of section VI. Infinite stiffness leaves only a rigid motion by the anchors.
+# Each but the first without one part of section VI. With infinite stiffness the thin-plate spline
+# cannot bend, which leaves a rigid motion by the anchors.
 VARIANTS: tuple[tuple[str, dict[str, float | bool]], ...] = (
     ("full", {}),
     ("without suppression", {"suppress": False}),

@@ -14,7 +14,7 @@ Degrade = Callable[[Bytes, int], Bytes]
 # Electrons of a white pixel, read noise [electrons], and brightness of the result.
 NIGHT_WHITE, NIGHT_READ, NIGHT_LEVEL = 300.0, 5.0, 0.4
 GAMMA = 2.2
-BLUR_SHARE = 1 / 80  # as a share of the picture's width
+BLUR_SHARE = 1 / 80  # length of the blur line as a share of the picture's width
 JPEG_QUALITY = 50
 
 

@@ -57,7 +57,7 @@ class SiftMatcher:
             value = np.maximum(np.take_along_axis(value, order, 1), 1e-9)
             at = there.uv[near]
             rival = np.linalg.norm(at - at[:, :1], axis=2) > RIVAL_PX
-            # without a second point, the last candidate bounds its distance from below
+            # if all candidates show one point, a second point is at least as far as the last
             first = np.where(rival.any(1), rival.argmax(1), DEEP - 1)
             clear = value[:, 0] / value[np.arange(len(value)), first]
             # worst first, so that the best description of a query point overwrites others

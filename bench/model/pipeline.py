@@ -25,7 +25,8 @@ from calm_edge.backbones.onnx.precision import opened
 from calm_edge.config import BackboneConfig, Config
 
 COMMAND = "python -m bench model.pipeline"
-# Targets: error ratio, sigmas by which one drive may be worse, upper interval end of int8 / fp32.
+# Targets: error with the network over that without; sigmas by which one drive may be worse with it;
+# upper end of the 95 % interval of the error in int8 over that in fp32.
 ASKED, WORSE_SIGMAS, INT8_END = 0.9, 2.0, 1.1
 # Target seconds of a window without its depth, and of the depth.
 WINDOW_S, DEPTH_S = 0.8, 1.5

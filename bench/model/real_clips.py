@@ -42,7 +42,8 @@ class Clip:
     posed: bool
 
 
-# The poses of karlsruhe_town are those of its INS, which is mounted at six degrees of pitch.
+# The poses of karlsruhe_town are not accurate to a pixel: they are those of its INS, which is
+# mounted at six degrees of pitch.
 CLIPS = (
     Clip("kitti06_straight", 0.5372, posed=True),
     Clip("karlsruhe_town", 0.5712, posed=False),

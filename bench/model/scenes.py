@@ -20,7 +20,8 @@ from calm_edge.types import Bytes
 from device.frame import Eye, Frame
 
 GAPS = (1, 3, 8)
-# Number of places along a drive; and of frames searched for the keyframes of GAPS.
+# Number of places along a drive, in ordinary and in hard scenes; and number of frames searched for
+# the keyframes of GAPS.
 PLACES, HARD_PLACES = 5, 6
 SEARCHED = 60
 

@@ -14,7 +14,7 @@ from device.frame import Eye
 PACKAGES = ("pycolmap==4.2.1", "numpy")
 SCRIPT = Path(__file__).with_name("colmap_process.py")
 
-# Distances in frames of the pictures matched within an eye; and between the eyes, the largest one.
+# Pictures are matched within an eye at these distances in frames, between the eyes up to ACROSS.
 STEPS = (1, 2, 3, 5, 8)
 ACROSS = 2
 

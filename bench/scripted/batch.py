@@ -21,7 +21,7 @@ _STREET_GRID, _ROOM_GRID = (5, 8), (6, 10)
 # Farther than this from all primary views, in world units or angle, a loop keyframe shows another
 # place.
 _SAME_PLACE, _SAME_WAY_RAD = 10.0, np.radians(60.0)
-# Sigma of a false pose relative to a view of the batch: translation, rotation.
+# Sigma of a false pose relative to a view of the batch: translation [world units], rotation [rad].
 _FALSE_TWIST = np.array([1.0, 0.2, 1.5, 0.02, 0.05, 0.02])
 # Minimum number of points that a loop keyframe shares with one view, to be placed.
 _MIN_SHARED = 24

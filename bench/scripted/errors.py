@@ -10,7 +10,8 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Hints, Int
 from device.frame import Eye
 
-# Of focal_factor: limit in sharp turns, scale [deg], and mean over the eleven drives of KITTI.
+# Constants of focal_factor: value in sharp turns; turn [deg] that halves the excess over it;
+# divisor that makes the mean over the eleven drives of KITTI 1.
 _IN_TURNS, _TURN_DEG, _MEAN = 0.3, 10.0, 0.96
 # Correlation of the focal errors of both eyes: matches between them fix the ratio to about a
 # percent.
@@ -22,7 +23,7 @@ class ScriptedErrors:
     """Sizes of the errors of scripted predictions; lengths in world units.
 
     Per drive: focal_bias_log_sigma, correlated between the eyes; scale_walk, sigma of the log raw
-    scale after a path of 100.
+    scale after a path of 100 world units (random walk).
 
     Per batch: scale_log_sigma, of the log raw units per world unit; focal_log_error, constant, one
     per eye; focal_log_sigma, correlated between the eyes; depth_drift, sigma of the log ratio of

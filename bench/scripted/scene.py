@@ -77,7 +77,7 @@ class ScriptedScene:
         return np.asarray(T_w_p @ np.stack([np.eye(4), self.T_p_a])[eyes])
 
     def depth(self, rays_w: Float, centre_w: Float) -> Float:
-        """Depth (...) along rays (..., 3) from centres (..., 3), in lengths of the ray.
+        """Depth (...) along rays (..., 3) from centres (..., 3), as a multiple of the ray's length.
 
         inf where there is only sky.
         """

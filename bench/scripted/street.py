@@ -70,7 +70,7 @@ class Street:
         )
 
     def depth(self, rays_w: Float, centre_w: Float) -> Float:
-        """Depth (...) along rays (..., 3) from centres (..., 3), in lengths of the ray.
+        """Depth (...) along rays (..., 3) from centres (..., 3), as a multiple of the ray's length.
 
         inf for sky and beyond MAX_RANGE_M.
         """

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-# 2 is the exit code of argparse for wrong usage
+# LOSS: the output was written, but data or poses are lost. argparse uses 2, for wrong usage
 OK, ERROR, LOSS = 0, 1, 3
 
 

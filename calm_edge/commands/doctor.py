@@ -48,7 +48,7 @@ def findings(out: Path) -> Iterator[tuple[bool, str]]:
     yield from _default_model()
     cores = len(os.sched_getaffinity(0))
     if cores < 2:
-        yield False, f"{cores} core: the estimator will lag behind; map catches up"
+        yield False, f"{cores} core: the estimator will lag behind; `calm-edge map` solves the rest"
     if not out.is_dir():
         yield False, f"{out}: no such folder yet; its disk was not checked"
     else:

@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"{out / REPORT}: not written; matplotlib is missing (pip install matplotlib)")
     print(f"took        {time.monotonic() - started:.0f} s")
     if drive.unsolved:
-        say(f"windows {drive.unsolved} could not be solved; bridged by constant velocity")
+        say(f"windows {drive.unsolved} could not be solved; constant velocity is assumed")
     for line in losses:
         say(f"loss: {line}")
     return LOSS if losses else OK

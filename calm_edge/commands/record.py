@@ -127,7 +127,7 @@ def report(folder: Path, result: RecordResult) -> int:
     print(f"sub-maps    {result.submaps} of {result.windows} windows, {poses} keyframes placed")
     print(f"live poses  {result.poses}, lost {result.lost_poses}{aged}")
     if result.unsolved_windows:
-        say(f"windows {result.unsolved_windows} could not be solved; bridged by constant velocity")
+        say(f"windows {result.unsolved_windows} could not be solved; constant velocity is assumed")
     for name, lost in result.output_losses.items():
         if lost:
             say(f"{name}: {lost} messages not sent; they are in the recording")

@@ -57,7 +57,7 @@ Factory = Callable[[str, Sequence[SocketRequest]], Pipeline]
 
 
 class SharedPipeline:
-    """Owner of the one pipeline of a device, shared by the cameras on its sockets.
+    """Build the one pipeline of a device on demand, for all cameras on the device's sockets.
 
     A running pipeline cannot be extended by a socket, so all cameras register before the first one
     starts. If one registers later, the pipeline is rebuilt and the other cameras reconnect.
