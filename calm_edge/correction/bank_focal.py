@@ -1,4 +1,4 @@
-"""Focal that minimises Eq. Score on a test bank, and its sigma (an extension of paper V-A)."""
+"""Focal of least score (`spectral.score`) on a test bank, and its sigma; extends paper V-A."""
 
 from __future__ import annotations
 

@@ -10,13 +10,13 @@ STEP = 0.1
 
 
 def from_density(n_matrices: float, config: CorrectionConfig) -> float:
-    """Lambda of the paper: (n_matrices / n_group) / (n_pair * n_feature), rounded down."""
+    """Lambda of the paper: n_matrices / n_group / (n_pair * n_feature), floored to tenths."""
     density = n_matrices / config.n_group
     return _floored(density / (config.n_pair * config.n_feature))
 
 
 def from_guesses(n: int) -> float:
-    """Lambda 1 - 1/n, rounded down: the mean of n focal estimates has 1/n of the error of each."""
+    """Lambda 1 - 1/n, in tenths: the mean of n focal estimates has 1/n of the variance of each."""
     wanted = 1 - 1 / max(n, 1)
     return 1.0 if wanted > 0.95 else _floored(wanted)
 

@@ -23,9 +23,10 @@ class EyeSearch:
     """Candidates and test bank of one camera, and the camera and damping estimated from them.
 
     Without `weighted` and `refine` of the config it is the paper's search: `camera` is the
-    candidate of least mean score, updated by a new candidate with a lower score, and among all
-    candidates on a new test group. `refine`: `camera` has the focal that minimises the score.
-    `weighted`: `measured` is the bank's focal with a sigma, combined with candidates in pool.py.
+    candidate of least mean score, replaced by a new candidate with a lower score, and chosen again
+    from all candidates after a new test group. `refine`: `camera` has the focal that
+    minimises the score. `weighted`: `measured` is the bank's focal with a sigma, combined with
+    candidates in pool.py.
     """
 
     def __init__(self, config: CorrectionConfig) -> None:
@@ -90,7 +91,7 @@ class EyeSearch:
         return bool(new < old)
 
     def _scores(self, cameras: Sequence[Camera]) -> Float:
-        """Weighted mean scores (C,) of cameras."""
+        """Weighted mean scores (C,) of cameras on the test bank; 0 is perfect."""
         scores = spectral.score_of(cameras, self.bank.F)
         return np.asarray(np.average(scores, -1, self.measured.weights))
 

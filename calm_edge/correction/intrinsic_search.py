@@ -21,7 +21,7 @@ _MOVED_SIGMAS = 0.5
 
 
 class IntrinsicSearch:
-    """Owner of the intrinsic search of both cameras; deterministic.
+    """Estimates the intrinsics of both cameras from the sub-maps so far; deterministic.
 
     Time per sub-map is bounded: candidates are limited, and images and landmarks not kept. A test
     group is started every `group_every` sub-maps, alternating between the cameras, and built in as

@@ -25,7 +25,7 @@ class PairMatches(Protocol):
 class LandmarkMatches:
     """Matches from the backbone's landmarks.
 
-    index: landmark ids (O,), sorted, by view. uv: their pixels (O, 2) by view.
+    For each view, index: sorted ids (O,) of its landmarks; uv: their pixels (O, 2).
     """
 
     index: dict[int, Int]
@@ -53,7 +53,7 @@ def from_landmarks(landmarks: Landmarks, views: Sequence[int] | None = None) -> 
 
 @dataclass(frozen=True, slots=True)
 class SiftMatches:
-    """Matches of SIFT features. features: by view."""
+    """Matches of SIFT features. features: those of each view, by its batch index."""
 
     features: dict[int, sift.Features]
 

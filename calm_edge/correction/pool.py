@@ -18,7 +18,7 @@ from calm_edge.types import Float
 
 # Sigma of the bias in log focal: published models have an error of 3 to 6 % in the mean of a drive.
 BIAS_LOG_SIGMA = 0.06
-# Shrinkage of the sample correlation: it is halved at this number of sub-maps, less with more.
+# With C sub-maps the sample correlation is multiplied by C / (C + this), as few are unreliable.
 _SHRINKAGE_COUNT = 5
 # Upper bound of the sample correlation.
 _MAX_CORRELATION = 0.95

@@ -75,7 +75,7 @@ def _corrected(
 def _primary(T_s_p: Float, S: Float, config: CorrectionConfig) -> Float:
     """Primary poses (N, 4, 4), chained from the corrected relative poses (V-C).
 
-    A relative pose is corrected by the mean S of its two views, like S_joint.
+    A relative pose is corrected by the mean S of its two views, as V-C does between the cameras.
     """
     steps = _corrected(se3.inverse(T_s_p[:-1]) @ T_s_p[1:], (S[:-1] + S[1:]) / 2, config)
     chain = [T_s_p[0]]

@@ -1,7 +1,8 @@
-"""Score of intrinsics on fundamental matrices (Eq. Score, paper V-A), and its sensitivity.
+"""Score of intrinsics K on fundamental matrices F (Eq. Score, paper V-A), and its sensitivity.
 
-With the true K, E = K^T F K has two equal singular values and one that is zero. K: (..., 3, 3) px,
-F: (..., 3, 3) px as in `geometry.epipolar`.
+With the true K, E = K^T F K has two equal singular values and one that is zero. The score is the
+deviation from that, so 0 is perfect and less is better.
+K: (..., 3, 3) px, F: (..., 3, 3) px as in `geometry.epipolar`.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class FocalSensitivity:
 
 
 def score(K: Float, F: Float) -> Float:
-    """Eq. Score of paper V-A: |s1 - s2| / s1 + |s3| / s1 of K^T F K, (..., P).
+    """Error of K as |s1 - s2| / s1 + |s3| / s1, s the singular values of K^T F K, (..., P).
 
     K: (..., 3, 3) candidates, F: (P, 3, 3). Computed from the eigenvalues of E E^T in closed form
     (accurate to 1e-6), because hundreds of matrices are scored for dozens of candidates.
@@ -78,12 +79,12 @@ def at_focal(shape: Camera, focal: Float | float) -> Float:
 
 
 def score_at(shape: Camera, focal: Float | float, F: Float) -> Float:
-    """Eq. Score (..., P) of F (P, 3, 3) for focals (...) px, the rest of K from `shape`."""
+    """Scores (..., P) of focals (...) px on F (P, 3, 3), least is best; rest of K from `shape`."""
     return score(at_focal(shape, focal), F)
 
 
 def score_of(cameras: Sequence[Camera], F: Float) -> Float:
-    """Eq. Score (C, P) of F (P, 3, 3) for each camera."""
+    """Scores (C, P) of C cameras on F (P, 3, 3); the least is the best."""
     return score(np.stack([camera.matrix for camera in cameras]), F)
 
 

@@ -33,7 +33,7 @@ def robust_mean(disparity: NDArray[np.floating]) -> float:
 
 
 class KeyframeSelector:
-    """Selector of keyframes among primary frames; owner of the tracks since the last keyframe.
+    """Selects keyframes among primary frames, by the disparity of corners since the last keyframe.
 
     Features are tracked from frame to frame, so that large motions can be followed. At standstill
     the reference image is kept, so that noise does not add up. sparse: select keyframes

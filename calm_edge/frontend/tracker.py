@@ -37,7 +37,7 @@ MAX_DISAGREEMENT = 0.2
 
 
 class Tracker:
-    """Owner of the live pose: primary frames to `track`, then `prepare`; updates to `attach`."""
+    """Computes the live pose: `track` and `prepare` each primary frame, `attach` each sub-map."""
 
     def __init__(self, config: FrontendConfig, epoch: int = 0) -> None:
         self.config = config
@@ -87,7 +87,8 @@ class Tracker:
     def prepare(self, keyframe_id: int | None = None, *, behind: bool = False) -> None:
         """Prepare for the next frame; call it after the pose has been published.
 
-        keyframe_id: of the frame just tracked, if it is a keyframe. behind: newer frames wait.
+        keyframe_id: of the frame just tracked, if it is a keyframe. behind: newer frames are
+        waiting, so that catching up is put off.
         """
         self._past[-1].keyframe_id = keyframe_id
         if self._pending is not None and self._tracks is not None:
@@ -151,7 +152,7 @@ class Tracker:
         return True
 
     def _advance_follower(self) -> None:
-        """Track some more frames in the second tracker; at the newest one it takes over."""
+        """Track some more frames in the second tracker; take its tracks when it has caught up."""
         follower = self._follower
         if follower is None:
             return

@@ -19,7 +19,7 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
     t_ns (N,), T_o_c (N, 4, 4), covariance (N, 6, 6) of (translation, rotation) in each camera's
     axes; poses are taken as independent. The twist is the slope of a fitted parabola at its end: a
     mean over the window would be delayed by half of it. Residuals beyond the noise of the poses, as
-    on a bad road, add to the covariance, which is NaN for up to three poses, where there are none.
+    on a bad road, add to the covariance. Up to three poses have no residuals: it is NaN then.
     The twist is NaN for a single pose.
     """
     if len(t_ns) < 2:
@@ -39,7 +39,7 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
 
 
 def _misfit(powers: Float, moved: Float, covariance: Float) -> Float:
-    """Variances (6,) of the residuals of moved (N, 6) about the parabola, less those of its noise.
+    """Variances (6,) of moved (N, 6) about the parabola, in excess of the noise of the poses.
 
     One value for the three axes of translation and one for those of rotation.
     """
@@ -54,7 +54,7 @@ def _misfit(powers: Float, moved: Float, covariance: Float) -> Float:
 
 
 class RecentPath:
-    """Owner of the poses T_o_c (4, 4) of the last WINDOW_NS."""
+    """Poses T_o_c (4, 4) of the last WINDOW_NS, to predict the next pose and fit the twist."""
 
     def __init__(self) -> None:
         self._rows: deque[tuple[int, Float, Float]] = deque()

@@ -46,8 +46,8 @@ class Change:
 def faded(belief: KitBelief) -> KitBelief:
     """Add the drift between two drives to the belief's covariance.
 
-    (Lambda^-1 + Q)^-1, written so that Lambda may be singular. Raises ValueError if the belief
-    has not layout.SIZE entries.
+    The information Lambda becomes (Lambda^-1 + Q)^-1, with Q the covariance of the drift, written
+    so that Lambda may be singular. Raises ValueError if the belief has not layout.SIZE entries.
     """
     _check(belief)
     sigma = layout.drift_sigma()
@@ -60,9 +60,9 @@ def faded(belief: KitBelief) -> KitBelief:
 def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
     """Test the focal of each eye, the assistant's rotation and its position separately.
 
-    remembered: faded. evidence: of this drive alone. The prior bounds the principal points and
-    distortion, without which a short drive leaves the focal undetermined. Raises ValueError if a
-    belief has not layout.SIZE entries.
+    remembered: of earlier drives, faded. evidence: of this drive alone. The prior bounds the
+    principal points and distortion, without which a short drive leaves the focal undetermined.
+    Raises ValueError if a belief has not layout.SIZE entries.
     """
     bounds = _bounds()
     remembered, evidence = (_bounded(belief, bounds) for belief in (remembered, evidence))
@@ -119,7 +119,8 @@ def _part(
 
     The information of a difference is the parallel sum A (A + B)^+ B of the marginal ones, zero
     along directions undetermined in either (Anderson and Duffin, Series and Parallel Addition of
-    Matrices, 1969). prior_sigma: of these terms, the unit of the test.
+    Matrices, 1969). prior_sigma: sigma of these terms in the prior, relative to which a
+    direction counts as observed.
     """
     A, B = (_marginal(b.information, axes) * prior_sigma**2 for b in (remembered, evidence))
     information = A @ np.linalg.pinv(A + B, rcond=_ROUNDING, hermitian=True) @ B

@@ -16,7 +16,7 @@ TRUSTED_AFTER = 3
 
 
 class KitPrior:
-    """Owner of the belief read from `backbone.kit_file`; None without that key.
+    """Read, test and save the belief of earlier drives; there is none without `backbone.kit_file`.
 
     Windows solved under a wrong belief fail or reproduce it. So the first TRUSTED_AFTER sub-maps
     are solved without it, and `belief` returns it once they agree. The constructor reads the file,

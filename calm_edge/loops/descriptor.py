@@ -19,7 +19,7 @@ from calm_edge.types import Bytes, Float32
 
 COLUMNS, ROWS, BINS = 20, 6, 8
 CELL_PX = 8
-# Gradients (of 255 per pixel) below this are dominated by sensor noise and damped.
+# Gradients below this, in grey levels (of 255) per pixel, are mostly sensor noise and damped.
 NOISE_FLOOR = 4.0
 # Sideways shifts [columns] that are tried, since lane and heading of a return differ a little.
 SHIFTS = (-2, -1, 0, 1, 2)

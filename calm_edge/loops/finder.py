@@ -77,10 +77,11 @@ class LoopFinder(Protocol):
 
 
 class PlaceMemory:
-    """Owner of the places: primary keyframes, stored as neighbouring pairs EVERY keyframes apart.
+    """The places of a drive so far: pairs of primary keyframes as JPEG, with descriptors.
 
-    Pairs, because a loop at one place must be confirmed at a neighbouring one. At the limit of
-    number or bytes every second pair is dropped, and new pairs are taken half as often.
+    The two of a pair are EVERY to NEIGHBOUR keyframes apart. Pairs, because a loop at one place
+    must be confirmed at a neighbouring one. At the limit of number or bytes every second pair is
+    dropped, and new pairs are taken half as often.
     """
 
     def __init__(self, max_places: int, max_bytes: int = MAX_PICTURE_BYTES) -> None:

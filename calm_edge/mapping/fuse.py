@@ -78,7 +78,7 @@ class Fusion:
             sums[rows.anchor] += new
 
     def at(self, anchor: Int) -> tuple[Float, Int]:
-        """Fused positions (M, 3), world units, and observation counts (M,) of anchors (M,)."""
+        """Fused positions (M, 3), world units, and observation counts (M,) of anchor ids (M,)."""
         with self._rows() as sums:
             rows = np.asarray(sums[anchor])
         return rows[:, WEIGHTED] / rows[:, [WEIGHT]], rows[:, COUNT].astype(np.int64)

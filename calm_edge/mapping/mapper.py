@@ -23,7 +23,7 @@ PROBES = 2000
 
 
 class Mapper:
-    """Owner of the mapping state: `add` each sub-map in order, then iterate over `finish`.
+    """Builds the map of a drive: `add` each sub-map in order, then iterate over `finish`.
 
     Depth, anchors and voxels of the drive are kept on disk. In memory: sub-maps and deformations
     (some ten kilobytes each), depth of three sub-maps, anchors of eight; during `finish` also 25

@@ -23,7 +23,7 @@ _KEYS = count()
 
 
 class JointGraph:
-    """Owner of the keyframe poses and of all relative measurements between them.
+    """Collects relative measurements between keyframes, and holds the keyframe poses.
 
     spacing: world units per map unit.
     """

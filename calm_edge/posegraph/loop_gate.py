@@ -88,7 +88,8 @@ class _Path:
         edges, sigma = problem.edges, problem.sigma
         length = np.linalg.norm(np.diff(T_w_p[:, :3, 3], axis=0), axis=-1)
         n = len(length)
-        # a third of a single view's variance per step: the views of a window average out
+        # A third of one view's variance per step, an upper bound: edges to several preceding
+        # keyframes, and both cameras, average the error to less than that.
         step = np.tile(noise.view_covariance() / 3, (n, 1, 1))
         bridge = ~edges.robust & (edges.submap < 0)
         last = np.maximum(edges.i, edges.j)[bridge] - 1
@@ -130,7 +131,7 @@ def _disagreement(
     """Squared Mahalanobis distances (M,) between loops b and their prediction from loops a.
 
     a, b: state rows i and j (M,) and measurement T_j_i (M, 4, 4). Loop a is carried to loop b
-    along the path. loop: (6, 6) covariance of a loop measurement.
+    along the path. loop: (6, 6) covariance of a loop measurement. worse: as in `_Path.between`.
     """
     (i_a, j_a, Z_a), (i_b, j_b, Z_b) = a, b
     T_ia_ib = se3.inverse(T_w_p[i_a]) @ T_w_p[i_b]

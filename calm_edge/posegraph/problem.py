@@ -84,14 +84,20 @@ class Residuals(NamedTuple):
 
 
 def huber(norm: Float, k: float = 3.0) -> tuple[Float, Float]:
-    """Huber's kernel: convex, so a loop with a large residual still pulls, with bounded force."""
+    """Huber's kernel: convex, so a loop with a large residual still pulls, with bounded force.
+
+    k: norm above which the cost is linear.
+    """
     far = norm > k
     safe = np.where(far, norm, 1.0)
     return np.where(far, k * norm - k * k / 2, norm**2 / 2), np.where(far, k / safe, 1.0)
 
 
 def cauchy(norm: Float, k: float = 3.0) -> tuple[Float, Float]:
-    """Cauchy kernel: the weight of a loop with a large residual tends to zero."""
+    """Cauchy kernel: the weight of a loop with a large residual tends to zero.
+
+    k: norm at which the weight is a half.
+    """
     return k * k / 2 * np.log1p((norm / k) ** 2), 1 / (1 + (norm / k) ** 2)
 
 

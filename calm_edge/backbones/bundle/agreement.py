@@ -12,7 +12,7 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Float32
 
-# Smallest depth in the other view, as a share of the depth in this one, that is compared.
+# A point is not compared with a view if its depth there is below this share of its depth here.
 NEAREST_SHARE = 0.05
 
 
@@ -65,7 +65,7 @@ def agree(
             other.zeta, uv[0].reshape(h, w), uv[1].reshape(h, w), cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT, borderValue=-1,
         ).ravel()  # fmt: skip
-        # z in this view, times `found`, of the point the other sees there
+        # z in this view, times `found`, of the point at the other view's own depth there
         back_z = R[:, 2] @ q - found * (R[:, 2] @ t)
         back = np.where(back_z > 1e-3, found / np.maximum(back_z, 1e-3), -1)
         close = in_front & (found >= 0) & (np.abs(back - zeta) < relative * zeta + absolute)

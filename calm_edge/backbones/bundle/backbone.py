@@ -27,10 +27,12 @@ from calm_edge.kit.belief import product
 from calm_edge.loops.descriptor import PlaceDescriptor
 from calm_edge.types import Float, Hints, KitBelief, Prediction
 
-# Residuals along a track and within a texture are correlated: factor on the information of
-# independent observations, fitted to the scatter between windows.
+# Factor on a window's information on the kit, which is computed as if all observations were
+# independent; those along a track or within a texture are correlated. Fitted to the scatter of the
+# kits that different windows give.
 TEMPERING = 0.02
-# Sigma of log focal by errors of the model: distortion, rolling shutter, stamps.
+# Added to the reported sigma of log focal (root of the sum of squares) for errors of the model:
+# distortion, rolling shutter, stamps.
 FOCAL_FLOOR = 0.015
 # Cauchy scales [sigmas]: wide first, so that a poor start loses no match; then narrow, since wrong
 # matches are biased: most are too near and shrink the scene. The wide solution is only a start and
@@ -52,7 +54,10 @@ MAX_EVIDENCE_PX = 0.8
 
 
 class BundleBackbone:
-    """Backbone `bundle`. Stateless: Hints.kit is its prior, Prediction.kit the new evidence."""
+    """Backbone `bundle`: matching and bundle adjustment, see the module.
+
+    Stateless: the prior on the kit is in Hints.kit, the window's evidence in Prediction.kit.
+    """
 
     def __init__(
         self,
@@ -113,7 +118,10 @@ class BundleBackbone:
         return replace(solved, notices=self._notices)
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
-        """Solve the views again under the kit of `hints`, from landmarks; raises BackboneError."""
+        """Solve the views again from the prediction's landmarks; raises BackboneError.
+
+        The kit is estimated again too, with `hints.kit` as prior.
+        """
         if hints.loop:
             alone = self.resolve(prediction.without_loop(), hints.without_loop())
             return loop_view.placed_again(alone, prediction)
@@ -137,7 +145,7 @@ class BundleBackbone:
 
 
 def kit_belief(hints: Hints) -> KitBelief:
-    """Product of the prior under the hints and the belief from other windows."""
+    """Prior for a window: layout.prior of the hinted fields of view times `hints.kit`."""
     joint = product([layout.prior(hints.hfov_deg), hints.kit])
     assert joint is not None
     length = np.linalg.norm(joint.mean[layout.RIG_CENTRE])
@@ -153,7 +161,8 @@ def _sigma(belief: KitBelief) -> Float:
 def _untempered(belief: KitBelief) -> KitBelief:
     """Scale the information of a belief by 1 / TEMPERING.
 
-    The solver does not temper the pixels of a window, so the prior is raised instead.
+    The solver gives pixels their full weight, not TEMPERING times it. Dividing the prior by
+    TEMPERING leaves the ratio of the two, and so the solution, the same.
     """
     return KitBelief(belief.mean, belief.information / TEMPERING)
 

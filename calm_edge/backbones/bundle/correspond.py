@@ -21,7 +21,7 @@ RETURN_CELLS = 1.5
 # Queries with a lower reliability, as the encoder predicts it, are not matched.
 MIN_RELIABILITY = 0.05
 ROUNDS = 2
-# Input pixels: the resolution of features of this stride, whatever sigma the network gives.
+# Lower bound of a match's sigma [input px], whatever the network gives: the features' resolution.
 MIN_SIGMA = 0.67
 
 

@@ -25,7 +25,7 @@ NOISE = 1.5
 # Clips single strong edges, which would dominate their window.
 CONTRAST_LIMIT = 2.5
 WINDOW_PX = 3
-# Smallest depth in the other camera, as a share of the depth in this one, that is matched.
+# A plane is not matched with a camera if its depth there is below this share of its depth here.
 NEAREST_SHARE = 0.15
 
 
@@ -52,7 +52,7 @@ def whitened(gray: Bytes | Float32) -> Float32:
 def plane_homographies(view: SweepView, other: SweepView, zeta: Float) -> tuple[Float, Float]:
     """Homographies (D, 3, 3) view px -> other px of planes zeta (D,), and z' / z (D,) on the axis.
 
-    A ray r (z = 1) at inverse depth zeta lies along R r + zeta t in the other camera.
+    The point on a ray r (z = 1) at inverse depth zeta is on the other camera's ray R r + zeta t.
     """
     T_o_v = se3.inverse(other.T_s_c) @ view.T_s_c
     planes = np.broadcast_to(T_o_v[:3, :3], (len(zeta), 3, 3)).copy()

@@ -31,7 +31,8 @@ NEAR_DEFAULT = 5.0  # depth of the nearest plane if there are no landmarks, spac
 # Largest distance between two views that are matched.
 REACH = 12.0  # spacings
 NEIGHBOURS_A_SIDE = 2
-# Tolerance between the inverse depths of two views: a share of it, and steps of the sweep.
+# Tolerance between the inverse depths of two views: a share of the inverse depth, plus a share of
+# the step between two planes.
 AGREE_RELATIVE = 0.05
 AGREE_STEPS = 0.5
 SPREAD = 0.05
@@ -133,7 +134,10 @@ def nearest_depth(prediction: Prediction) -> float:
 
 
 def sweep_sources(view: int, eyes: Int, t_ns: Int, T_s_c: Float) -> list[int]:
-    """Views that a view is matched against: the other eye at its time, its own before and after."""
+    """Views that a view is matched against.
+
+    The other camera's nearest in time, and its own camera's before and after it within REACH.
+    """
     other = np.flatnonzero(eyes != eyes[view])
     own = np.flatnonzero(eyes == eyes[view])
     out = [int(other[np.argmin(np.abs(t_ns[other] - t_ns[view]))])] if len(other) else []

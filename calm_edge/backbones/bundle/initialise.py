@@ -1,7 +1,8 @@
 """Initial poses, points and rig from matches and a rough focal.
 
 Incremental structure from motion: two primary views by their essential matrix, the others and the
-assistant's views by resection (PnP). The rig's rotation is unconstrained.
+assistant's views by resection (PnP). The rig's rotation is unconstrained. Until the rig is found,
+lengths are in the *initial unit*, the distance of the first two views; then in spacings.
 """
 
 from __future__ import annotations
@@ -248,8 +249,8 @@ def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float)
 
 
 def _seen_across(m: Measurements, X: Float, assistant: Int, at: Float) -> tuple[Float, Float]:
-    """Known points that the assistant observed: uv (n, 2) px, and p_p (n, 3) in the primary's axes
-    at that instant, initial unit. Raises BackboneError with too few."""
+    """Known points that the assistant observed: uv (n, 2) px, and p_p (n, 3) in the axes of the
+    primary at the assistant's exposure, initial unit. Raises BackboneError with too few."""
     rows = np.flatnonzero(np.isin(m.view, assistant))
     rows = rows[_usable(X[m.point[rows]])]
     if len(rows) < MIN_RESECTION:

@@ -33,9 +33,9 @@ from calm_edge.backbones.bundle.warp import (
 from calm_edge.geometry.flow import Gray, follow, follow_ahead, neighbouring_flow
 from calm_edge.types import Float, Float32
 
-# Sigma of a refined match: a share of the features' sigma, and a multiple of its distance from the
-# match with half the window. Fitted to true errors (models/calm-geo/README.md) up to a common
-# factor: see `_normalised`.
+# Sigma of a refined match, the root of the sum of squares of two terms: a share of the features'
+# sigma, and a multiple of how far the match moves with a Lucas-Kanade window of half the size.
+# Fitted to true errors (models/calm-geo/README.md) up to a common factor: see `_normalised`.
 FEATURES_SHARE, WINDOWS_SHARE = 0.25, 2.6
 SIGMA_RANGE_PX = (0.2, 3.0)
 # Features are within a few pixels: higher pyramid levels only lose points.
@@ -54,11 +54,11 @@ TURNS_DEG, ZOOMS = (-20.0, 0.0, 20.0), (0.5, 1.0, 2.0)
 
 
 class LearnedMatching:
-    """Implementation of the `Matching` protocol by a network."""
+    """Match pictures by a network's features and Lucas-Kanade: implements protocol `Matching`."""
 
     def __init__(self, net: FeatureNet) -> None:
         self.net = net
-        # of the current window: the assistant's picture, H_a_p, and the picture as it is matched
+        # pictures of the assistant passed to `expect`, with H_a_p, and warped by it if that helps
         self._expected: list[tuple[Gray, Float, Gray]] = []
 
     def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
@@ -128,7 +128,7 @@ class LearnedMatching:
 
 
 def _made_alike(a: Gray, b: Gray, H_b_a: Float) -> Gray:
-    """The second picture, warped to look like the first where that helps the features."""
+    """Picture b, warped by H_b_a to look like a if that helps the features."""
     as_it_is = are_alike(H_b_a, a) or zoom_of(H_b_a, a) > MUCH_LARGER
     return b if as_it_is else warped(b, H_b_a, a)
 
@@ -173,7 +173,7 @@ def _measured_sigma(a: Gray, b: Gray, uv: Float32, moved: Float32, features_px: 
 
 
 def _normalised(sigma: Float32) -> Float32:
-    """Scale the sigmas (N,) px of a pair of pictures to the information of N tracked corners.
+    """Scale the sigmas (N,) px of a pair's matches: in all, the information of N tracked corners.
 
     Else pairs of pictures that look different would hardly constrain the rig.
     """
@@ -184,7 +184,7 @@ def _normalised(sigma: Float32) -> Float32:
 
 
 def _better(one: Matches, other: Matches) -> Matches:
-    """The better of two matches of each of N points: measured, sure, then the smaller sigma."""
+    """Best of two matches of each of N points: a measured one, a sure one, the smaller sigma."""
     rank = [np.where(f.measured, 0, np.where(f.sure, 1, 2)) for f in (one, other)]
     take = (rank[1] < rank[0]) | ((rank[1] == rank[0]) & (other.sigma_px < one.sigma_px))
     part = Matches(other.uv[take], other.sure[take], other.sigma_px[take], other.measured[take])
@@ -200,7 +200,7 @@ def _with(found: Matches, rows: Bool, part: Matches) -> Matches:
 
 
 def _only_measured(found: Matches) -> Matches:
-    """Only refined matches: wrong ones harm bundle adjustment more than missing ones."""
+    """Count only refined matches as sure: a wrong one harms bundle adjustment more than none."""
     return replace(found, sure=found.measured)
 
 

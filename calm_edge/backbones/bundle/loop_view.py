@@ -194,7 +194,7 @@ def _gray(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _with_tracks(marks: Landmarks, tracks: LoopTracks, pose: LoopPose, loop_view: int) -> Landmarks:
-    """Landmarks, then the inlier points with their observations in the window and the loop view."""
+    """Add to the landmarks the inlier points, observed in the window and in the loop view."""
     (chosen,) = np.nonzero(pose.inlier)
     number = np.full(len(pose.inlier), -1)
     number[chosen] = len(marks.points_s) + np.arange(len(chosen))

@@ -23,7 +23,8 @@ from calm_edge.backbones.bundle.problem import (
 from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
-# Keep the blocks of points without observations, or next to a camera, invertible.
+# Added to the diagonal of each point's block, a value and a share of the largest entry, so that
+# blocks of points without observations, or next to a camera, are invertible.
 POINT_FLOOR = 1e-3
 POINT_FLOOR_SHARE = 1e-10
 
@@ -51,7 +52,8 @@ def grouped(key: Int) -> Groups:
 class Structure:
     """Sparsity of a window's normal equations, constant while it is solved.
 
-    views: rows of each view. cross: (18, O) position of each observation's pose-point block.
+    views: rows of each view. cross: (18, O) flat indices into Normal.cross of each observation's
+    pose-point block.
     """
 
     views: tuple[slice, ...]

@@ -15,14 +15,14 @@ from calm_edge.types import Bytes, Float32
 ROWS, COLUMNS, CHANNELS = 4, 10, 64
 # Columns that a layout is shifted by to fit: a return is seldom in the same lane and heading.
 SHIFTS = (-1, 0, 1)
-# Weight of the layout; that of the global descriptor, which alone is the better one, is 1.
+# Weight of the layout's cosine in the mean; the global descriptor's, the more reliable, has 1.
 LAYOUT_WEIGHT = 0.5
 
 
 class LearnedPlace:
     """The global descriptor with the layout of features, for `loops`."""
 
-    # one per cent of true returns are below
+    # one per cent of true returns have a lower similarity
     min_similarity = 0.45
 
     def __init__(self, net: FeatureNet) -> None:

@@ -30,7 +30,8 @@ class Measurements:
     """Measurements of one window: O observations of M points in C views.
 
     view, point: (O,) indices, in order of the view. uv: (O, 2) px. sigma_px: (O,) one sigma of uv.
-    eye: (C,) 0 or 1, primary views first. t: (C,) seconds. size: (2, 2) width, height an eye.
+    eye: (C,) 0 or 1, primary views first. t: (C,) seconds. size: (2, 2) width, height
+    of each eye's pictures.
     """
 
     view: Int
@@ -48,7 +49,11 @@ class Measurements:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Unknowns: T_c_s (C, 4, 4) [spacings], points (M, 4) unit homogeneous, sub-map; kit theta."""
+    """Unknowns of a window, lengths in spacings.
+
+    T_c_s: (C, 4, 4) sub-map to camera. points: (M, 4) homogeneous, of unit length, in the
+    sub-map's frame. theta: (SIZE,) the kit (kit/layout.py).
+    """
 
     T_c_s: Float
     points: Float
@@ -103,8 +108,10 @@ class _Optics:
 
 
 def camera_points(state: State, m: Measurements) -> Float:
-    """Homogeneous points (3, O) in camera axes: each observation's, scaled to unit length of the
-    sub-map's homogeneous point."""
+    """Each observation's point (3, O) in the axes of its view.
+
+    Up to a scale: a homogeneous point of unit length, without its fourth coordinate.
+    """
     n_points, n_views = len(state.points), m.n_views
     # product of all views and all points: faster than selecting the few observed pairs
     every = state.points @ state.T_c_s[:, :3].reshape(-1, 4).T
@@ -180,8 +187,8 @@ class RigTies:
         return np.asarray(out)
 
 
-# Sigma of a tie: that of simultaneous exposures, and the error of interpolating the primary at
-# constant velocity, which grows with these accelerations.
+# Sigma of a tie at simultaneous exposures (TIE_*). Between two primary exposures the error of
+# interpolation at constant velocity is added, for accelerations with these sigmas.
 TIE_TRANSLATION_SIGMA = 2e-3  # spacings
 TIE_ROTATION_SIGMA_RAD = 1e-4
 ACCELERATION = 3.0  # spacings / s^2

@@ -15,7 +15,8 @@ EDGE_LEVELS = 12.0
 def aggregate(cost: Float32, gray: Bytes) -> Float32:
     """(D, h, w) costs -> the mean of four semi-global path costs, the same shape.
 
-    gray: (h, w), the picture of the volume. Hirschmueller, PAMI 2008: along a path
+    gray: (h, w), the picture of the volume. Hirschmueller, PAMI 2008: along a path, with q the
+    pixel before p, and d, k planes,
     L(p, d) = C(p, d) + min(L(q, d), L(q, d +- 1) + step, min_k L(q, k) + jump) - min_k L(q, k).
     """
     total = np.zeros_like(cost)

@@ -1,9 +1,10 @@
-"""Correct timestamps for host delay, as distinguished from irregular exposure.
+"""Correct timestamps for host delay: pictures exposed regularly, but stamped irregularly.
 
-Both cause jitter of the stamps. The pictures distinguish them: they determine the position of an
-assistant view on the path independently of its stamp. So a window is first solved with ties that
-are softened along the path by the jitter. Then the share of the jitter that is host delay is
-estimated, and if it is significant the instants are corrected and the ties made stiff again.
+Irregular exposures with correct stamps cause the same jitter and must not be corrected. The
+pictures distinguish the two: they determine the position of an assistant view on the path
+independently of its stamp. So a window is first solved with ties that are softened along the path
+by the jitter. Then the share of the jitter that is host delay is estimated, and if it is
+significant the instants are corrected and the ties made stiff again.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ def temporal_tracks(
 ) -> Iterator[tuple[Int, Float32, Float32]]:
     """Corner tracks through consecutive pictures.
 
-    Per view the track ids (n,), uv (n, 2) px and sigma (n,) px.
+    Yields for each picture the track ids (n,), uv (n, 2) px and sigma (n,) px.
     """
     uv = detect_corners(pictures[0], np.zeros((0, 2), np.float32))
     ids = np.arange(len(uv))

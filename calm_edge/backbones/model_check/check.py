@@ -26,7 +26,7 @@ WORTH_IT = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """Comparison of an output with its golden value: relative RMS error of the worst view."""
+    """Error of an output against its golden value, as `golden.deviation`, and its tolerance."""
 
     precision: Precision
     case: str
