@@ -79,8 +79,11 @@ class FrontendConfig:
     flow_px: mean flow between keyframes, in px of an image flow_reference_width_px wide.
     max_keyframe_gap_s: longest time between keyframes while moving. first_window: number of
     keyframes in the first window, at most n_max; small, for an early first pose. The second window
-    contains them again. standstill_px: flow below which the car stands still. lost_after_ms: age
-    after which a pose is lost.
+    contains them again. n_max: number of primary keyframes in the other windows, of which the first
+    n_overlap are the last ones of the previous window. max_pair_gap_s: largest
+    time between a keyframe and its assistant frame. tracker_points: most points tracked for the
+    live pose. standstill_px: flow below which the car stands still. lost_after_ms: age after which
+    a pose is lost.
     """
 
     flow_px: float = 25.0
@@ -143,15 +146,22 @@ class ScaleConfig:
 
 @dataclass(frozen=True, slots=True)
 class CorrectionConfig:
-    """[correction]: correction of intrinsics and poses (paper V; its symbols F, M, K_global).
+    """[correction]: correction of intrinsics and poses (paper V; extensions of it are marked).
+
+    Focal lengths are searched that fit the fundamental matrices F of many image pairs. Pairs of one
+    sub-map form a group, and the groups of a camera its bank.
 
     apply: `auto` (if the backbone does not estimate the kit itself), always, never. matches: `auto`
     (the backbone's if it provides them, else SIFT) or `sift`. weighted (extension): weight each F
     by its information. refine (extension): minimise the score over the bank; if off, search among
-    the backbone's guesses by the unweighted mean. rotation, translation: parts of the pose
-    correction. general_translation: use the skew part of M; if off, the simplified t = S t_est.
-    rigid_rig (extension): remove a constant rotation rate of the assistant relative to the primary.
-    adaptive_damping: if off, damping is 1 as soon as there is a K_global.
+    the backbone's guesses by the unweighted mean. rotation, translation: correct the rotations, the
+    translations of the poses. general_translation: correct translations for any rotation between
+    two views; if off, by the paper's simpler formula for small ones. rigid_rig (extension): remove
+    a constant rotation rate of the assistant relative to the primary. adaptive_damping: correct a
+    focal by a share that grows with the bank; if off, in full from the first estimate on.
+    group_every: sub-maps from one group of image pairs to the next. n_pair: least number of F in a
+    group. n_feature: least number of inliers of an F. n_group: most groups in the bank of a camera.
+    max_features: most SIFT features per image.
     """
 
     apply: Literal["auto", "always", "never"] = "auto"
@@ -175,7 +185,8 @@ class LoopConfig:
     """[loops]: loop closure (paper IV-D).
 
     min_gap: least number of keyframes between two visits to a place. top_k: candidates per query.
-    max_places: size of the database. min_matches: inliers needed. descriptor: `learned` (by the
+    max_places: most places kept to search in. min_matches: epipolar inliers that two images of one
+    place must have. descriptor: `learned` (by the
     backbone's network), `gradients`, or `auto` (learned if there is a network).
     """
 
@@ -191,8 +202,10 @@ class LoopConfig:
 class PoseGraphConfig:
     """[posegraph]: joint pose graph optimisation (paper IV-C).
 
-    optimise: if off, poses are not optimised. window: number K of preceding frames in E_ast.
-    Variances are in map units² and rad².
+    optimise: if off, poses are not optimised. window: each keyframe has edges to this many earlier
+    ones of its sub-map. rotation_variance, translation_variance: of such an edge, rad² and map
+    units². rig_prior_variance: of the prior on the rig T_p_a, whose mean is the rig of the first
+    sub-map; of rotation and translation alike, in the same units.
     """
 
     optimise: bool = True
@@ -206,10 +219,18 @@ class PoseGraphConfig:
 class MappingConfig:
     """[mapping]: dense map (paper VI). suppression_radius, max_range, cloud_voxel: map units.
 
-    suppress, distance_weight, deform: parts of VI-C and VI-D, which can be switched off for
-    ablations. grid: anchor candidates per image side. depth_tolerance: relative to the depth.
-    max_range: pixels with a larger z-depth are not used. cloud_voxel: edge of a voxel, in which one
-    point is kept (0.1 m for cameras half a metre apart).
+    Anchors, points seen in several views, join the sub-maps. For ablations these can be switched
+    off: suppress, use only anchors without a neighbour within suppression_radius that more sub-maps
+    observe; distance_weight, average an anchor's positions of several sub-maps with the weight
+    1 / distance² to the sub-map's central camera; deform, bend each sub-map so that its anchors
+    meet these averages.
+
+    grid: at most one new anchor is taken from each of grid x grid cells of an image.
+    depth_tolerance: a view sees an anchor if the view's depth there differs from the anchor's by at
+    most this share. min_confidence, max_range: pixels with a lower confidence or larger z-depth are
+    not used. stiffness: resistance of a sub-map to bending, 0: none. max_control_points: most
+    anchors that bend one sub-map. cloud_voxel: edge of a voxel, in which one point is kept (0.1 m
+    for cameras half a metre apart).
     """
 
     suppress: bool = True

@@ -237,8 +237,8 @@ class LoopClosure:
 class GlobalIntrinsics:
     """Result of the online intrinsic search: K_global of each camera and its weight (V-A).
 
-    cameras: one per eye. damping: (2,) multiples of 0.1 in [0, 1] (V-C). focal_log_sigma: (2,)
-    sigma of the log focal length, inf if no fundamental matrix determines it.
+    cameras: one per eye. damping: (2,) share of each focal's error to correct, in tenths (V-C).
+    focal_log_sigma: (2,) sigma of the log focal length, inf if no fundamental matrix determines it.
     """
 
     cameras: tuple[Camera, Camera]

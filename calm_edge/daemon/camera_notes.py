@@ -9,7 +9,7 @@ from device.camera import Camera
 
 
 class CameraNotes:
-    """Owner of the settings and warnings reported so far.
+    """Reporter of camera settings when they change, and of each camera warning once.
 
     describe: called with changed settings: one JSON text each under `primary` and `assistant`, and
     the time of the change under `since_ns`. say: called with a warning for the user.

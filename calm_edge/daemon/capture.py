@@ -34,7 +34,7 @@ SWITCH_S = 0.0005
 
 
 class Capture:
-    """Owner of one run of `record`."""
+    """Capture loop of one run of `record`, until the frames end or a stop is requested."""
 
     def __init__(self, hub: Hub, notifier: Notifier) -> None:
         self._hub, self._notifier = hub, notifier
@@ -150,7 +150,7 @@ class Capture:
         return len(frames)
 
     def _finish(self) -> None:
-        """Wait for the last windows, until all windows are solved, and for the joint optimum."""
+        """Wait for the tracker's last windows, for their solutions, and for the joint optimum."""
         hub = self._hub
         hub.capturing = False
         if self._lockstep:

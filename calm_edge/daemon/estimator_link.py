@@ -48,7 +48,7 @@ def run_estimator(connection: Connection, config: Config, lockstep: bool) -> Non
 
 
 class EstimatorLink:
-    """Owner of the estimator process, of the windows queued for it and of the counts of lost ones.
+    """Handle of the estimator process: restarts it after a death, queues windows, counts losses.
 
     now_ns: the clock of the frames' stamps.
     """

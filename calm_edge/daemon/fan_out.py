@@ -32,9 +32,9 @@ Call = Callable[["Output"], object]
 class Output:
     """Base class of a consumer of live results; a subclass overrides the methods it needs.
 
-    They are called from a separate thread with a queue of `queue_bytes`; when it is full the oldest
-    message is dropped. If a method raises, that message is lost and counted. Arguments must not be
-    modified.
+    The methods are called from a separate thread with a queue of `queue_bytes`; when the queue is
+    full its oldest message is dropped. If a method raises, that message is lost and counted.
+    Arguments must not be modified.
 
     immediate: the methods do not block and are called by the capture loop, without a queue.
     required: an exception ends the run.
@@ -86,7 +86,7 @@ class Output:
 
 
 class FanOut:
-    """Owner of the outputs of one run, which are called in the given order."""
+    """Passes each result to all outputs of one run, in the given order."""
 
     def __init__(self, outputs: Sequence[Output]) -> None:
         self._guards = [Guard(o) if o.immediate else QueuedGuard(o) for o in outputs]

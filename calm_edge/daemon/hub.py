@@ -41,7 +41,7 @@ class DaemonError(CalmEdgeError):
 
 
 class Hub:
-    """Owner of the links to tracker and estimator, and of the outputs, the recording first.
+    """Starts tracker, estimator and outputs (the recording first), and passes data between them.
 
     `Capture` opens the recording once both processes are ready and the cameras are open, so that an
     invalid configuration or a missing camera leaves no empty recording. Only `start` and `until`
@@ -142,7 +142,8 @@ class Hub:
         silent_ms = (self.source.clock.now_ns() - self._pose_ns) / 1e6
         self.estimator.capturing = self.capturing
         self.estimator.pose_lost = silent_ms > self.config.frontend.lost_after_ms
-        # after handling their messages: if this process was suspended, they must not appear to hang
+        # only after handling the messages of estimator and tracker: if this process was suspended,
+        # their answers are waiting, and without these both would be killed as hanging
         self.estimator.pump()
         self.tracker.pump()
         if self.estimator.lagging != self._lagging:

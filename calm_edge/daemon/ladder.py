@@ -62,7 +62,7 @@ def check(config: DegradeConfig) -> None:
 
 
 class Ladder:
-    """Owner of the current load-shedding step.
+    """Controller of load shedding: leaves out or resumes the work of one step at a time.
 
     After each `step_s` during which the computer was too hot or too many windows waited, work of
     one more step is left out; after each CALM_STEPS * `step_s` during which it was cool and at
@@ -121,7 +121,7 @@ class Ladder:
     def _backlog(self, now_s: float, waiting: int) -> tuple[str, ...]:
         if waiting > self._config.behind_windows:
             return (f"{waiting} windows wait to be solved",)
-        # few windows wait, but only because others were skipped
+        # after a recent skip the queue is short only because windows were skipped
         late = now_s - self._overtaken_s < self._config.step_s
         return ("windows come faster than they are solved",) if late else ()
 

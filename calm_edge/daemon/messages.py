@@ -96,8 +96,9 @@ class Attach:
 
 @dataclass(frozen=True, slots=True)
 class Attached:
-    """Answer to Attach. taken: the tracker uses the sub-map, having tracked its points until now.
+    """Answer to Attach.
 
+    taken: the tracker uses the sub-map, having tracked its points to the newest frame.
     T_map_odom: (4, 4) from the tracker's odometry frame to the map.
     """
 

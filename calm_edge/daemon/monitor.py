@@ -24,7 +24,7 @@ PERIOD_S = 1.0
 
 
 class Monitor:
-    """Owner of the daemon's state, of the load shedding and of the timing of the capture loop.
+    """Determines the daemon's state and the load-shedding step, and times the capture loop.
 
     Not updated in lockstep, where the results must not depend on time or load.
     """

@@ -21,7 +21,7 @@ def kept_frames(keys: Iterable[FrameKey], window: WindowRecord) -> set[FrameKey]
 
 
 class ReceivedFrames:
-    """Owner of the received frames; assembles windows from them."""
+    """Store of the received frames, from which windows are assembled."""
 
     def __init__(self) -> None:
         self._frames: dict[FrameKey, Frame] = {}
@@ -30,7 +30,7 @@ class ReceivedFrames:
         return len(self._frames)
 
     def add(self, frame: Frame) -> None:
-        """Add a frame."""
+        """Keep a received frame until no later window needs it."""
         self._frames[frame_key(frame)] = frame
 
     def window(self, message: Process) -> SubmapWindow:

@@ -20,7 +20,7 @@ class RecordResult:
     """Counts of one run, and the final trajectory.
 
     lost_windows: ids of windows that the estimator had not finished when it died or was stopped.
-    windows_left_to_map: ids of windows not processed for lack of time; `calm-edge map` does it.
+    windows_left_to_map: ids of windows not processed for lack of time, left for `calm-edge map`.
     unsolved_windows: ids of windows from which no sub-map could be computed. late_poses: number of
     frames without a pose, because newer ones were waiting. clamped_stamps: number of
     frames with a corrected stamp. output_losses: lost messages by output, without the recording.

@@ -21,7 +21,7 @@ class TickLatency:
 
 
 class TickLatencyMeter:
-    """Owner of the latencies since the last `take`, and of a histogram of all earlier ones."""
+    """Collector of latencies: each one since the last `take`, a histogram of all earlier ones."""
 
     def __init__(self) -> None:
         self._recent: list[float] = []

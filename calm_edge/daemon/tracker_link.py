@@ -48,7 +48,7 @@ def run_tracker(
 
 
 class TrackerLink:
-    """Owner of the tracker process, of its input ring and of the frames it has not released.
+    """Handle of the tracker process: restarts it after a death, sends it frames, counts losses.
 
     The tracker returns only the keys of the frames of a window. Their bytes are kept here until the
     tracker releases them or dies: at most RING_SLOTS frames and those of the current window.

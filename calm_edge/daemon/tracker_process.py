@@ -136,7 +136,7 @@ class TrackerWork:
         """
         picture = dataclasses.replace(frame, image=image)
         if frame.eye is Eye.ASSISTANT:
-            # the tracker does not use it: decode at 1/8 only to check that it is readable
+            # not used for tracking: decode at 1/8 of its size only to check that it is readable
             picture.gray(8)
             return self._builder.add_assistant(frame), False
         gray = self._gray(picture)

@@ -28,7 +28,7 @@ class SkippedWindow:
 
 
 class Atlas:
-    """Owner of the poses of all sub-maps and keyframes. epoch: incremented when they move."""
+    """World poses of all sub-maps and keyframes. epoch: incremented when existing poses move."""
 
     def __init__(self, config: Config) -> None:
         self._config = config

@@ -14,7 +14,8 @@ from calm_edge.types import Float, Hints, KitBelief, Prediction
 
 log = logging.getLogger(__name__)
 
-# A window is solved again once the log focal length has changed by more than this since.
+# A window is solved again if the newest log focal length differs by more than this (1 %) from the
+# one with which the window was solved.
 FOCAL_MOVED = 0.01
 
 
@@ -31,7 +32,7 @@ class _Window:
 
 
 class KitMemory:
-    """Owner of the kit evidence of all windows, and of the `limit` most recent windows.
+    """Collects the kit evidence of all windows; keeps the newest `limit` ones to solve again.
 
     prior: belief of earlier drives, or None. Windows are kept, without their depth, only if the
     backbone can solve them again (has `resolve`).
@@ -56,7 +57,7 @@ class KitMemory:
         return product([self.prior, self.evidence(without)])
 
     def add(self, submap_id: int, prediction: Prediction, hints: Hints) -> None:
-        """Add a solved window."""
+        """Collect the kit evidence of a solved window, and keep the window to solve it again."""
         if prediction.kit is not None:
             self._evidence[submap_id] = prediction.kit
             self._total = product([self._total, prediction.kit])
@@ -72,7 +73,10 @@ class KitMemory:
         return list(self._windows)
 
     def outdated(self) -> list[int]:
-        """Ids of sub-maps solved with another focal length than the newest, if that is accurate."""
+        """Ids of sub-maps whose focal length differs from the newest one's by over FOCAL_MOVED.
+
+        Per camera; only if the sigma of the newest log focal length is below FOCAL_MOVED.
+        """
         if not self._windows:
             return []
         newest = next(reversed(self._windows.values()))
@@ -106,7 +110,8 @@ class KitMemory:
                 solved[submap_id] = prediction
             except BackboneError as error:
                 log.warning("sub-map %d keeps its earlier solution: %s", submap_id, error)
-            # also after a failure, so that the window is not tried again with the same belief
+            # also after a failure store the newest focal length, so that `outdated` does not list
+            # the window again with the same belief
             light = replace(prediction, depth=None, confidence=None)
             self._windows[submap_id] = _Window(light, hints, log_focal)
         for submap_id, prediction in solved.items():

@@ -45,15 +45,15 @@ from device.frame import UnreadableImage
 
 log = logging.getLogger(__name__)
 
-# Growth of the number of sub-maps after which all are rectified and placed again, if the
-# calibration has changed since. Calibration changes little late in a drive.
+# All sub-maps are rectified and placed again, if the calibration has changed, once their number has
+# grown by this factor since the last time: calibration changes little late in a drive.
 REPLACE_GROWTH = 1.1
 # Sub-maps placed again per window, so that its cost does not grow with the drive.
 REPLACED_PER_WINDOW = 8
 
 
 class Localizer:
-    """Owner of the atlas and of the estimates of the kit; deterministic in its windows.
+    """Computes placed sub-maps from windows, in order; deterministic, given the windows.
 
     loops: finder of loop closures (IV-D), by default as configured. optimiser: computes the joint
     optimum; if in another process, the result is applied with a later window.

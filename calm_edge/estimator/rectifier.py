@@ -34,7 +34,7 @@ class Calibration:
 
 
 class Rectifier:
-    """Owner of the intrinsic search and of the time offset estimator.
+    """Corrects and scales raw sub-maps; estimates intrinsics and time offset from them.
 
     estimates_kit: the backbone itself estimates intrinsics and time offset, as `bundle` does. Then
     sub-maps are only scaled, unless `correction.apply` is `always`.

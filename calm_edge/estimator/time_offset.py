@@ -16,7 +16,7 @@ import numpy as np
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Submap
 
-# Prior of the offset of two cameras, zero mean.
+# Sigma of the prior of the offset; its mean is zero.
 PRIOR_SIGMA_S = 0.02
 # Sigma of the systematic error: in turns, poses distorted by a wrong focal length look like a time
 # offset. On scripted drives without offset, up to 11 ms were estimated.
@@ -108,12 +108,12 @@ def estimate(history: list[Samples]) -> TimeOffset:
 
 
 def _step(history: list[Samples], offset: float) -> tuple[float, float]:
-    """Gauss-Newton step of the offset and its sigma, both in seconds."""
+    """Return the Gauss-Newton step of the offset, and the sigma of the offset, in seconds."""
     r, J, k = _residuals(history, offset)
     # subtracting the mean projects out the six parameters of the rig
     J_free, r_free = J - J.mean(0), r - r.mean(0)
     H = float((J_free * J_free).sum())
-    # noise of the poses enters the twist and makes H too large: subtract the expected amount
+    # noise of the poses enters the twist and so the information H: subtract the expected amount
     span = np.concatenate([s.span_s for s in history])
     signal = H - float((r_free**2).mean() * (6 / span**2).sum())
     if signal <= 0:
@@ -161,7 +161,7 @@ class TimeOffsetEstimator:
         self.offset = TimeOffset(0.0, PRIOR_SIGMA_S)
 
     def add(self, submap: Submap) -> None:
-        """Add a sub-map with corrected poses, in raw units."""
+        """Estimate `offset` again with one more sub-map, of corrected poses in raw units."""
         found = samples(submap)
         if found is None:
             return

@@ -15,7 +15,10 @@ TRUNCATE_M = 5.0
 
 @dataclass(frozen=True, slots=True)
 class CloudError:
-    """Mean distances [m]. accuracy: map to truth; completeness: truth to map; chamfer: mean."""
+    """Mean distances [m] to the nearest point; small is good.
+
+    accuracy: from map to truth. completeness: from truth to map. chamfer: mean of the two.
+    """
 
     accuracy_m: float
     completeness_m: float
@@ -43,7 +46,7 @@ def voxel_means(points: Float, size: float = VOXEL_M) -> Float:
 
 
 def mean_distance(points: Float, to: Float, truncate: float = TRUNCATE_M) -> float:
-    """Mean nearest-neighbour distance of points (N, 3) to `to` (M, 3), truncated."""
+    """Mean distance of points (N, 3) to the nearest of `to` (M, 3); each at most `truncate`."""
     from scipy.spatial import cKDTree
 
     distance, _ = cKDTree(to).query(points, distance_upper_bound=truncate, workers=-1)

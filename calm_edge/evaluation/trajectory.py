@@ -75,11 +75,12 @@ def rpe(T: Float, T_truth: Float, segment_m: float = SEGMENT_M) -> tuple[float, 
 def window_scales(
     p: Float, p_truth: Float, window: int = WINDOW_FRAMES, stride: int = WINDOW_STRIDE
 ) -> Float:
-    """Scale (W,) of sliding windows relative to the truth, normalised by the first window.
+    """Scale (W,) of the estimate in sliding windows, relative to that in the first window.
 
-    p, p_truth: (N, 3) positions of the same frames. The scale of a window is the ratio of the
-    RMS distances to the window's mean; unlike a least-squares scale it is not biased low by
-    noise. Windows at standstill are skipped. Paper VII, scale consistency: 100 frames, stride 5.
+    p, p_truth: (N, 3) estimated and true positions of the same frames. The scale of a window is
+    the RMS distance of its positions from their mean, estimated over true; unlike a least-squares
+    scale it is not biased low by noise. Windows at standstill are skipped. window, stride: frames,
+    by default those of paper VII (scale consistency).
     """
     scales = []
     for i in range(0, len(p) - window + 1, stride):
@@ -92,9 +93,11 @@ def window_scales(
 
 
 def scale_consistency(p: Float, p_truth: Float) -> tuple[float, float] | None:
-    """(mean |scale - 1|, standard deviation of the scale) over `window_scales` (paper VII).
+    """Return (mean |scale - 1|, standard deviation) of `window_scales`, small is good (paper VII).
 
-    p, p_truth: (N, 3) of the same frames. None with fewer than two windows (N < 105).
+    Scales are relative to that of the first window: (0, 0) if the scale does not drift, even if it
+    is wrong. p, p_truth: as for `window_scales`. None with fewer than two windows, the second of
+    which ends at frame WINDOW_FRAMES + WINDOW_STRIDE = 105.
     """
     if len(p) < WINDOW_FRAMES + WINDOW_STRIDE:
         return None

@@ -35,7 +35,7 @@ from device.frame import Eye, UnreadableImage
 
 @dataclass(slots=True)
 class Drive:
-    """Windows and their updates, equally long and in order of time.
+    """Solved windows of a drive in order of time, and the update of each at the same index.
 
     unsolved: ids of windows that could not be solved. losses: one line for each missing part.
     """

@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 
 
 class SegmentChain:
-    """Owner of the segment being written, and of the messages not written after a disk error.
+    """Writer of one segment after another; keeps the messages that a disk error left unwritten.
 
     After the first `open` no method raises OSError: a disk error is stored in `error` and passed to
     `on_error` (an empty text: recovered), and messages not written go to the next segment. root:

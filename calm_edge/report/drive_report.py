@@ -39,7 +39,7 @@ def _truth_in_world(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None
 
 
 def _scale_windows(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
-    """Scale of each 100-frame window: (W, 2) of (s since the start, scale relative to truth)."""
+    """`trajectory.window_scales` over time: (W, 2) of (s since the start, scale)."""
     p, p_truth = at_frames(t_ns, estimate.T_w_c, truth)
     scales = trajectory.window_scales(p, p_truth)
     first = np.searchsorted(truth.t_ns, t_ns[0])
