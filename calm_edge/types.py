@@ -154,7 +154,7 @@ class Prediction:
     notices: tuple[str, ...] = ()
 
     def without_loop(self) -> Prediction:
-        """The window's views, and the landmarks that the loop keyframe did not see."""
+        """Prediction of the window alone, without the landmarks triangulated for the loop view."""
         marks, sigma = self.landmarks, self.focal_log_sigma
         return replace(
             self,

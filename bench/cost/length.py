@@ -40,8 +40,8 @@ _LANDMARKS = 350
 class TeachingBackbone:
     """Scripted backbone with kit evidence and as many landmarks as `bundle` has.
 
-    The number of landmarks matters, since it determines the time of the intrinsic search. Uncoupled
-    (see `ScriptedErrors`), for speed.
+    The number of landmarks determines the time of the intrinsic search. Errors of focal and poses
+    are drawn independently (`ScriptedErrors.coupled` off): solving for consistent ones is slow.
     """
 
     def __init__(self, backbone: ScriptedBackbone) -> None:

@@ -148,7 +148,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Map a recording, compare it with its sequence folder, print and save the table."""
+    """Map a recording, compare the map with the ground-truth cloud, print and save the table."""
     truth = read_truth(options.truth)
     rows = measure(options.recording, truth, options.set, options.align, options.warp)
     name = options.truth.resolve().name + (f"_warp{options.warp:g}" if options.warp else "")

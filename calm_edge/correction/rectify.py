@@ -146,7 +146,11 @@ def without_trend(T_p_a: Float, t: Float) -> Float:
 def _loop(
     T_s_p: Float, T_s_p_new: Float, T_s_l: Float, S: Float, config: CorrectionConfig
 ) -> Float:
-    """Rectified loop views (L, 4, 4), corrected relative to the nearest primary view."""
+    """Rectified loop views (L, 4, 4).
+
+    The pose of each relative to the primary view nearest in position is corrected by the focal
+    ratios S (3, 3) and applied to that view's rectified pose.
+    """
     apart = np.linalg.norm(T_s_l[:, None, :3, 3] - T_s_p[None, :, :3, 3], axis=-1)
     nearest = apart.argmin(1)
     T_ref_l = se3.inverse(T_s_p[nearest]) @ T_s_l

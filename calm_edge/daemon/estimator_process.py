@@ -97,7 +97,7 @@ class EstimatorWork:
         if self._make_depth:
             update = self._densified(window, update)
         elif update.prediction.landmarks is not None:
-            # do not send depth through the pipe that will not be recorded
+            # depth that will not be recorded is not sent through the pipe
             light = dataclasses.replace(update.prediction, depth=None, confidence=None)
             update = dataclasses.replace(update, prediction=light)
         record = of_window(window) if joined is not None else None

@@ -161,7 +161,7 @@ class TimeOffsetEstimator:
         self.offset = TimeOffset(0.0, PRIOR_SIGMA_S)
 
     def add(self, submap: Submap) -> None:
-        """Estimate `offset` again with one more sub-map, of corrected poses in raw units."""
+        """Estimate `offset` again with one more sub-map; its poses are corrected, in raw units."""
         found = samples(submap)
         if found is None:
             return

@@ -87,7 +87,8 @@ def prepare(
         )
     if min(depth.shape[1:]) < 2 or image_size.shape != (n, 2):
         raise MappingError(
-            f"sub-map {submap.id}: depth {depth.shape} or image sizes {image_size.shape} too small"
+            f"sub-map {submap.id}: depth {depth.shape[1:]} px is below 2 x 2, or {len(image_size)} "
+            f"image sizes do not match {n} views; run calm-edge map again"
         )
     known = np.isfinite(depth) & (depth > 0)
     z = np.where(known, depth, 1.0) * np.float32(submap.scale)

@@ -134,7 +134,7 @@ def _made_alike(a: Gray, b: Gray, H_b_a: Float) -> Gray:
 
 
 def finished(a: Gray, b: Gray, uv: Float32, found: Matches) -> Matches:
-    """Refine matches of uv (N, 2) px by Lucas-Kanade, on pictures that need no warp.
+    """Refine matches of uv (N, 2) px by Lucas-Kanade, on images of similar zoom and rotation.
 
     Matches are dropped where Lucas-Kanade and the features disagree. Where the features have no
     match, Lucas-Kanade from the neighbours' flow is kept with a larger sigma; so are matches of the
