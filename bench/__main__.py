@@ -31,6 +31,7 @@ COMMANDS = {
     "cost.mapping": ("bench.cost.mapping", "processor time of anchors and mapping by stage"),
     "cost.search": ("bench.cost.focal_search", "focal errors of the intrinsic search over sigma"),
     "consistency": ("bench.consistency", "pose errors of the joint graph over their covariances"),
+    "lottery": ("bench.lottery.command", "drives drawn by lot: steps, scale, focal and sigmas"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }

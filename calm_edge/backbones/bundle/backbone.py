@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -16,10 +17,10 @@ from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import loop_view, stamps, window
-from calm_edge.backbones.bundle.initialise import initial_state, triangulated
+from calm_edge.backbones.bundle.initialise import chained, driven, initial_state, triangulated
 from calm_edge.backbones.bundle.matching import Matching
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
-from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve, total_cost
+from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
@@ -45,8 +46,10 @@ FOCAL_KNOWN = 0.05
 FOCAL_GUESSES = (1.0, 1.25, 0.75)
 GUESS_ITERATIONS = 15
 GUESS_POINTS = 200
+# Direction of travel in camera axes, as long as nothing is known of the mounting.
+AHEAD = np.array([0.0, 0.0, 1.0])
 SEED_SHARES = (0.5, 0.3, 0.15)
-# With a known kit, a start of a lower cost per observation is used without trying others.
+# A start of a lower cost per observation after a few iterations is used without trying others.
 GOOD_START = 1.0
 # Largest median reprojection errors [px] of a sub-map, and of one that gives evidence on the kit.
 MAX_MEDIAN_PX = 2.0
@@ -198,53 +201,35 @@ def _solve(
 def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool) -> State:
     """The best of several starts on the longest tracks; its poses then place every point.
 
-    A chain of resections can drift, and a wrong focal can trap the solver. First pairs are compared
-    by the cost of the start itself, focals by the cost after a few iterations.
+    A chain of resections can drift, and a wrong focal can trap the solver, so starts are compared
+    by their cost after a few iterations. The path of a car comes first; incremental structure from
+    motion follows where its cost is high.
     """
     few = window.thinned(m, GUESS_POINTS)
     candidates: list[tuple[float, State]] = []
-    failure: BackboneError | None = None
+    failure = BackboneError("bundle: no initial solution from any pair of keyframes")
     for factor in FOCAL_GUESSES[:1] if known else FOCAL_GUESSES:
         theta = belief.mean.copy()
         theta[layout.LOG_FOCAL] += np.log(factor)
-        try:
-            cost, state = _best_start(few, ties, belief, theta, known)
-        except BackboneError as error:
-            failure = error
-            continue
-        if not known:
+        paths = [partial(driven, few, theta, AHEAD)]
+        paths += [partial(chained, few, theta, share) for share in SEED_SHARES]
+        for path in paths:
+            try:
+                start = initial_state(few, theta, known, path())
+            except BackboneError as error:
+                failure = error
+                continue
             trial = solve(
-                state, few, stamps.freed(ties, state), _untempered(belief),
+                start, few, stamps.freed(ties, start), _untempered(belief),
                 robust_scale=ROBUST_SCALES[0], max_iterations=GUESS_ITERATIONS,
             )  # fmt: skip
-            cost, state = trial.cost, trial.state
-        candidates.append((cost, state))
-    if failure and not candidates:
+            candidates.append((trial.cost, trial.state))
+            if trial.cost < GOOD_START * len(few.uv):
+                break
+    if not candidates:
         raise failure
     best = min(candidates, key=lambda candidate: candidate[0])[1]
     return State(best.T_c_s, triangulated(m, best.T_c_s, best.theta), best.theta)
-
-
-def _best_start(
-    m: Measurements, ties: RigTies, belief: KitBelief, theta: Float, known: bool
-) -> tuple[float, State]:
-    """The start of lowest cost over several first pairs, with its cost."""
-    starts: list[tuple[float, State]] = []
-    failure = BackboneError("bundle: no initial solution from any pair of keyframes")
-    for share in SEED_SHARES:
-        try:
-            state = initial_state(m, theta, known, share)
-        except BackboneError as error:
-            failure = error
-            continue
-        freed = stamps.freed(ties, state)
-        cost = total_cost(state, m, freed, _untempered(belief), ROBUST_SCALES[0])
-        starts.append((cost, state))
-        if known and cost < GOOD_START * len(m.uv):
-            break
-    if not starts:
-        raise failure
-    return min(starts, key=lambda start: start[0])
 
 
 def _prediction(

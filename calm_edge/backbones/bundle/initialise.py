@@ -1,8 +1,10 @@
 """Initial poses, points and rig from matches and a rough focal.
 
-Incremental structure from motion: two primary views by their essential matrix, the others and the
-assistant's views by resection (PnP). The rig's rotation is unconstrained. Until the rig is found,
-lengths are in the *initial unit*, the distance of the first two views; then in spacings.
+The primary views as those of a car (travel.py), or by incremental structure from motion: two views
+by their essential matrix, the others by resection (PnP). The assistant's views by the rig, or by
+resection where it is unknown; the rig's rotation is then unconstrained. Until the spacing is found,
+lengths are in the *initial unit*: the median step of the car's path, or the distance of the first
+two views; then in spacings.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.bundle import travel
 from calm_edge.backbones.bundle.problem import Measurements, State
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
@@ -24,8 +27,18 @@ from calm_edge.types import Float, Int
 MIN_COMMON = 30
 MIN_RESECTION = 10
 RESECTION_PX = 4.0
-DEPTHS_IN_SPACINGS = (2.0, 2000.0)  # range searched for the median depth of a scene
-N_SPACINGS = 120
+# range of the depth of a scene's nearer points; their share of all, %
+DEPTHS_IN_SPACINGS = (1.0, 2000.0)
+NEAR_PERCENT = 20
+N_SPACINGS = 60
+# error of a known rig's rotation, and the iterations that find it
+RIG_SIGMA_RAD = 0.01
+RIG_ITERATIONS = 4
+# points further off the axis (x / z) do not count for it
+MAX_SLOPE = 2.0
+
+# T_c_s (4, 4) by view
+Poses = dict[int, Float]
 
 
 def normalised(m: Measurements, theta: Float) -> Float:
@@ -99,17 +112,22 @@ def _usable(X: Float) -> np.ndarray:
     return np.asarray(np.isfinite(X[:, 0]) & (X[:, 3] > 1e-4))
 
 
-def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: float) -> State:
-    """Poses of all views, points and kit; raises BackboneError where the matches do not suffice.
+def driven(m: Measurements, theta: Float, direction: Float) -> Poses:
+    """T_c_s of the primary views as those of a car; direction: (3,) of travel, camera axes."""
+    f = _pinholes(m, theta)[0].fx
+    T_c_s = travel.path(travel.matches(m, normalised(m, theta), f), direction)
+    return dict(zip(np.flatnonzero(m.eye == 0).tolist(), T_c_s, strict=True))
 
-    theta: the kit; its rig is used only when `rig_known`, else it is estimated here. seed_share:
-    position of the first pair's second view in the window.
+
+def chained(m: Measurements, theta: Float, seed_share: float) -> Poses:
+    """T_c_s of the primary views by incremental structure from motion; raises BackboneError.
+
+    seed_share: position of the first pair's second view in the window.
     """
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
-    primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
+    primary = np.flatnonzero(m.eye == 0)
     f = [camera.fx for camera in _pinholes(m, theta)]
-
     poses = _seed(m, rays, primary, f[0], seed_share)
     X = _triangulate_known(m, rays, poses, n_points)
     for view in _outward(primary, list(poses)):
@@ -118,6 +136,20 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, seed_share: fl
             raise BackboneError("bundle: a keyframe shares too few matches with its neighbours")
         poses[view] = pose
         X = _triangulate_known(m, rays, poses, n_points)
+    return poses
+
+
+def initial_state(m: Measurements, theta: Float, rig_known: bool, poses: Poses) -> State:
+    """Poses of all views, points and kit; raises BackboneError where the matches do not suffice.
+
+    theta: the kit; its rig is used only when `rig_known`, else it is estimated here. poses: of the
+    primary views, in any unit.
+    """
+    rays = normalised(m, theta)
+    n_points = int(m.point.max()) + 1
+    primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
+    f = [camera.fx for camera in _pinholes(m, theta)]
+    X = _triangulate_known(m, rays, poses, n_points)
     T_s_p = se3.inverse(np.stack([poses[int(v)] for v in primary]))
     instants = m.t[assistant] + theta[layout.TIME_OFFSET]
     at = se3.interpolate_at(m.t[primary], T_s_p, instants)  # primary poses at the exposures
@@ -228,7 +260,8 @@ def _rig(
 def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float) -> float:
     """The spacing in the initial unit when the rig is known, by a coarse and a fine line search.
 
-    The solver converges only from about the right scale, since that couples all unknowns.
+    The solver converges only from about the right scale, since that couples all unknowns. The error
+    of the rig's rotation can exceed the parallax of a road, so it is corrected at each candidate.
     """
     uv, p_p = _seen_across(m, X, assistant, at)
     camera, T_p_a = _pinholes(m, theta)[1], layout.rig(theta)
@@ -236,15 +269,25 @@ def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float)
     step = T_p_a[:3, :3].T @ T_p_a[:3, 3]
 
     def cost(spacing: float) -> float:
-        predicted = camera.project(_in_front(rotated - spacing * step))
-        error = np.linalg.norm(predicted - uv, axis=1)
-        return float(np.log1p((error / RESECTION_PX) ** 2).sum())
+        p_a = _in_front(rotated - spacing * step)
+        error = camera.project(p_a) - uv
+        # a small rotation w on the left moves p_a by w x p_a
+        J = camera.project_jacobian(p_a) @ -se3.hat(p_a)
+        J[np.abs(p_a[:, :2]).max(1) > MAX_SLOPE * p_a[:, 2]] = 0
+        w = np.zeros(3)
+        for _ in range(RIG_ITERATIONS):
+            size = np.linalg.norm(error + J @ w, axis=1)
+            weight = 1 / (RESECTION_PX**2 + size**2)
+            H = np.einsum("nij,n,nik->jk", J, weight, J) + np.eye(3) / RIG_SIGMA_RAD**2
+            w = np.linalg.solve(H, -np.einsum("nij,n,ni->j", J, weight, error))
+        size = np.linalg.norm(error + J @ w, axis=1)
+        return float(np.log1p((size / RESECTION_PX) ** 2).sum() + w @ w / RIG_SIGMA_RAD**2)
 
-    coarse = np.median(p_p[:, 2]) / np.geomspace(*DEPTHS_IN_SPACINGS, N_SPACINGS)
+    coarse = np.percentile(p_p[:, 2], NEAR_PERCENT) / np.geomspace(*DEPTHS_IN_SPACINGS, N_SPACINGS)
     best = int(np.argmin([cost(spacing) for spacing in coarse]))
     if best == N_SPACINGS - 1:
         raise BackboneError("bundle: the rig does not fit the matches between the cameras")
-    fine = np.geomspace(coarse[max(best - 1, 0)], coarse[best + 1], N_SPACINGS // 4)
+    fine = np.geomspace(coarse[max(best - 1, 0)], coarse[best + 1], N_SPACINGS)
     return float(fine[int(np.argmin([cost(spacing) for spacing in fine]))])
 
 

@@ -29,6 +29,12 @@ def guess_of(truth, factor):
     return theta
 
 
+def started(m, theta, rig_known, seed_share):
+    """The initial state from a chain of resections."""
+    poses = initialise.chained(m, theta, seed_share)
+    return initialise.initial_state(m, theta, rig_known, poses)
+
+
 def test_rays_undo_the_pinhole(exact):
     rays = initialise.normalised(exact.m, exact.truth.theta)
     q = (exact.truth.T_c_s[exact.m.view] @ exact.truth.points[exact.m.point][..., None])[..., 0]
@@ -45,18 +51,14 @@ def test_a_point_seen_once_starts_far_ahead(exact):
 
 
 def test_the_right_focals_give_the_true_state(exact):
-    state = initialise.initial_state(
-        exact.m, guess_of(exact.truth, 1.0), rig_known=False, seed_share=0.5
-    )
+    state = started(exact.m, guess_of(exact.truth, 1.0), rig_known=False, seed_share=0.5)
     assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
     assert np.allclose(state.theta, exact.truth.theta, atol=2e-3)
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_focals_wrong_by_a_fifth_give_a_state_to_start_from(exact, factor):
-    state = initialise.initial_state(
-        exact.m, guess_of(exact.truth, factor), rig_known=False, seed_share=0.5
-    )
+    state = started(exact.m, guess_of(exact.truth, factor), rig_known=False, seed_share=0.5)
     truth = exact.truth
     # the turn of 33 degrees looks longer to a shorter focal
     assert rotation_deg(state.T_c_s, truth.T_c_s).max() < 10
@@ -75,12 +77,21 @@ def test_focals_wrong_by_a_fifth_give_a_state_to_start_from(exact, factor):
 def test_the_assistants_focal_is_estimated_from_the_primarys_points(exact, factor):
     theta = guess_of(exact.truth, 1.0)
     theta[layout.LOG_FOCAL[1]] += np.log(factor)
-    state = initialise.initial_state(exact.m, theta, rig_known=False, seed_share=0.5)
+    state = started(exact.m, theta, rig_known=False, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta, atol=5e-3)
 
 
+def test_the_path_of_a_car_gives_the_true_state_too(exact):
+    poses = initialise.driven(exact.m, exact.truth.theta, np.array([0.0, 0.0, 1.0]))
+    state = initialise.initial_state(exact.m, exact.truth.theta, True, poses)
+    assert rotation_deg(state.T_c_s, exact.truth.T_c_s).max() < 0.5
+    moved = np.linalg.norm(se3.inverse(state.T_c_s)[:, :3, 3], axis=1)
+    true = np.linalg.norm(se3.inverse(exact.truth.T_c_s)[:, :3, 3], axis=1)
+    assert np.allclose(moved[true > 1] / true[true > 1], 1, atol=0.3)
+
+
 def test_a_known_rig_is_kept_and_sets_the_scale(exact):
-    state = initialise.initial_state(exact.m, exact.truth.theta, rig_known=True, seed_share=0.5)
+    state = started(exact.m, exact.truth.theta, rig_known=True, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta)
     assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
 
@@ -91,7 +102,7 @@ def test_an_assistant_on_the_other_side_of_the_known_rig_raises(exact):
     with pytest.raises(
         BackboneError, match=r"^bundle: the rig does not fit the matches between the cameras$"
     ):
-        initialise.initial_state(exact.m, theta, rig_known=True, seed_share=0.5)
+        started(exact.m, theta, rig_known=True, seed_share=0.5)
 
 
 def kept(m, rows):
@@ -101,16 +112,16 @@ def kept(m, rows):
 def test_without_matches_between_the_eyes_it_raises(exact):
     m = kept(exact.m, exact.m.eye[exact.m.view] == 0)
     with pytest.raises(BackboneError, match=r"^bundle: no matches between the cameras; let"):
-        initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)
+        started(m, exact.truth.theta, rig_known=False, seed_share=0.5)
 
 
 def test_a_first_keyframe_without_matches_raises(exact):
     m = kept(exact.m, exact.m.view != 0)
     with pytest.raises(BackboneError, match=r"^bundle: the first keyframes share too few"):
-        initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)
+        started(m, exact.truth.theta, rig_known=False, seed_share=0.5)
 
 
 def test_a_keyframe_without_matches_raises(exact):
     m = kept(exact.m, exact.m.view != 5)
     with pytest.raises(BackboneError, match=r"^bundle: a keyframe shares too few"):
-        initialise.initial_state(m, exact.truth.theta, rig_known=False, seed_share=0.5)
+        started(m, exact.truth.theta, rig_known=False, seed_share=0.5)

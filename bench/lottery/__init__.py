@@ -1,0 +1,1 @@
+"""Drives drawn by lot: places, rigs and focal lengths that nothing was tuned on."""

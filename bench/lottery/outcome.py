@@ -1,0 +1,150 @@
+"""What one checkout of calm-edge makes of one drive of the lottery, kept in a file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.drives import ROOT
+from bench.lottery.draw import Drawn
+from calm_edge.evaluation import EvaluationError
+from calm_edge.evaluation.trajectory import associate
+from calm_edge.evaluation.truth import read_truth
+from calm_edge.geometry import se3
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.retention import TRAJECTORY_FILE
+from calm_edge.trajectories import read_tum
+from calm_edge.types import Float
+
+FOLDER = ROOT / "build" / "lottery"
+# A keyframe step this far (log) from the true one, after one scale for the drive, is garbage.
+GARBAGE_LOG = 0.18
+# A true step shorter than this has no ratio, m.
+STANDING_M = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One drive. None where there is no result.
+
+    path_m, yaw_deg: of the truth; yaw is the sum of turns. placed: share of the keyframes that a
+    sub-map placed. garbage: share of the steps between placed keyframes. scale: of the best
+    similarity, 1 is right. focal_error, focal_sigma: logs, one an eye. failed: the reason of a
+    drive without a result, else empty.
+    """
+
+    drive: str
+    path_m: float
+    yaw_deg: float
+    ate_percent: float | None = None
+    scale: float | None = None
+    placed: float = 0.0
+    garbage: float = 1.0
+    focal_error: tuple[float, float] | None = None
+    focal_sigma: tuple[float, float] | None = None
+    failed: str = ""
+
+
+def code_key(checkout: Path) -> str:
+    """A hash of the shipped code and model of a checkout."""
+    digest = hashlib.sha256()
+    for folder in ("calm_edge", "device"):
+        for file in sorted((checkout / folder).rglob("*")):
+            if file.suffix in {".py", ".onnx", ".toml"}:
+                digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def outcome(drawn: Drawn, checkout: Path) -> Outcome:
+    """Of a drive, computed once for each state of the code; raises EvaluationError."""
+    kept = FOLDER / code_key(checkout) / f"{drawn.name}.json"
+    if kept.is_file():
+        values: dict[str, Any] = json.loads(kept.read_text())
+        pairs = {k: tuple(v) for k, v in values.items() if isinstance(v, list)}
+        return Outcome(**values | pairs)
+    sequence = drawn.prepare(FOLDER)
+    if isinstance(sequence, str):
+        raise EvaluationError(f"{drawn.name}: {sequence}")
+    found = _measured(drawn, checkout, sequence, kept.parent / drawn.name)
+    part = kept.with_suffix(".part")
+    part.write_text(json.dumps(asdict(found)))
+    part.rename(kept)
+    return found
+
+
+def _measured(drawn: Drawn, checkout: Path, sequence: Path, work: Path) -> Outcome:
+    truth = read_truth(sequence)
+    turns = se3.so3_log(se3.inverse(truth.T_w_c[:-1])[:, :3, :3] @ truth.T_w_c[1:, :3, :3])
+    path_m = float(np.linalg.norm(np.diff(truth.T_w_c[:, :3, 3], axis=0), axis=1).sum())
+    yaw_deg = float(np.degrees(np.abs(turns[:, 1].sum())))
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
+    try:
+        record = ["record", "--sequence", str(sequence), "--pace", "lockstep", "--out"]
+        spacing = ["--spacing-m", f"{drawn.spacing_m:g}"]
+        _run(checkout, *record, str(work / "recording"), *spacing)
+        said = _run(checkout, "eval", str(work / "recording"), "--truth", str(sequence), "--json")
+        figures = json.loads(said)
+        if figures["ate_se3_m"] is None:
+            raise EvaluationError("no keyframe was placed")
+    except EvaluationError as error:
+        return Outcome(drawn.name, path_m, yaw_deg, failed=str(error))
+    focals, sigmas = figures["focal_px"], figures["focal_sigma_percent"]
+    errors, sigma = None, None
+    if focals is not None and sigmas is not None and truth.cameras is not None:
+        errors = _pair(np.log(f / c.fx) for f, c in zip(focals, truth.cameras, strict=True))
+        sigma = _pair(np.inf if s is None else s / 100 for s in sigmas)
+    placed, garbage = _steps(work / "recording", truth.t_ns, truth.T_w_c)
+    return Outcome(
+        drawn.name,
+        path_m,
+        yaw_deg,
+        100 * figures["ate_se3_m"] / path_m,
+        figures["sim3_scale"],
+        placed,
+        garbage,
+        errors,
+        sigma,
+    )
+
+
+def _pair(values: Iterable[float]) -> tuple[float, float]:
+    primary, assistant = values
+    return float(primary), float(assistant)
+
+
+def _steps(recording: Path, t_truth: Any, T_truth: Float) -> tuple[float, float]:
+    """Shares of keyframes placed, and of garbage among the steps between them."""
+    windows = list(Recording(recording).windows())
+    keyframes = {int(i) for w in windows for i, eye in zip(w.ids, w.eyes, strict=True) if eye == 0}
+    t_ns, T_w_c = read_tum(recording / TRAJECTORY_FILE)
+    i, j = associate(t_ns, t_truth)
+    step = np.linalg.norm(np.diff(T_w_c[i, :3, 3], axis=0), axis=1)
+    true = np.linalg.norm(np.diff(T_truth[j, :3, 3], axis=0), axis=1)
+    return len(t_ns) / max(len(keyframes), 1), garbage_share(step, true)
+
+
+def garbage_share(step: Float, true: Float) -> float:
+    """Share of the steps (N,) that are garbage against the true ones, standing left out."""
+    moving = true > STANDING_M
+    ratio = np.log(np.maximum(step[moving], 1e-9) / true[moving])
+    return float((np.abs(ratio - np.median(ratio)) > GARBAGE_LOG).mean())
+
+
+def _run(checkout: Path, *arguments: str) -> str:
+    """stdout of a `calm-edge` of that checkout; raises EvaluationError with its last line."""
+    command = [sys.executable, "-m", "calm_edge.cli", *arguments]
+    done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
+    if done.returncode not in (0, 3):
+        lines = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
+        raise EvaluationError(lines[-1])
+    return done.stdout

@@ -1,0 +1,202 @@
+"""First guess of the primary's path without random sampling: a car moves along one axis.
+
+With the direction of travel given in camera axes, the epipolar constraint of neighbouring keyframes
+depends on their rotation alone. Iteratively reweighted least squares solves for all rotations and
+the direction together, from no rotation. What is left of a point's motion, along the direction of
+travel, is the step over the point's distance; two steps that share points therefore have a ratio,
+and all ratios together give signed steps. Standing and reversing are steps like others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import eigh
+
+from calm_edge.backbones.bundle.problem import Measurements
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Int
+
+ITERATIONS = 15
+# scale of the Cauchy weights of the epipolar residual: wide first, to reach a wrong direction, then
+# narrowed by this factor an iteration down to the noise of matches
+FIRST_PX, NARROWING, EPIPOLAR_PX = 20.0, 0.6, 0.7
+# points that move less than this along the direction of travel count as far, with a small weight
+# that fixes the rotation of a car that stands
+FAR_PX, FAR_WEIGHT = 2.0, 0.02
+# points nearer to the direction of travel than this show neither rotation nor step
+NEAREST_RAD = 0.01
+# priors: direction of travel about its start; change of speed between steps over the median speed
+DIRECTION_SIGMA_RAD = 0.3
+SPEED_SIGMA = 0.1
+# Cauchy scale of the ratio of two steps at one point, sigmas
+RATIO_SIGMAS = 1.0
+# a step goes back where this many standard deviations of a fair vote of its points say so
+REVERSE_SIGMAS = 3.0
+TINY = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Matches:
+    """Matches of neighbouring keyframes, one row a match.
+
+    a, b: (n, 3) unit rays in the earlier and the later keyframe. pair: (n,) index of the earlier.
+    point: (n,) track. dt: (P,) seconds between the keyframes of each pair. f: focal [px].
+    """
+
+    a: Float
+    b: Float
+    pair: Int
+    point: Int
+    dt: Float
+    f: float
+
+
+def matches(m: Measurements, rays: Float, f: float) -> Matches:
+    """The matches of a window's primary views; rays: (O, 2) of its observations, on z = 1."""
+    bearing = np.c_[rays, np.ones(len(rays))]
+    bearing /= np.linalg.norm(bearing, axis=1, keepdims=True)
+    views = [np.flatnonzero(m.view == v) for v in np.flatnonzero(m.eye == 0)]
+    a, b, pair = [], [], []
+    for k, (first, second) in enumerate(pairwise(views)):
+        _, ia, ib = np.intersect1d(m.point[first], m.point[second], return_indices=True)
+        a.append(first[ia])
+        b.append(second[ib])
+        pair.append(np.full(len(ia), k))
+    dt = np.diff(m.t[m.eye == 0])
+    rows_a, rows_b = np.concatenate(a), np.concatenate(b)
+    of_pair = np.concatenate(pair)
+    return Matches(bearing[rows_a], bearing[rows_b], of_pair, m.point[rows_a], dt, f)
+
+
+def path(m: Matches, start: Float) -> Float:
+    """T_c_s (V, 4, 4) of the primary views, the median step one unit.
+
+    start: (3,) unit, the direction of travel in camera axes as far as known.
+    """
+    direction, turns = directed_turns(m, start)
+    steps = signed_steps(m, direction, turns)
+    T = [np.eye(4)]
+    for w, step in zip(turns, steps, strict=True):
+        T.append(T[-1] @ se3.compose(se3.so3_exp(w), step * (se3.so3_exp(w / 2) @ direction)))
+    return np.asarray(se3.inverse(np.stack(T)))
+
+
+def directed_turns(m: Matches, start: Float) -> tuple[Float, Float]:
+    """Direction of travel (3,), camera axes, and R_a_b of every pair as rotation vectors (P, 3).
+
+    Gauss-Newton on the epipolar residuals. On an arc the chord between two views has the direction
+    of travel half way of the rotation between them.
+    """
+    P = len(m.dt)
+    direction, turns = start, np.zeros((P, 3))
+    pose_of = 2 + 3 * m.pair[:, None] + np.arange(3)
+    for k in range(ITERATIONS):
+        scale_px = max(EPIPOLAR_PX, FIRST_PX * NARROWING**k)
+        basis = np.linalg.svd(direction[None])[2][1:]
+        across, along, J_d, J_w, J_along = _residuals(m, direction, basis, turns)
+        w_across = 1 / (1 + (across / scale_px) ** 2) / EPIPOLAR_PX**2
+        w_along = FAR_WEIGHT / (1 + (across**2 + along**2) / FAR_PX**2) ** 2 / FAR_PX**2
+        J = np.concatenate([J_d, J_w], 1)
+        rows = np.c_[np.broadcast_to([0, 1], (len(J), 2)), pose_of]
+        H, g = np.zeros((2 + 3 * P, 2 + 3 * P)), np.zeros(2 + 3 * P)
+        np.add.at(H, (rows[:, :, None], rows[:, None]), w_across[:, None, None] * _outer(J))
+        np.add.at(g, rows, (w_across * across)[:, None] * J)
+        weighted = w_along[:, None, None] * _outer(J_along)
+        np.add.at(H, (pose_of[:, :, None], pose_of[:, None]), weighted)
+        np.add.at(g, pose_of, (w_along * along)[:, None] * J_along)
+        H[:2, :2] += np.eye(2) / DIRECTION_SIGMA_RAD**2
+        g[:2] += basis @ (direction - start) / DIRECTION_SIGMA_RAD**2
+        H += np.eye(len(H)) * 1e-3  # a pair that shares nothing keeps its turn
+        step = np.linalg.solve(H, -g)
+        direction = direction + step[:2] @ basis
+        direction = direction / np.linalg.norm(direction)
+        turn = np.asarray(step[2:].reshape(P, 3))
+        turns = se3.so3_log(se3.so3_exp(turn) @ se3.so3_exp(turns))
+        if np.abs(step).max() < 1e-6 and scale_px == EPIPOLAR_PX:
+            break
+    return direction, np.asarray(turns)
+
+
+def _residuals(
+    m: Matches, direction: Float, basis: Float, turns: Float
+) -> tuple[Float, Float, Float, Float, Float]:
+    """Motion of each match across and along the direction of travel (n,) [px], and derivatives.
+
+    The derivatives: of the first by the direction's two angles (n, 2) and by the rotation (n, 3),
+    of the second by the rotation (n, 3).
+    """
+    moved = (se3.so3_exp(turns)[m.pair] @ m.b[..., None])[..., 0]
+    half = se3.so3_exp(turns / 2)
+    axis = (half @ direction)[m.pair]
+    normal, sine = _normal(axis, m.a)
+    away = np.cross(normal, m.a)
+    across, along = m.f * (normal * moved).sum(1), m.f * ((moved - m.a) * away).sum(1)
+    # the plane's normal depends on the direction of travel, rotated by half the turn
+    in_plane = moved - normal * (across / m.f)[:, None]
+    by_axis = m.f * np.cross(m.a, in_plane) / sine[:, None]
+    J_d = np.einsum("ni,nij->nj", by_axis, (half @ basis.T)[m.pair])
+    J_w = m.f * np.cross(moved, normal) + np.cross(axis, by_axis) / 2
+    return across, along, J_d, J_w, m.f * np.cross(moved, away)
+
+
+def _normal(axis: Float, a: Float) -> tuple[Float, Float]:
+    """Unit normals (n, 3) of the epipolar planes, and the sine of the angle to the axis (n,)."""
+    normal = np.cross(axis, a)
+    sine = np.maximum(np.linalg.norm(normal, axis=1), NEAREST_RAD)
+    return normal / sine[:, None], sine
+
+
+def _outer(J: Float) -> Float:
+    return np.asarray(J[:, :, None] * J[:, None])
+
+
+def signed_steps(m: Matches, direction: Float, turns: Float) -> Float:
+    """Lengths (P,) of the steps along the direction of travel, negative backwards, median size one.
+
+    A point whose angle to the direction grows from u to v over a step s is at the distance
+    s sin(v) / sin(v - u) before it and s sin(u) / sin(v - u) after it. Both distances of a point
+    between two steps agree: one homogeneous linear equation in the steps. Their weighted
+    least-squares solution is an eigenvector, with the noise of both sides as the metric (Taubin,
+    "Estimation of Planar Curves, Surfaces, and Nonplanar Space Curves", PAMI 1991).
+    """
+    P = len(m.dt)
+    moved = (se3.so3_exp(turns)[m.pair] @ m.b[..., None])[..., 0]
+    axis = (se3.so3_exp(turns / 2) @ direction)[m.pair]
+    normal, sin_u = _normal(axis, m.a)
+    grown = ((moved - m.a) * np.cross(normal, m.a)).sum(1)
+    sin_v = np.maximum(np.linalg.norm(np.cross(axis, moved), axis=1), NEAREST_RAD)
+    # points grow away from the direction of travel, unless a step goes back
+    clear = np.abs(grown) > FAR_PX / m.f
+    votes = np.bincount(m.pair, np.sign(grown) * clear, P)
+    way = np.where(votes < -REVERSE_SIGMAS * np.sqrt(np.bincount(m.pair, clear, P)), -1.0, 1.0)
+    grown = grown * way[m.pair]
+    before, after = grown / sin_v, grown / sin_u  # step over distance
+    # rows of one point in a pair and in the next
+    order = np.lexsort((m.pair, m.point))
+    first, second = order[:-1], order[1:]
+    linked = (m.point[first] == m.point[second]) & (m.pair[first] + 1 == m.pair[second])
+    k = m.pair[first[linked]]
+    i, j = after[first[linked]], before[second[linked]]
+    noise = [1 / (m.f * sine) ** 2 for sine in (sin_u[first[linked]], sin_v[second[linked]])]
+    rate = np.diff(np.diag(1 / m.dt), axis=0) / SPEED_SIGMA
+    smooth = rate.T @ rate
+    step = m.dt.copy()
+    for _ in range(ITERATIONS):
+        spread = step[k + 1] ** 2 * noise[0] + step[k] ** 2 * noise[1] + TINY
+        error = (step[k + 1] * i - step[k] * j) ** 2 / spread
+        weight = 1 / (1 + error / RATIO_SIGMAS**2) / spread
+        A, B = smooth / float(np.median(np.abs(step / m.dt))) ** 2, np.eye(P)
+        for row, column, value in (
+            (k + 1, k + 1, i * i), (k, k, j * j), (k, k + 1, -i * j), (k + 1, k, -i * j)
+        ):  # fmt: skip
+            np.add.at(A, (row, column), weight * value)
+        np.add.at(B, (k + 1, k + 1), weight * noise[0])
+        np.add.at(B, (k, k), weight * noise[1])
+        step = eigh(A, B, subset_by_index=[0, 0])[1][:, 0]
+        # an eigenvector has neither length nor sign
+        size = float(np.median(np.abs(step))) * (-1 if step.sum() < 0 else 1)
+        step = step / size if size else np.ones(P)
+    return np.asarray(way * step)
