@@ -47,7 +47,7 @@ class Optimisation:
         return 1e3 * self.cpu_s / self.keyframes
 
 
-class _Beside:
+class _DeferredOptimiser:
     """Optimiser that stores the request and solves it when `solve` is called, to time each part."""
 
     def __init__(self) -> None:
@@ -107,7 +107,7 @@ def peak_bytes(course: Course, deadline_s: float = 300.0) -> int:
 def snapshot(course: Course) -> Snapshot:
     """Request to the optimiser: the graph of the whole drive with loops."""
     atlas, _ = _graph(course.config, _uncorrected(course), with_loops=True)
-    beside = _Beside()
+    beside = _DeferredOptimiser()
     atlas.request_optimum(beside)
     assert beside.snapshot is not None
     return beside.snapshot
@@ -136,7 +136,7 @@ def _graph(config: Config, submaps: Sequence[Submap], *, with_loops: bool) -> tu
 
 def _optimise(config: Config, submaps: Sequence[Submap], with_loops: bool) -> Optimisation:
     atlas, n_loops = _graph(config, submaps, with_loops=with_loops)
-    beside, start = _Beside(), time.process_time()
+    beside, start = _DeferredOptimiser(), time.process_time()
     atlas.request_optimum(beside)
     asked = time.process_time()
     beside.solve()

@@ -17,7 +17,8 @@ from calm_edge.mapping.spool import Spool
 from calm_edge.mapping.views import prepare
 from calm_edge.types import Float32, Prediction, Submap
 
-# wavelength of the distortion, map units: most points of a sub-map are about so far away
+# wavelength of the smooth error added to depth, map units; about the distance of most points, so
+# that the error varies within a sub-map
 WAVE = 40.0
 
 

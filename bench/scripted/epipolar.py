@@ -179,7 +179,10 @@ class _Linear(NamedTuple):
 
 
 def _linear(slopes: Float, T_b_a: Float, matches: Matches) -> _Linear:
-    """Linearise at T_b_a (P, 4, 4); slopes (P, k, 3, 3): derivatives of the essential matrices."""
+    """Linearise the epipolar errors of pairs at T_b_a (P, 4, 4).
+
+    slopes: (P, k, 3, 3) derivatives of the essential matrices by the k parameters of a pose.
+    """
     x_a, x_b, f_a, f_b, weight = matches
     E = np.concatenate([essential(T_b_a)[:, None], slopes], 1)
     r, J = _residuals(E, x_a, x_b, f_a, f_b)

@@ -38,7 +38,7 @@ class EyeSearch:
 
     @property
     def camera(self) -> Camera | None:
-        """K_global of the paper; None before the first sub-map."""
+        """Camera of the best candidate so far (K_global, undamped); None before any sub-map."""
         return self._best
 
     @property

@@ -139,8 +139,9 @@ class Tracker:
     def _catch_up(self, keyframe: int, start: Tracks, known: dict[int, Float]) -> bool:
         """Begin to track the past frames since a keyframe one by one, in a second tracker.
 
-        Slower than hops, but new points replace those that leave the view. False if a second
-        tracker is already nearer to the newest frame: restarted each time, none would finish.
+        Slower than tracking over spaced frames, but new points replace those that leave the view.
+        False if a second tracker is already nearer to the newest frame: restarted each time, none
+        would finish.
         """
         first, running = self._past[keyframe], self._follower
         if running is not None and running._tracks is not None and self._followed_ns >= first.t_ns:

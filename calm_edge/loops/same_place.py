@@ -174,7 +174,10 @@ def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple
 
 
 def _pose(camera: Camera, points: Float, uv: Float, threshold_px: float) -> pnp.PoseFit | None:
-    """PnP pose T_q_c (4, 4) of an image from points (M, 3), query camera, and pixels (M, 2)."""
+    """Pose T_q_c (4, 4) of an image by PnP; None if it fails.
+
+    points: (M, 3) in the frame of the query camera. camera, uv: of the image, (M, 2) px.
+    """
     try:
         return pnp.locate(camera, points, np.asarray(uv, np.float32), np.eye(4), threshold_px)
     except cv2.error:  # raised if no sample gives a model

@@ -131,7 +131,8 @@ def _disagreement(
     """Squared Mahalanobis distances (M,) between loops b and their prediction from loops a.
 
     a, b: state rows i and j (M,) and measurement T_j_i (M, 4, 4). Loop a is carried to loop b
-    along the path. loop: (6, 6) covariance of a loop measurement. worse: as in `_Path.between`.
+    along the path. loop: (6, 6) covariance of a loop measurement. worse: factor on the drift along
+    the path.
     """
     (i_a, j_a, Z_a), (i_b, j_b, Z_b) = a, b
     T_ia_ib = se3.inverse(T_w_p[i_a]) @ T_w_p[i_b]

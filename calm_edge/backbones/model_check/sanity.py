@@ -38,7 +38,7 @@ class Reprojection:
 
 
 def check_numbers(outputs: Outputs, raw: Mapping[str, Tensor]) -> None:
-    """Raise ManifestError if an output is not finite or contradicts its encoding."""
+    """Raise ManifestError if an output is not finite, or below the minimum of its encoding."""
     for name in outputs.names():
         if not np.isfinite(raw[name]).all():
             raise ManifestError(f"output {name!r} is not finite")
