@@ -382,6 +382,8 @@ def test_the_clock_of_depthai_is_host_monotonic() -> None:
 
 LOADED = """
 import os, signal, sys
+# a job in the background inherits an ignored SIGINT
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from device.camera import CameraSpec, open_camera
 from device.clock import SystemClock
 from device.errors import CameraError
