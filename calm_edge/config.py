@@ -76,14 +76,15 @@ class DegradeConfig:
 class FrontendConfig:
     """[frontend]: keyframes, windows and the live tracker (paper IV-A and Implementation Details).
 
-    flow_px: mean flow between keyframes, in px of an image flow_reference_width_px wide.
+    flow_px: mean optical flow from one keyframe to the next, in px of an image
+    flow_reference_width_px wide.
     max_keyframe_gap_s: longest time between keyframes while moving. first_window: number of
     keyframes in the first window, at most n_max; small, for an early first pose. The second window
     contains them again. n_max: number of primary keyframes in the other windows, of which the first
     n_overlap are the last ones of the previous window. max_pair_gap_s: largest
-    time between a keyframe and its assistant frame. tracker_points: most points tracked for the
-    live pose. standstill_px: flow below which the car stands still. lost_after_ms: age after which
-    a pose is lost.
+    time between a primary keyframe and the assistant frame chosen for it. tracker_points: most
+    points tracked for the live pose. standstill_px: median flow between frames below which the car
+    counts as standing. lost_after_ms: time without a new pose after which the live pose is lost.
     """
 
     flow_px: float = 25.0

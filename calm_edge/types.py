@@ -126,7 +126,7 @@ class Landmarks:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Output of a backbone for N images: (K, T, D, C) of paper III.
+    """Output of a backbone for N images: intrinsics, poses, depth and its confidence (paper III).
 
     cameras: N, of the full image. T_s_c: (N, 4, 4) camera->sub-map, OpenCV axes, raw units.
     depth: (N, h, w) z-depth in raw units, 0 unknown; h, w may be smaller than the image, with
@@ -135,8 +135,8 @@ class Prediction:
     focal_log_sigma: (N,) sigma of the log focal length; None if the model does not estimate it.
     kit: evidence of this batch on the kit, without the prior in the hints; or None.
     assistant_late_s: time offset: how much later than its stamp, on the primary's clock, the
-    assistant is exposed. stamps_off_s: (A,) additional offset of each assistant view, None if
-    their stamps are regular.
+    assistant is exposed. stamps_off_s: (A,) what has to be added to that for each assistant
+    view; None if its stamps need no correction of their own.
     loop_found: False if the loop keyframe could not be placed; its pose is then meaningless.
     notices: lines for the user; a line repeated by later batches is reported once.
     """
@@ -177,7 +177,8 @@ class Submap:
     for rectifying again. T_s_c: (N, 4, 4) and cameras: rectified, in world units.
     scale: world units per raw unit, also of depth. T_w_s: (4, 4) sub-map->world.
     focal_log_sigma: (2,) sigma of each camera's log focal length when the sub-map was placed.
-    assistant_late_ns, stamps_off_ns: as assistant_late_s, stamps_off_s of Prediction.
+    assistant_late_ns: time offset, how much later than its stamp the assistant is exposed.
+    stamps_off_ns: (A,) additional offset of each assistant view, or None.
     """
 
     id: int
@@ -226,7 +227,11 @@ class Submap:
 
 @dataclass(frozen=True, slots=True)
 class LoopClosure:
-    """Relative pose T_match_query (4, 4), world units, of two primary keyframes of one place."""
+    """Relative pose of two primary keyframes that show one place.
+
+    T_match_query: (4, 4) from keyframe `query_id`, in the new sub-map, to the earlier `match_id`;
+    world units.
+    """
 
     query_id: int
     match_id: int
@@ -235,9 +240,10 @@ class LoopClosure:
 
 @dataclass(frozen=True, slots=True)
 class GlobalIntrinsics:
-    """Result of the online intrinsic search: K_global of each camera and its weight (V-A).
+    """Intrinsics of both cameras, estimated from the sub-maps so far (K_global of paper V-A).
 
-    cameras: one per eye. damping: (2,) share of each focal's error to correct, in tenths (V-C).
+    cameras: primary, assistant. damping: (2,) share of each focal's error to correct, 0 to 1 in
+    steps of 0.1 (V-C).
     focal_log_sigma: (2,) sigma of the log focal length, inf if no fundamental matrix determines it.
     """
 

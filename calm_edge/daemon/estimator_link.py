@@ -68,7 +68,7 @@ class EstimatorLink:
         self._events = events
         self._say = say
         self._inbox: deque[SubmapWindow] = deque()
-        # the id of the window being processed
+        # id of the window that the process is solving; None if it is idle
         self._in_hand: int | None = None
         # frames that have been sent to the current process
         self._sent: set[FrameKey] = set()
@@ -121,7 +121,7 @@ class EstimatorLink:
         return True
 
     def expect(self, keyframe: Frame) -> None:
-        """Send a keyframe before its window, to compute features early, if no window waits."""
+        """Send a new primary keyframe, for early computation of features, unless windows wait."""
         wanted = self._ready and self._expects_pictures
         if wanted and not self.given_up and not self._inbox:
             self._sent.add(frame_key(keyframe))

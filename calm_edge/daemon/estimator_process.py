@@ -58,7 +58,7 @@ class EstimatorWork:
 
     @property
     def expects_pictures(self) -> bool:
-        """Whether the backbone computes features early, from keyframes sent in Expect."""
+        """Whether the backbone computes features of a keyframe (Expect) before its window."""
         return isinstance(self._backbone, ExpectsPictures) and self._backbone.expects_pictures
 
     def handle(self, message: Any) -> Any:

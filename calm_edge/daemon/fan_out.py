@@ -70,7 +70,10 @@ class Output:
         """Take the result of the tracker's attempt to localise against a sub-map."""
 
     def cameras(self, settings: Mapping[str, str]) -> None:
-        """Take the settings of the cameras, when known or changed; keys as in `CameraNotes`."""
+        """Take the settings of the cameras, once known and when changed.
+
+        One JSON text each under `primary` and `assistant`; under `since_ns` the time of the change.
+        """
 
     def status(self, standing: Standing, health: Health | None) -> None:
         """Take the state of the daemon, every second; health is None when the daemon stops."""
@@ -79,7 +82,7 @@ class Output:
         """Take a line of the log. level: as in Python's logging."""
 
     def tick(self, now_ns: int) -> None:
-        """Note a cycle of the capture loop without a pose; called for immediate outputs only."""
+        """Act on a cycle of the capture loop without a pose; called for immediate outputs only."""
 
     def close(self, result: RecordResult) -> None:
         """End the output with the run; result.error is the reason if the run failed."""

@@ -45,7 +45,7 @@ class Hub:
 
     `Capture` opens the recording once both processes are ready and the cameras are open, so that an
     invalid configuration or a missing camera leaves no empty recording. Only `start` and `until`
-    block. say: prints a line for the user.
+    wait for anything. say: prints a line for the user.
     """
 
     def __init__(

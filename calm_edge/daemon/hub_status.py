@@ -17,8 +17,9 @@ class HubStatus:
 
     frame_ns: time of the last frame of each camera. pose_ns: time of the last live pose.
     pose_lost: the newest pose has the status LOST. pose_age_ms: largest age of a pose in this
-    second. windows_overtaken: number skipped in favour of newer ones. faults: one line for each
-    part that does not work. counts, drops, queues, stage_ms: see `Health`.
+    second. windows_overtaken: number skipped to process newer ones. faults: one line for each part
+    that does not work. counts, drops: numbers of items, and of losses by cause, since the
+    start. queues: lengths by name. stage_ms: durations of the newest window's stages.
     """
 
     now_ns: int

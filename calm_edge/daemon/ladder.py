@@ -9,7 +9,7 @@ from enum import IntEnum
 from calm_edge.config import ConfigError, DegradeConfig
 from device.thermal import Thermal
 
-# hysteresis: work is resumed only after this many times the period after which it is shed
+# hysteresis: work is left out after `step_s` of overload, resumed after this many `step_s` without
 CALM_STEPS = 3
 
 
@@ -39,8 +39,8 @@ _WORDS = {
 class Load:
     """Load of the computer.
 
-    waiting: number of windows not yet processed. overtaken: number of windows skipped so far in
-    favour of newer ones.
+    waiting: number of windows not yet processed by the estimator. overtaken: number of windows
+    that the estimator has skipped since the start, to process newer ones.
     """
 
     thermal: Thermal
@@ -97,7 +97,7 @@ class Ladder:
             elif now_s - self._pressed_since >= self._config.step_s:
                 self._pressed_since = now_s
                 last = len(self._steps) - (1 if hot else 2)
-                # max: if heat has led to the last step, waiting windows alone do not undo it
+                # max: waiting windows alone do not lead to the last step, but keep it if heat did
                 self._at = max(self._at, min(self._at + 1, last))
         elif self._cool(load.thermal) and load.waiting <= 1:
             self._pressed_since = None
@@ -121,7 +121,7 @@ class Ladder:
     def _backlog(self, now_s: float, waiting: int) -> tuple[str, ...]:
         if waiting > self._config.behind_windows:
             return (f"{waiting} windows wait to be solved",)
-        # after a recent skip the queue is short only because windows were skipped
+        # if windows were skipped recently, a short queue does not mean that the estimator keeps up
         late = now_s - self._overtaken_s < self._config.step_s
         return ("windows come faster than they are solved",) if late else ()
 

@@ -1,7 +1,9 @@
 """Messages between the processes of `calm-edge record`.
 
-The tracker gets images in shared memory (`ring`), the estimator in Expect or Process, each image
-once. Window records refer to frames by key.
+The tracker gets its images in shared memory (`ring`). The estimator gets each image once: a primary
+keyframe in an Expect, sent as soon as it is selected if the backbone computes features early and no
+window is queued; all other frames in the Process of the first window that contains them, sent when
+the estimator is idle. Window records refer to frames by key: camera, sequence number and stamp.
 """
 
 from __future__ import annotations
@@ -15,7 +17,10 @@ from device.frame import Eye, Frame
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The child process waits for work. expects_pictures: send it keyframes early, as Expect."""
+    """The child process waits for work.
+
+    expects_pictures: primary keyframes are to be sent ahead of their window, in Expect.
+    """
 
     expects_pictures: bool = False
 
@@ -29,7 +34,10 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """Next ids that a tracker assigns, and the epoch of its poses."""
+    """Ids of the next primary keyframe, assistant keyframe and sub-map, and the poses' epoch.
+
+    A restarted tracker continues from them.
+    """
 
     keyframe_id: int = 0
     assistant_id: int = 0
@@ -44,7 +52,7 @@ class Counters:
         return Counters(keyframe_id, assistant_id, window.submap_id + 1, self.epoch)
 
     def after_epoch(self, epoch: int) -> Counters:
-        """Return the counters after a pose of `epoch`."""
+        """Return the counters after a pose with this epoch."""
         return replace(self, epoch=epoch)
 
     def after_death(self) -> Counters:
@@ -76,7 +84,7 @@ class Tracked:
 
     windows: completed by this frame. released: frames that no later window contains. is_keyframe:
     the frame is a primary keyframe. problem: why the frame could not be decoded, or empty. late:
-    no pose was computed, since newer frames were waiting.
+    no pose was computed for this frame, since newer frames were already waiting.
     """
 
     slot: int
@@ -89,7 +97,7 @@ class Tracked:
 
 @dataclass(frozen=True, slots=True)
 class Attach:
-    """A sub-map for the tracker to localise against."""
+    """A solved sub-map, relative to which the tracker is to compute its poses."""
 
     update: LocalizerUpdate
 
@@ -98,7 +106,7 @@ class Attach:
 class Attached:
     """Answer to Attach.
 
-    taken: the tracker uses the sub-map, having tracked its points to the newest frame.
+    taken: True if the tracker uses the sub-map, i.e. could track its points to the newest frame.
     T_map_odom: (4, 4) from the tracker's odometry frame to the map.
     """
 
@@ -109,7 +117,7 @@ class Attached:
 
 @dataclass(frozen=True, slots=True)
 class Lagging:
-    """Whether the estimator is behind; poses of the tracker then get the status LAGGING."""
+    """Whether many windows wait for the estimator; poses then get the status LAGGING."""
 
     lagging: bool
 
@@ -150,17 +158,17 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Expect:
-    """A primary keyframe, sent before its window so that its features can be computed early."""
+    """A primary keyframe, sent once selected, so that features are computed before its window."""
 
     keyframe: Frame
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A window for the estimator.
+    """A window for the estimator to solve, sent when it is idle.
 
-    frames: the frames of the window that have not been sent before. left_out: windows since the
-    last Process message that are left for `calm-edge map`.
+    frames: the window's frames except those sent before, in Expect or with an earlier window.
+    left_out: windows left for `calm-edge map` since the last Process message.
     """
 
     window: WindowRecord

@@ -26,7 +26,7 @@ PERIOD_S = 1.0
 class Monitor:
     """Determines the daemon's state and the load-shedding step, and times the capture loop.
 
-    Not updated in lockstep, where the results must not depend on time or load.
+    Not updated in a lockstep replay, where results must not depend on time or load.
     """
 
     def __init__(self, config: Config, notifier: Notifier, outputs: FanOut) -> None:

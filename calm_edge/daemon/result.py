@@ -70,7 +70,7 @@ class RecordResult:
         return worst
 
     def pose_age_ms(self) -> dict[str, float] | None:
-        """Percentiles {p50, p99} of the pose age [ms] (see `note_pose`); None without a pose."""
+        """{p50, p99} [ms] of the time from exposure to publishing; None without a pose."""
         if not self._ages_ms:
             return None
         p50, p99 = np.percentile(self._ages_ms, [50, 99])

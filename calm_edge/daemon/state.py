@@ -10,8 +10,8 @@ class State(StrEnum):
     """State of the daemon; the first that applies in the order STOPPING ... RUNNING.
 
     STOPPING: capturing has ended. STARTING: no live pose yet. LOST: the live pose is lost.
-    DEGRADED: a part has failed or work is left out. LAGGING: windows or the capture loop are late.
-    RUNNING: none of these.
+    DEGRADED: a part has failed, or work is left out to reduce the load. LAGGING: several windows
+    wait to be solved, or the capture loop misses its deadlines. RUNNING: none of these.
     """
 
     STARTING = "STARTING"
@@ -26,7 +26,8 @@ class State(StrEnum):
 class Conditions:
     """Problems observed in one second as texts, empty if there are none.
 
-    pose: why there is no live pose. faults: failed parts and work left out. delays: late parts.
+    pose: why there is no live pose. faults: failed parts, and work left out to reduce the load.
+    delays: windows that wait, or a capture loop behind its deadlines.
     """
 
     stopping: bool = False

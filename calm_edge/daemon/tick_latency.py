@@ -21,7 +21,7 @@ class TickLatency:
 
 
 class TickLatencyMeter:
-    """Collector of latencies: each one since the last `take`, a histogram of all earlier ones."""
+    """Collector of latencies: single values since the last `take`, before it a histogram."""
 
     def __init__(self) -> None:
         self._recent: list[float] = []
@@ -44,7 +44,7 @@ class TickLatencyMeter:
         return TickLatency(len(recent), float(p50), float(p99), float(recent.max()))
 
     def overall(self) -> TickLatency:
-        """Statistics of all ticks up to the last `take`; percentiles rounded up to 0.05 ms."""
+        """Statistics of all ticks up to the last `take`; percentiles in 0.05 ms steps."""
         cumulated = np.cumsum(self._histogram)
         total = int(cumulated[-1])
         if not total:

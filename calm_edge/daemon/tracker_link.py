@@ -30,7 +30,7 @@ from calm_edge.recording.window_record import FrameKey, WindowRecord, frame_key,
 from calm_edge.types import LocalizerUpdate, SubmapWindow
 from device.frame import Frame
 
-# 0.8 s of two cameras at 30 Hz: the tracker may take that long to attach a new sub-map
+# frames of two cameras at 30 Hz in 0.8 s, during which the tracker may be busy attaching a sub-map
 RING_SLOTS = 48
 SLOT_BYTES = 4 << 20
 MAX_DEATHS_IN_A_ROW = 3

@@ -37,8 +37,8 @@ from calm_edge.recording.window_record import FrameKey, frame_key, of_window
 from calm_edge.types import Bytes, SubmapWindow
 from device.frame import Eye, Frame, UnreadableImage
 
-# A primary frame that is older than the newest one by more than this gets no pose. At ten frames a
-# second it is skipped as soon as a newer one has arrived.
+# A primary frame that is older than the newest one received by more than this gets no pose. It is
+# less than the time between frames at 10 Hz: there, a frame is skipped once the next has arrived.
 LATE_NS = 80_000_000
 
 

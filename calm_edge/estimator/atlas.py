@@ -1,7 +1,7 @@
 """Placed sub-maps and the pose graph between them (paper IV-B, placement, and IV-C).
 
-A keyframe shared by several sub-maps keeps its pose from the first one; the later ones are placed
-by that pose, T_w_f of IV-B.
+A keyframe shared by several sub-maps has its world pose from the first of them; each later one is
+placed so that the keyframe has that pose in it too (T_w_f of IV-B).
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ class Atlas:
         start, end = self._stamps[ids[-1]], int(submap.t_ns[0])
         between = [t for skipped in self._skipped for t in skipped.t_ns if start < t < end]
         gaps = np.diff(np.unique([start, *between, end])) * 1e-9
-        # twice the limit: the frame that exceeds it may arrive a little later
+        # twice the limit: a keyframe is the first frame after the limit, so it comes a little later
         moving_s = gaps[gaps < 2 * self._config.frontend.max_keyframe_gap_s].sum()
         T_last = self._graph.pose(ids[-1])
         step_s = (start - self._stamps[ids[0]]) * 1e-9

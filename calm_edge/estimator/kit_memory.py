@@ -23,7 +23,7 @@ FOCAL_MOVED = 0.01
 class _Window:
     """A solved window.
 
-    log_focal: (2,) log focal length when solved, per camera; NaN for a camera without images.
+    log_focal: (2,) log focal length in px of each camera, as solved; NaN for one without images.
     """
 
     prediction: Prediction
@@ -32,7 +32,7 @@ class _Window:
 
 
 class KitMemory:
-    """Collects the kit evidence of all windows; keeps the newest `limit` ones to solve again.
+    """Collects the kit evidence of all windows; keeps the newest `limit` windows to solve again.
 
     prior: belief of earlier drives, or None. Windows are kept, without their depth, only if the
     backbone can solve them again (has `resolve`).
@@ -73,9 +73,10 @@ class KitMemory:
         return list(self._windows)
 
     def outdated(self) -> list[int]:
-        """Ids of sub-maps whose focal length differs from the newest one's by over FOCAL_MOVED.
+        """Ids of sub-maps solved with another focal length than the newest window.
 
-        Per camera; only if the sigma of the newest log focal length is below FOCAL_MOVED.
+        That is, the log focal lengths of either camera differ by more than FOCAL_MOVED. A camera
+        counts only if the newest window's sigma of its log focal length is below FOCAL_MOVED.
         """
         if not self._windows:
             return []

@@ -222,7 +222,11 @@ class Localizer:
         prediction: Prediction,
         candidate: LoopCandidate | None,
     ) -> LoopClosure | None:
-        """T_loop as measured by the backbone; None if it disagrees with the candidate's pose."""
+        """Loop closure with the pose that the backbone computed for the loop keyframe.
+
+        None if there is no such keyframe or pose, or if the pose disagrees with the approximate one
+        of the candidate, from matches of the two images.
+        """
         match = window.loop_keyframe
         if match is None or not prediction.loop_found or match.id not in self._atlas:
             return None
@@ -255,7 +259,7 @@ class Localizer:
             self._begin_replacement(raw)
 
     def _sources(self) -> tuple[Submap, ...]:
-        """All sub-maps with their newest raw poses."""
+        """All sub-maps with their newest raw poses, also those not yet placed again."""
         return self._replacement.sources if self._replacement else self._atlas.submaps
 
     def _begin_replacement(self, submaps: Sequence[Submap]) -> None:

@@ -18,7 +18,8 @@ from calm_edge.estimator import scale
 from calm_edge.estimator.time_offset import TimeOffsetEstimator
 from calm_edge.types import Bytes, Float, GlobalIntrinsics, Landmarks, Submap
 
-# Placed sub-maps are rectified again if the time offset has changed by this and by half its sigma.
+# Placed sub-maps are rectified again once the time offset has changed by the larger of this and
+# half its sigma.
 OFFSET_MOVED_S = 0.001
 
 
@@ -119,7 +120,8 @@ class Rectifier:
 def _effective_sigma(raw: Submap, intrinsics: GlobalIntrinsics) -> Float:
     """Sigma (2,) of the log focal lengths of the corrected sub-map.
 
-    Sum in quadrature of the sigma of the search and of the error left by a damping below 1.
+    Sum in quadrature of the sigma of the intrinsic search, and of the share of the correction that
+    is not applied (1 - damping).
     """
     estimated = np.array([raw.cameras_raw[view].fx for view in (0, raw.n_primary)])
     left = np.log(estimated / intrinsics.focals) * (1 - intrinsics.damping)

@@ -15,9 +15,9 @@ log = logging.getLogger(__name__)
 class Replacement:
     """Build a second atlas from sub-maps rectified again, and replace the live one by it.
 
-    The live poses change all at once, when the second atlas has caught up. submaps: those to
-    rectify again. rectify: may raise ScaleError. Sub-maps added to the live atlas later are taken
-    as they are.
+    The live poses change all at once, when the second atlas has as many sub-maps as the live one.
+    submaps: all of the live atlas, with the raw poses to use. rectify: rectifies one from its raw
+    poses; may raise ScaleError. Sub-maps added to the live atlas later are not rectified again.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class Replacement:
 
     @property
     def sources(self) -> tuple[Submap, ...]:
-        """All sub-maps of the live atlas, with the raw poses of the second one."""
+        """All sub-maps of the live atlas, with the raw poses used for the second one."""
         return self._submaps + self._live.submaps[len(self._submaps) :]
 
     def advance(self, most: int | None = None) -> bool:

@@ -59,9 +59,9 @@ def spacing(T_p_a: Float) -> float:
 
 
 def factor(spacing_raw: float, spacing_world: float) -> float:
-    """Scale of a sub-map, s_k of IV-B: world units per raw unit; raises ScaleError.
+    """Scale of a sub-map, world units per raw unit (s_k of IV-B); raises ScaleError.
 
-    spacing_raw, spacing_world: the spacing of the cameras in both units.
+    spacing_raw, spacing_world: distance between the cameras in raw and in world units.
     """
     if not np.isfinite(spacing_raw) or spacing_raw <= 0:
         raise ScaleError("both cameras were solved to the same place: the scale is undetermined")
@@ -88,7 +88,8 @@ def placement(T_w_f: Float, T_s_f: Float, average: bool = False) -> Float:
     """Place a sub-map by common frames: T_w_s (..., 4, 4) = T_w_f (T_s_f)^-1 (IV-B).
 
     T_w_f, T_s_f: (..., F, 4, 4) poses of the frames in the world and in the rectified sub-map.
-    average: mean over all frames on SE(3) instead of the paper's first frame.
+    average: mean on SE(3) of the placements by each of the F frames; if False, by the first frame
+    alone as in the paper.
     """
     T_w_s = T_w_f @ se3.inverse(T_s_f)
     return se3.mean(T_w_s) if average else np.asarray(T_w_s[..., 0, :, :])

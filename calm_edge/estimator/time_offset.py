@@ -1,4 +1,4 @@
-"""Time offset between the cameras' stamps, estimated from the poses of both (past the paper).
+"""Time offset between the cameras' stamps, estimated from the poses of both (not in the paper).
 
 A host stamps an image when it arrives, and two cameras may differ in delay. With correct stamps
 all assistant views lie on one rigid rig; an offset displaces them by the car's own motion,
@@ -18,16 +18,17 @@ from calm_edge.types import Float, Submap
 
 # Sigma of the prior of the offset; its mean is zero.
 PRIOR_SIGMA_S = 0.02
-# Sigma of the systematic error: in turns, poses distorted by a wrong focal length look like a time
-# offset. On scripted drives without offset, up to 11 ms were estimated.
+# Sigma of the systematic error, added in quadrature: in turns, the errors of poses due to a wrong
+# focal length resemble a time offset. Up to 11 ms were estimated on scripted drives without offset.
 SYSTEMATIC_SIGMA_S = 0.006
-# An offset of fewer sigmas than this is not significant and is not applied.
+# An estimate of at most this many of its sigmas is not significant and is not applied.
 SIGNIFICANT_SIGMAS = 2.0
 MAX_OFFSET_S = 0.1
 MAX_SUBMAPS = 200
 MIN_SUBMAPS = 5
-# Assumed noise of T_p_a, in spacings and rad: the weights of translation and rotation. The actual
-# noise is estimated from the residuals, but taken as no less than MIN_NOISE times the assumed one.
+# Assumed sigmas of T_p_a, of translation [spacings] and rotation [rad], by which residuals are
+# divided. The sigma of the offset follows from the scatter of the residuals instead, which is taken
+# as no less than MIN_NOISE times the assumed sigmas.
 TRANSLATION_NOISE = 0.02
 ROTATION_NOISE_RAD = 0.002
 MIN_NOISE = 0.1
@@ -41,8 +42,8 @@ SMOOTHING = 2
 class Samples:
     """Rig and motion of the primary camera at the stamp of each assistant view of a sub-map.
 
-    T_p_a: (V, 4, 4), raw units. twist: (V, 6) of the primary, raw units/s and rad/s, averaged
-    over span_s (V,) seconds.
+    T_p_a: (V, 4, 4), raw units. twist: (V, 6) velocity [raw units/s] and turn rate [rad/s] of the
+    primary in its own axes, averaged over span_s (V,) seconds around the stamp.
     """
 
     T_p_a: Float
@@ -86,7 +87,7 @@ def samples(submap: Submap) -> Samples | None:
     first, last = np.maximum(i - SMOOTHING, 0), np.minimum(i + 1 + SMOOTHING, n - 1)
     span = t_p[last] - t_p[first]
     T_s_ref = se3.interpolate_at(t_p, T_s_p, t_a[valid])
-    # mean motion in the axes of the primary at the stamp, not at the start of the span
+    # motion from first to last view, in the axes of the primary at the assistant's stamp
     step = se3.inverse(T_s_ref) @ T_s_p[last] @ se3.inverse(T_s_p[first]) @ T_s_ref
     return Samples(se3.inverse(T_s_ref) @ T_s_a, se3.log(step) / span[:, None], span)
 
@@ -108,12 +109,13 @@ def estimate(history: list[Samples]) -> TimeOffset:
 
 
 def _step(history: list[Samples], offset: float) -> tuple[float, float]:
-    """Return the Gauss-Newton step of the offset, and the sigma of the offset, in seconds."""
+    """Return the Gauss-Newton step of the offset, and the sigma of the offset, both in seconds."""
     r, J, k = _residuals(history, offset)
     # subtracting the mean projects out the six parameters of the rig
     J_free, r_free = J - J.mean(0), r - r.mean(0)
     H = float((J_free * J_free).sum())
-    # noise of the poses enters the twist and so the information H: subtract the expected amount
+    # H, the information on the offset, is too large by the noise of the twists: subtract its
+    # expected share, from the residuals' mean square (two noisy poses, span_s apart)
     span = np.concatenate([s.span_s for s in history])
     signal = H - float((r_free**2).mean() * (6 / span**2).sum())
     if signal <= 0:
@@ -127,25 +129,26 @@ def _step(history: list[Samples], offset: float) -> tuple[float, float]:
 
 
 def _residuals(history: list[Samples], offset: float) -> tuple[Float, Float, np.ndarray]:
-    """Whitened residuals (V, 6) of T_p_a against its mean at a given offset.
+    """Residuals (V, 6) of T_p_a against its mean over all V views, for a given offset.
 
-    Also returns their derivatives (V, 6) by the offset, and the sub-map index (V,).
+    Divided by the assumed sigmas. Also returns minus their derivatives (V, 6) by the offset, and
+    the index (V,) in `history` of each view's sub-map.
     """
     k = np.repeat(np.arange(len(history)), [len(s.T_p_a) for s in history])
     T = np.concatenate([s.T_p_a for s in history])
     twist = np.concatenate([s.twist for s in history])
-    # T_p_a at stamps corrected by the offset
+    # T_p_a if the assistant was exposed `offset` later than its stamps
     moved = se3.exp(-twist * offset) @ T
-    # convert each sub-map's lengths to spacings
+    # convert lengths from each sub-map's raw units to spacings: its mean |t_p_a| becomes 1
     length = np.bincount(k, np.linalg.norm(moved[:, :3, 3], axis=1)) / np.bincount(k)
     moved[:, :3, 3] /= length[k, None]
     velocity = twist[:, :3] / length[k, None]
     rig = se3.mean(moved)
     to_rig = se3.log(se3.inverse(rig) @ moved)
-    # a change of the offset moves the assistant by the primary's motion, in the assistant's axes
+    # per second of offset T_p_a moves by the twist: the same motion in the assistant's axes
     motion = np.concatenate([velocity, twist[:, 3:]], 1)
     J = (se3.adjoint(se3.inverse(rig)) @ motion[..., None])[..., 0]
-    # the mean length stays one for any offset: remove the part of J that would change it
+    # the mean |t_p_a| of a sub-map is 1 for any offset: remove the part of J that changes it
     along = rig[:3, :3].T @ rig[:3, 3]
     pull = np.bincount(k, J[:, :3] @ along) / np.bincount(k)
     J[:, :3] -= pull[k, None] * along
@@ -154,14 +157,14 @@ def _residuals(history: list[Samples], offset: float) -> tuple[Float, Float, np.
 
 
 class TimeOffsetEstimator:
-    """Estimator of `offset` from the samples of the most recent sub-maps, which it owns."""
+    """Estimates `offset` from the samples of the newest MAX_SUBMAPS sub-maps, which it stores."""
 
     def __init__(self) -> None:
         self._history: deque[Samples] = deque(maxlen=MAX_SUBMAPS)
         self.offset = TimeOffset(0.0, PRIOR_SIGMA_S)
 
     def add(self, submap: Submap) -> None:
-        """Estimate `offset` again with one more sub-map; its poses are corrected, in raw units."""
+        """Estimate `offset` again with one more sub-map: poses corrected (paper V), raw units."""
         found = samples(submap)
         if found is None:
             return

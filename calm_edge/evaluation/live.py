@@ -12,15 +12,16 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int, PoseSample, PoseStatus
 
 SPAN_NS = 1_000_000_000
-# Pairs further apart than this times the span are not used: poses between them are missing.
+# Pairs further apart than this many spans are not used: poses are missing between them.
 LONGEST_SPAN = 1.25
 
 
 def spans(t_ns: Int, epoch: Int, span_ns: int = SPAN_NS) -> tuple[Int, Int]:
-    """Pair each stamp with the first one at least `span_ns` later: indices (S,), (S,).
+    """Pair each stamp with the first one at least `span_ns` later.
 
-    t_ns: (N,) sorted. epoch: (N,). Only pairs of one epoch: at a new epoch the world frame jumps,
-    and live poses are only odometry within an epoch.
+    Returns the indices (S,) of the earlier and (S,) of the later stamps. t_ns: (N,) sorted. epoch:
+    (N,) of the poses at t_ns. Only pairs of one epoch: at a new epoch poses jump, so that the
+    relative motion across it is no motion of the car.
     """
     j = np.searchsorted(t_ns, t_ns + span_ns - trajectory.TOLERANCE_NS)
     i = np.flatnonzero(j < len(t_ns))
@@ -47,9 +48,10 @@ def compare(
     first_s: time from the first frame to the first pose (LIVE or LAGGING); None without any, and
     then the keys below are missing. live_percent: share of frames with a pose, since the first
     pose. longest_gap_s: longest time without a pose. jumps: number of new epochs. span_m,
-    span_deg: {p50, p90, max} error of the relative motion over 1 s; span_percent: its mean
-    relative to the mean distance. velocity_m_s: {p50, p90, max} error against central
-    differences of the truth.
+    span_deg: {p50, p90, max} translation and rotation error of the relative motion over 1 s;
+    span_percent: mean of span_m in percent of the mean true distance over 1 s. velocity_m_s:
+    {p50, p90, max} of |estimated - true velocity|, the latter from central differences of the
+    true positions.
     """
     if not samples:
         return None

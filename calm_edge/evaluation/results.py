@@ -72,7 +72,7 @@ def at_frames(t_ns: Int, T_w_c: Float, truth: Truth) -> tuple[Float, Float]:
 
 
 def choose(estimate: Estimate, align: Alignment | None = None) -> Alignment:
-    """Alignment to use: `align` if given, else SE(3) for metric estimates and Sim(3) otherwise."""
+    """Alignment to use: `align` if given, else SE(3) for an estimate in metres, else Sim(3)."""
     return align or ("se3" if estimate.spacing_m else "sim3")
 
 
@@ -177,10 +177,11 @@ def _plain(value: Any) -> Any:
 def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) -> dict[str, Any]:
     """Error figures of an estimate against the truth; None where either lacks the data.
 
-    align: alignment of `ate_percent`, the RPE and the map; None: SE(3) for metric estimates,
+    align: alignment of `ate_percent`, the RPE and the map; None: SE(3) for an estimate in metres,
     else Sim(3). `poses`: number of poses compared. `coverage_percent`: share of the true path
-    they span. Focal errors are estimate minus truth. `live`: see `live.compare`, scaled by the
-    alignment. Raises EvaluationError if the two do not overlap in time.
+    they span. Focal errors are estimate minus truth. `live`: errors of the poses published
+    during the drive (`live.compare`), in metres by the scale of the alignment. Raises
+    EvaluationError if the two do not overlap in time.
     """
     chosen = choose(estimate, align)
     figures: dict[str, float | None] = dict.fromkeys(_TRAJECTORY_KEYS)

@@ -17,9 +17,10 @@ TOLERANCE_NS = 10_000_000
 
 
 def associate(t: Int, t_truth: Int, tolerance_ns: int = TOLERANCE_NS) -> tuple[Int, Int]:
-    """Match two sorted series of stamps [ns] to their nearest, one to one: indices (M,), (M,).
+    """Match each stamp [ns] to the nearest true stamp, one to one: indices (M,) of t, of t_truth.
 
-    If several stamps have the same nearest true stamp, the closest is kept.
+    Both sorted. Stamps further than the tolerance from any true one are left out; if several have
+    the same nearest true stamp, only the closest of them is kept.
     """
     if len(t) == 0 or len(t_truth) == 0:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)

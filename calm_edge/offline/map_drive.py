@@ -37,7 +37,11 @@ def make_cloud(
     out: Path,
     say: Callable[[str], None],
 ) -> tuple[int, SeamSummary | None]:
-    """Compute depth, anchors and tiles and write map.ply; return the point count and seams."""
+    """Compute depth and anchors of all sub-maps and write map.ply.
+
+    Returns the number of points, and statistics of the distances between sub-maps' positions of
+    common anchors.
+    """
     spacing = config.scale.spacing
     n = len(drive.updates)
     with tempfile.TemporaryDirectory(prefix="spool-", dir=out) as spool:

@@ -39,7 +39,7 @@ def body_twist(T_b_c: Float, velocity_c: Float, turn_rate_c: Float) -> tuple[Flo
     """Convert a camera's velocity (3,) and turn rate (3,) in camera axes to the body's."""
     R, lever = T_b_c[:3, :3], T_b_c[:3, 3]
     velocity, turn_rate = R @ velocity_c, R @ turn_rate_c
-    # skipped without a lever arm, where a NaN turn rate must not make the velocity NaN
+    # skipped if the camera is at the body's origin: a NaN turn rate then leaves the velocity valid
     if lever.any():
         velocity = velocity + np.cross(lever, turn_rate)
     return velocity, turn_rate

@@ -9,8 +9,8 @@ import numpy as np
 from calm_edge.geometry import se3
 from calm_edge.types import PoseSample
 
-# largest deviation from constant velocity, even on a bad road: JUMP + ACCELERATION t²/2 after the
-# time t between two poses
+# Largest plausible deviation from motion at constant velocity, also on a bad road: JUMP_M +
+# ACCELERATION_M_S2 t²/2, t being the time between two poses; likewise for the rotation.
 JUMP_M, ACCELERATION_M_S2 = 0.5, 20.0
 JUMP_RAD, ACCELERATION_RAD_S2 = math.radians(5.0), 10.0
 

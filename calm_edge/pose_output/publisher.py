@@ -105,7 +105,7 @@ class PosePublisher:
 
     @property
     def reset_counter(self) -> int:
-        """Number of jumps of the published pose, plus one."""
+        """Value of ODOMETRY's reset_counter: 1, plus one for each jump of the pose so far."""
         return self._reset_counter
 
     def report(self, state: str, reasons: tuple[str, ...] = ()) -> None:

@@ -22,7 +22,7 @@ class SegmentChain:
 
     After the first `open` no method raises OSError: a disk error is stored in `error` and passed to
     `on_error` (an empty text: recovered), and messages not written go to the next segment. root:
-    see Room.
+    folder of all drives, the oldest of which are removed to make room; None: nothing is removed.
     """
 
     def __init__(

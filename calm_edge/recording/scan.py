@@ -70,7 +70,8 @@ class SegmentIndex:
     """Index of one file: messages by channel id, and damage.
 
     cut: why reading ended early, empty for a complete file. cut_bytes: bytes not read after that.
-    damaged: chunks that failed their check. data_ended: all messages precede the damage.
+    damaged: chunks that failed their check. data_ended: the end of the data section was reached,
+    so a cut concerns only the summary after it and no message.
     loose_messages: number of messages outside of chunks (of other writers), which are not read.
     """
 
@@ -203,7 +204,8 @@ def _index_chunk(index: SegmentIndex, read: ReadAt, offset: int, length: int, ch
         data = plain_chunk(read(offset, length))
         records, end = partial(_slice, data), len(data)
     else:
-        # uncompressed: index in the file; payloads are read and checked only when needed
+        # the chunk is uncompressed: read only the records' headers, from the file itself; payloads
+        # are read and checked when needed
         base = offset + _CHUNK.size + 8
         records, end = read, offset + length
     number = len(index.chunks)
@@ -252,7 +254,7 @@ def _fill(index: SegmentIndex, read: ReadAt, size: int, check: bool) -> None:
             elif opcode == Opcode.METADATA:
                 index.metadata.append(_parse(Metadata, read(at, length)))
             elif opcode == Opcode.CHANNEL:
-                # the summary repeats the channels, needed if the first chunk is damaged
+                # from the summary, which repeats those of the chunks: one may have been damaged
                 channel = _parse(Channel, read(at, length))
                 index.channels.setdefault(channel.id, channel)
             elif opcode == Opcode.SCHEMA:

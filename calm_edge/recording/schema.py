@@ -6,7 +6,8 @@
 | /pose/live | foxglove.Odometry | PoseSample.t_ns |
 | /pose/sample | calm_edge.PoseSample: the same pose, exact | PoseSample.t_ns |
 | /pose/keyframes | foxglove.PosesInFrame | newest keyframe of the sub-map |
-| /tf | foxglove.FrameTransform: `primary` and `submap` in `world` | as its pose |
+| /tf | foxglove.FrameTransform: `primary` in `world` | PoseSample.t_ns |
+| /tf | foxglove.FrameTransform: `submap` in `world` | newest keyframe of the sub-map |
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
 | /window | calm_edge.Window: keys of the window's frames | its newest keyframe |
 | /clock, /status, /health | JSON | time of writing |
@@ -156,7 +157,8 @@ def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage
 def read_update(data: bytes, size_of: Callable[[Eye], tuple[int, int]]) -> LocalizerUpdate:
     """Decode an update of /submap, depth and confidence as float32; raises RecordingError.
 
-    size_of: see camera_record.replace_matrices.
+    size_of: returns width, height [px] of an eye's images; called only for updates of version
+    0.1.0, which contain 3x3 matrices instead of cameras.
     """
     header, arrays = record.decode("Submap", data)
     camera_record.replace_matrices(header, arrays, size_of)

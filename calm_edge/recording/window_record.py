@@ -24,7 +24,9 @@ def frame_key(frame: Frame) -> FrameKey:
 class WindowRecord:
     """A SubmapWindow without its images (paper IV-A).
 
-    ids, eyes, sequences, t_ns: (N,) in batch order. has_loop: the last is the loop keyframe.
+    ids, eyes, sequences, t_ns: (N,) of its keyframes: n_primary of the primary camera, then those
+    of the assistant. The first n_overlap are shared with the previous window. has_loop: one more
+    primary keyframe is last, an earlier one for loop closure (IV-D).
     """
 
     submap_id: int
@@ -38,7 +40,7 @@ class WindowRecord:
 
     @property
     def frame_keys(self) -> tuple[FrameKey, ...]:
-        """The key of each frame, in batch order."""
+        """The key (eye, sequence, t_ns) of each keyframe, in the order of the arrays."""
         columns = (self.eyes.tolist(), self.sequences.tolist(), self.t_ns.tolist())
         return tuple(zip(*columns, strict=True))
 
@@ -78,7 +80,10 @@ def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> Su
 
 
 def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
-    """Return the hints for the backbone when a recorded window is solved again."""
+    """Hints for the backbone to compute the depth of a solved window.
+
+    update: the result of the window, whose belief on the kit is used.
+    """
     return Hints(
         record.eyes,
         record.t_ns,

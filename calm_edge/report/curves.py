@@ -64,8 +64,8 @@ def trajectory(path: Float, truth: Float | None, unit: str) -> str:
 def scale(t: Float, values: Float, windows: Float | None) -> str:
     """Scale of the sub-maps over time, relative to the first one.
 
-    t: (S,) s. values: (S,). windows: (W, 2) of (t, scale) from the ground truth, see
-    `window_scales` of evaluation/trajectory.
+    t: (S,) s. values: (S,). windows: (W, 2) of (t, scale): scale of the estimate against the ground
+    truth in sliding windows, relative to that in the first one.
     """
     figure, axes = _figure(10, 2.8)
     axes.axhline(1.0, color=MUTED, linewidth=1, linestyle=":")

@@ -39,7 +39,10 @@ def _truth_in_world(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None
 
 
 def _scale_windows(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
-    """`trajectory.window_scales` over time: (W, 2) of (s since the start, scale)."""
+    """Scale of the estimate against the truth in sliding windows, relative to the first one.
+
+    (W, 2) of (s since the start, scale).
+    """
     p, p_truth = at_frames(t_ns, estimate.T_w_c, truth)
     scales = trajectory.window_scales(p, p_truth)
     first = np.searchsorted(truth.t_ns, t_ns[0])
@@ -119,7 +122,7 @@ def report_data(
             _scale_windows(estimate, truth, t_ns),
         )
     start = estimate.t_ns[0] if len(estimate.t_ns) else 0
-    # the first update of each sub-map: its estimate at that time, before later optimisations
+    # the first update of each sub-map: as estimated when it was new, before later optimisations
     submaps = list({update.submap.id: update.submap for update in reversed(updates)}.values())[::-1]
     focal = [
         [s.cameras[0].fx, s.cameras[s.n_primary if s.assistant_ids else 0].fx] for s in submaps

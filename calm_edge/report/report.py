@@ -26,9 +26,9 @@ class ReportData:
     T_w_c: (N, 4, 4) primary camera -> world. unit: of the world, `m` or `spacings`.
     points_w: (P, 3), color: (P, 3) RGB. truth_w: (M, 3) true positions in this world.
     t_s: (S,) time of each sub-map. scale: (S,) relative to the first. focal_px,
-    focal_log_sigma: (S, 2). truth_focal_px: (2,). scale_windows: (W, 2) as in curves.scale.
-    stage_ms: mean per sub-map. headline: pairs (number, caption). figures: name -> value.
-    notes: sentences on what could not be determined.
+    focal_log_sigma: (S, 2). truth_focal_px: (2,). scale_windows: (W, 2) of (t,
+    scale against the truth). stage_ms: mean per sub-map. headline: pairs (number, caption).
+    figures: name -> value. notes: sentences on what could not be determined.
     """
 
     title: str
