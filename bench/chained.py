@@ -20,8 +20,9 @@ from device.frame import Eye
 def matched_submaps(updates: Sequence[LocalizerUpdate]) -> list[LocalizerUpdate]:
     """Updates with landmarks or depth, the last one of each sub-map, in order of ids.
 
-    Windows that are solved again at the end of a drive are logged without landmarks and depth. So
-    these are the live solutions, made without the final estimate of the kit.
+    Windows that are solved again at the end of a drive, with the final estimate of the kit
+    (cameras, rig and time offset), are logged without landmarks and depth. So these are the live
+    solutions.
     """
     last = {
         update.submap.id: update

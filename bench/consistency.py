@@ -1,9 +1,9 @@
-"""NEES of the joint graph's poses, their errors over their covariances, on scripted drives.
+"""NEES of the optimised pose graph, squared pose errors over covariances, on scripted drives.
 
-The views have errors of known size, and each sub-map has a scale of its own. NEES, normalised
-estimation error squared: Bar-Shalom, Li, Kirubarajan, "Estimation with applications to tracking and
-navigation", 2001, 5.4. Its average over independent runs of a consistent estimator lies in a
-chi-square interval.
+The poses that the scripted backbone predicts have errors of known size, and each sub-map has a
+scale of its own. NEES, normalised estimation error squared: Bar-Shalom, Li, Kirubarajan,
+"Estimation with applications to tracking and navigation", 2001, 5.4. Its average over independent
+runs of a consistent estimator lies in a chi-square interval.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def solved(seed: int, n_submaps: int) -> tuple[Float, Float, Marginals]:
 
 
 def rows(seeds: int, n_submaps: int) -> tuple[tuple[float | str, ...], ...]:
-    """Compute the table: relative pose errors over their covariances, a row for each lag.
+    """Compute the table: errors of relative poses over their sigmas, a row for each of LAGS.
 
     seeds: number of drives.
     """

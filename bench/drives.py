@@ -26,7 +26,7 @@ Prepare = Callable[[Path], Path | str]
 
 
 def there(folder: Path) -> Prepare:
-    """Prepare function of a sequence folder that is on disk."""
+    """Prepare function that returns a sequence folder, or the reason why it is not on disk."""
     return lambda _out: folder if (folder / "cam1").is_dir() else f"{folder} is not here"
 
 
@@ -49,8 +49,8 @@ def shifted_by_one(source: Path, out: Path) -> Path:
     """Make the sequence folder `out`/sequence, in which the assistant is one frame ahead.
 
     It has links to the pictures of `source` without the assistant's first and the primary's last
-    frame. Frame k of cam1 is frame k + 1 of the source with its own stamp. The stamps stay true;
-    only pairing frames by their index is wrong.
+    frame. So frame k of cam1 (the assistant) is frame k + 1 of the source, with the stamp it had
+    there. All stamps stay true; only pairing the frames of both eyes by their index is wrong.
     """
     folder = out / "sequence"
     shutil.rmtree(folder, ignore_errors=True)

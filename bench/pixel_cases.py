@@ -13,10 +13,10 @@ from bench.perturb import Clocks, Perturbation, perturbed
 class Case:
     """A drive of the comparison.
 
-    loose: prepares our input, unsynchronised. in_step: prepares the synchronised input of
-    ORB-SLAM3; the same as `loose` if the drive has no clock faults. counts: whether the drive
-    enters the medians of the targets; real drives (inexact truth) and drives with added faults do
-    not.
+    loose: prepares our input, with the drive's clock faults. in_step: prepares the input of
+    ORB-SLAM3, the same drive with synchronised cameras; the same as `loose` without clock faults.
+    counts: whether the drive enters the medians of the targets; real drives (inexact truth) and
+    drives with added faults do not.
     """
 
     name: str

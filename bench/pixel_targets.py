@@ -18,7 +18,8 @@ LOST_BELOW = 0.8
 KARLSRUHE_M = 1.07
 KITTI06_M = 0.2
 
-# Method name of ORB-SLAM3, title, and the largest accepted ratio of our error to its error.
+# Runs of ORB-SLAM3, with the true and with wrong calibrations: key of its results, title, and the
+# largest accepted ratio of our error to its error.
 RATIOS = (
     ("orbslam3", "ORB-SLAM3, true calibration", 1.3),
     ("orbslam3_yaw", "ORB-SLAM3, yaw half a degree wrong", 1 / 3),

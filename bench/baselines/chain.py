@@ -20,9 +20,9 @@ log = logging.getLogger(__name__)
 class Alignment:
     """A method of aligning a sub-map with its predecessor.
 
-    place: (previous, new, correspondences) -> T_previous_new (4, 4). poses: (T_w_s, sub-map) ->
-    T_w_c (N, 4, 4) of its views. Both raise BaselineError. group: Lie group of the pose graph that
-    closes loops.
+    place: (previous, new, correspondences) -> T_previous_new (4, 4), raw points of the new sub-map
+    to raw points of the previous one. poses: (T_w_s, sub-map) -> T_w_c (N, 4, 4) of its N views.
+    Both raise BaselineError. group: Lie group of the pose graph that closes loops.
     """
 
     name: str
@@ -129,8 +129,8 @@ def _ties(
 ) -> list[pose_graph.Tie]:
     """Align each sub-map with its predecessor; return the relative transforms.
 
-    Appends T_w_s (4, 4) of each sub-map to `transforms`, which after a BaselineError holds the
-    sub-maps placed so far.
+    Appends T_w_s (4, 4) of each sub-map, raw points to the frame of the first sub-map, to
+    `transforms`, which after a BaselineError holds the sub-maps placed so far.
     """
     if not submaps:
         raise BaselineError("no sub-map to chain")

@@ -1,4 +1,4 @@
-"""Correspondences of two sub-maps: their points at equal pixels of common pictures."""
+"""Corresponding 3-D points of two sub-maps: those at the same pixel of a common picture."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ def common_views(previous: Submap, new: Submap) -> tuple[Int, Int]:
 
 
 def loop_views(match: Submap, query: Submap, match_id: int) -> tuple[Int, Int]:
-    """Views of one place in two sub-maps joined by a loop (IV-D), as batch indices (1,) each.
+    """Batch indices (1,) of the one picture that both sub-maps of a loop closure have (IV-D).
 
-    In `match`: the view of keyframe `match_id`. In `query`: the loop keyframe, which is the last
-    view. Raises BaselineError if either is missing.
+    It is keyframe `match_id`: one of the primary views of `match`, and the last view of `query`, to
+    whose window it was appended. Raises BaselineError if either sub-map lacks it.
     """
     last = query.n_primary + len(query.assistant_ids)
     if match_id not in match.primary_ids or last >= len(query.T_s_c_raw):
@@ -98,9 +98,10 @@ def from_depth(
 ) -> Correspondences:
     """Back-project every `stride`-th depth pixel of the common pictures in both sub-maps.
 
-    Left out: pixels without depth in either sub-map, and those with a confidence below
-    CONFIDENCE_SHARE of the smaller median. Depth maps of different sizes are sampled at the nearest
-    pixel. Arguments as in `correspondences`; raises BaselineError without depth or confidence.
+    Left out: pixels without depth in either sub-map, and those with a confidence in either below
+    CONFIDENCE_SHARE of the smaller of both sub-maps' median confidences. Depth maps of different
+    sizes are sampled at the nearest pixel. Arguments as in `correspondences`; raises BaselineError
+    without depth or confidence.
     """
     parts = [_none()]
     for view_previous, view_new in zip(views_previous, views_new, strict=True):

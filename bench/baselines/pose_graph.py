@@ -13,7 +13,8 @@ from bench.baselines.sl4 import special
 from calm_edge.geometry.similarity import Similarity
 from calm_edge.types import Float
 
-# Sigma of all components in VGGT-SLAM. VGGT-Long, too, gives all edges and components equal weight.
+# Sigma of all components of a relative transform's error (tangent vector) in VGGT-SLAM. VGGT-Long,
+# too, gives all edges and components equal weight.
 SIGMA = 0.05
 _HELD = 1e-6
 
@@ -34,7 +35,8 @@ def optimise(
 
     T_w_s: initial values. ties: between consecutive sub-maps. There is no robust kernel, as in the
     publications: one would reject the true loop of a long drive. Lengths are divided by the median
-    step between sub-maps, so that all components of an error have equal weight in any unit.
+    distance between the origins of consecutive sub-maps, so that the weight of translation against
+    rotation does not depend on the unit.
     """
     import gtsam
 

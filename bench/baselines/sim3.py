@@ -13,12 +13,13 @@ from calm_edge.geometry.similarity import Similarity, align
 from calm_edge.types import Float, Submap
 
 ITERATIONS = 5
-# Published value, for a scene whose points have a mean distance of one.
+# Published value, for a scene whose points have a mean distance of one from its origin.
 HUBER_DELTA = 0.1
 # Huber's delta per median residual: the usual 1.345 sigmas (95 % efficiency) over 1.538 sigmas, the
 # median length of a 3-D Gaussian vector.
 _DELTA_PER_MEDIAN = 1.345 / 1.538
-# Points with a smaller ratio of extents lie on a line, and the rotation about it is undetermined.
+# If the ratio of the second largest to the largest extent of the points is smaller, they lie on a
+# line, and the rotation about it is undetermined.
 _LINE = 1e-6
 
 

@@ -14,14 +14,15 @@ from bench.baselines.overlap import BaselineError, Correspondences
 from calm_edge.types import Float, Submap
 
 SAMPLES = 300
-# Published value, for a scene whose points have a mean distance of one.
+# Published value, for a scene whose points have a mean distance of one from its origin.
 INLIER_DISTANCE = 0.01
 SEED = 0
 # Random subsets, for speed: largest number of points on which a sample is scored, and to which the
 # homography is fitted.
 _SCORED, _FITTED = 500, 1000
 _REFITS = 2
-# With a smaller ratio of singular values the homography is undetermined.
+# With a smaller ratio of the 15th of the 16 singular values to the largest, more than one
+# homography fits.
 _OPEN = 1e-7
 
 
@@ -55,7 +56,8 @@ def place(previous: Submap, new: Submap, matches: Correspondences) -> Float:
 def poses(T_w_s: Float, submap: Submap) -> Float:
     """Decompose the projections K [R | t] T_w_s^-1 of all views into T_w_c (N, 4, 4).
 
-    The calibration part, which the homography has changed, is dropped. Raises BaselineError.
+    K [R | t]: projection of a view in its sub-map. The K of the result, which a homography changes,
+    is not used. Raises BaselineError.
     """
     with np.errstate(all="ignore"):
         try:
@@ -90,7 +92,7 @@ def homogeneous(p: Float) -> Float:
 
 
 def _normalisation(p: Float) -> Float:
-    """Similarity (4, 4) that centres points (N, 3) and scales their mean distance to sqrt(3)."""
+    """Similarity (4, 4) that moves the mean of points (N, 3) to 0, their mean norm to sqrt(3)."""
     centre = p.mean(0)
     distance = float(np.linalg.norm(p - centre, axis=1).mean())
     if distance == 0:
@@ -121,9 +123,9 @@ def _best_sample(source: Float, target: Float, limit: float, rng: np.random.Gene
 
 
 def _basis(points: Float) -> Float:
-    """Matrices (B, 4, 4) that map unit vectors and their sum to five points (B, 5, 4).
+    """Matrices (B, 4, 4) that map the four unit vectors and their sum to five points (B, 5, 4).
 
-    NaN where the points are coplanar.
+    Five homogeneous points in each of B samples; NaN where they are coplanar.
     """
     corners = np.swapaxes(points[:, :4], 1, 2)
     flat = np.abs(np.linalg.det(corners)) < 1e-9
@@ -134,7 +136,7 @@ def _basis(points: Float) -> Float:
 
 
 def _distance(H: Float, source: Float, target: Float) -> Float:
-    """Distances (B, N) of H source from target, H (B, 4, 4); NaN at infinity.
+    """Distances (B, N) of H source from target for B homographies H (B, 4, 4); NaN at infinity.
 
     source, target: (N, 4) homogeneous points.
     """

@@ -1,4 +1,4 @@
-"""Placement of the paper (IV-B) as an alignment, for comparison with the baselines."""
+"""Placement of the paper (IV-B): align sub-maps by camera spacing and one common picture."""
 
 from __future__ import annotations
 

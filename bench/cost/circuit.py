@@ -20,7 +20,8 @@ PERIOD_NS, START_NS = 100_000_000, 5_000_000_000
 ASSISTANT_LATE_NS = 17_000_000
 SIZE = (544, 208)
 T_P_A = se3.exp(np.array([0.5, 0.02, 0.05, 0.02, -0.06, -0.03]))
-# Sub-maps between two loop closures, and the sigma of a closure's error (world units, rad).
+# One loop closure in this many sub-maps, and sigma of the error of its relative pose: translation
+# [world units], rotation [rad].
 CLOSURE_EVERY = 5
 _CLOSURE_SIGMA = np.array([0.05, 0.05, 0.05, 0.005, 0.005, 0.005])
 
@@ -80,7 +81,7 @@ def windows(n_submaps: int, config: FrontendConfig) -> Iterator[SubmapWindow]:
 
 
 def closures(n_keyframes: int, every: int) -> list[LoopClosure]:
-    """True loop closures with the keyframe one lap before, every `every` keyframes, with noise."""
+    """Every `every` keyframes a true loop closure with the one a lap earlier, with pose noise."""
     rng = np.random.default_rng(0)
     return [
         LoopClosure(query, query - LAP, se3.exp(_CLOSURE_SIGMA * rng.standard_normal(6)))

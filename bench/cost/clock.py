@@ -16,8 +16,9 @@ class Measured:
     """Mean processor and wall time of one stage over n runs.
 
     paper_s, target_s: time in the paper, and the required one; None if there is none. load: load
-    average of the machine. share: runs per sub-map, the weight of the stage in the total
-    `correction core, test bank excluded`; 0 if it is not part of that.
+    average of the machine. share: runs of the stage per sub-map, its weight in the table row
+    `correction core, test bank excluded`; 0 if it is left out there. That row sums focal search,
+    correction, placement and mapping, but not the matching of pictures for the focal search.
     """
 
     name: str

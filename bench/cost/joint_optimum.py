@@ -1,4 +1,4 @@
-"""Time and memory of the joint optimum of a long drive.
+"""Time and memory of the joint optimum, all poses and sub-maps of a long drive solved together.
 
 The optimum itself is computed in a process of its own; taking the snapshot for it and moving all
 sub-maps after it delay the live path.
@@ -22,7 +22,8 @@ from calm_edge.posegraph.optimum import optimum
 from calm_edge.types import CalmEdgeError, Submap
 
 MOST_MS = 0.5
-# Time per keyframe at full length over that at a quarter: up to this ratio it counts as linear.
+# Largest ratio of the time per keyframe on the whole drive to that on its first quarter for which
+# the time counts as linear in the number of keyframes.
 LINEAR = 1.5
 
 
@@ -70,10 +71,11 @@ class _DeferredOptimiser:
 
 
 def optimisations(course: Course, shares: Sequence[float] = (0.25, 0.5, 1.0)) -> list[Optimisation]:
-    """Optimise the final graph at several lengths, without and with loops.
+    """Optimise the pose graph of the first part of the drive, without and with loops.
 
-    shares: lengths as shares of the drive. Uses the sub-maps before correction: the scripted
-    backbone is uncoupled here, so its focal errors do not bend the poses.
+    shares: lengths of that part, as shares of the drive. Uses the sub-maps before correction for
+    focal errors: this scripted backbone draws focal and pose errors independently, so correction
+    would add errors to the poses.
     """
     scaled = _uncorrected(course)
     _optimise(course.config, scaled[:2], with_loops=False)  # warm-up: loads GTSAM
@@ -114,7 +116,7 @@ def snapshot(course: Course) -> Snapshot:
 
 
 def _uncorrected(course: Course) -> list[Submap]:
-    """Sub-maps in world units with raw poses, which the scripted focal errors do not bias."""
+    """Sub-maps in world units with the backbone's poses, not corrected for focal errors."""
     plain = [
         replace(s, T_s_c=s.T_s_c_raw, cameras=s.cameras_raw, scale=1.0) for s in course.submaps
     ]

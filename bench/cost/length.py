@@ -24,10 +24,12 @@ from calm_edge.estimator.localizer import Localizer
 from calm_edge.report import curves
 from calm_edge.types import CalmEdgeError, Float, Hints, KitBelief, Prediction, Submap
 
-# Sub-map from which all buffers are full: 1,000 places, 200 sub-maps for the time offset.
+# Sub-map from which all buffers of limited size are full: the 1,000 places of the loop finder, and
+# the 200 sub-maps from which the time offset is estimated.
 SETTLED = 300
 ENDS = 200
-# Up to this growth over the drive, as a share of the mean, the live cost counts as constant.
+# Up to this growth over the drive, as a share of its mean, processor time per sub-map without the
+# backbone's counts as constant.
 FLAT_SHARE = 0.1
 MOST_MB = 600
 # Length of the kit vector: four terms per eye, six of the rig, one time offset.
@@ -40,7 +42,8 @@ _LANDMARKS = 350
 class TeachingBackbone:
     """Scripted backbone with kit evidence and as many landmarks as `bundle` has.
 
-    The number of landmarks determines the time of the intrinsic search. Errors of focal and poses
+    Kit evidence: information on cameras, rig and time offset. The number of landmarks determines
+    the time of the search for the focal length (paper V-A). Errors of focal and poses
     are drawn independently (`ScriptedErrors.coupled` off): solving for consistent ones is slow.
     """
 

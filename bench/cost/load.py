@@ -50,9 +50,10 @@ KILLS = (1 / 3, 2 / 3)
 class Run:
     """Measurements of one replay.
 
-    asked, lost: frames sent, and frames missing in the recording. core_share, tracker_share:
-    processor time of the capture process (with recording) and of the tracker, over wall time. load:
-    load average at the end. priority: real-time priority of the capture threads, 0 for none.
+    asked, lost: numbers of frames replayed, and of those missing in the recording. core_share,
+    tracker_share: processor time of the capture process (with recording) and of the tracker, over
+    wall time. load: load average at the end. priority: real-time priority of the capture threads, 0
+    for none.
     """
 
     name: str

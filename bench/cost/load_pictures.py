@@ -26,9 +26,9 @@ _NOISE = 3.0
 def enlarged(drive: Path, eye: Eye, folder: Path, most: int = MOST) -> list[Path]:
     """Crop pictures of a drive to 16:9, enlarge them and interpolate to RATE_HZ by optical flow.
 
-    most: number of pictures of the drive used. Both eyes are interpolated to the same times, since
-    a time offset would change its sign when the drive is played backwards. The files are made once
-    and kept in `folder`.
+    most: number of pictures of the drive used. Both eyes are interpolated to the same times: the
+    pictures are also played backwards, where an offset between the eyes would change its sign. The
+    files are made once and kept in `folder`.
     """
     kept = folder / f"cam{int(eye)}"
     if not kept.is_dir():

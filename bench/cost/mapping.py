@@ -50,7 +50,7 @@ class Cost:
     """Totals over all sub-maps.
 
     seconds: processor time by stage. points: number of points of the clouds before the voxel
-    filter. controls: number of control points of the thin-plate splines.
+    filter. controls: number of control points of the thin-plate splines that align sub-maps.
     """
 
     submaps: int = 0

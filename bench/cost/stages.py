@@ -1,4 +1,7 @@
-"""Time per sub-map of the stages of sections V, IV and VI, on the pictures of a recording."""
+"""Time per sub-map of correction (paper V), placement and loops (IV), and mapping (VI).
+
+Measured on the pictures of a recording.
+"""
 
 from __future__ import annotations
 
@@ -39,12 +42,12 @@ from calm_edge.types import (
 )
 from device.frame import Eye
 
-# Numbers of sub-maps: with a test group from SIFT, with one from landmarks, and mapped.
+# Numbers of sub-maps measured: building test groups from SIFT matches, from landmarks, and mapping.
 BY_SIFT, BY_LANDMARKS, MAPPED = 2, 7, 4
 # Number of runs of stages that take only microseconds.
 REPEATS = 50
-# Focal length to which poses are corrected, over that of the backbone: 3 % off, so that there is
-# something to correct.
+# Ratio of the focal length to which poses are corrected to that of the backbone. At 1 there would
+# be nothing to correct.
 _OFF = 1.03
 # Keyframes and nanoseconds after which a window is repeated: more than the loop finder's min_gap,
 # so that the repetition counts as another visit.
@@ -73,10 +76,11 @@ def measure(path: Path) -> list[Measured]:
 def banks(
     pieces: Sequence[Piece], config: CorrectionConfig, *, by_sift: bool
 ) -> tuple[list[Measured], dict[Eye, list[BankGroup]]]:
-    """Build a test group of each eye and sub-map, and measure its time.
+    """Build a test group for each eye and sub-map, and measure its time.
 
-    The live path spreads the work of a group over several sub-maps; whole groups and such parts are
-    timed separately. by_sift: match SIFT features, else use the landmarks.
+    A group holds the matches of one eye's views on which focal lengths are tested. The live path
+    spreads the work of a group over several sub-maps; whole groups and such parts are timed
+    separately. by_sift: match SIFT features, else use the landmarks.
     """
     whole, share = Clock(), Clock()
     made: dict[Eye, list[BankGroup]] = {eye: [] for eye in Eye}
@@ -111,7 +115,7 @@ def banks(
 def search(
     pieces: Sequence[Piece], groups: dict[Eye, list[BankGroup]], config: CorrectionConfig
 ) -> list[Measured]:
-    """Measure the intrinsic search of one eye: with a new guess, and with a new test group."""
+    """Measure the focal search of one eye: from a new initial value, and with a new group."""
     guess, judged = Clock(), Clock()
     for eye in Eye:
         held = EyeSearch(config)
@@ -155,7 +159,8 @@ def rectification(pieces: Sequence[Piece], config: Config) -> Measured:
 def placement(pieces: Sequence[Piece], config: Config) -> list[Measured]:
     """Measure the placement of a sub-map and the joint optimum.
 
-    Placement is measured by poses alone, and with the update of the pose graph.
+    Placement: the scale and pose of a sub-map relative to its predecessors. It is timed alone, and
+    together with adding the sub-map to the pose graph.
     """
     atlas, place, add, pgo = Atlas(config), Clock(), Clock(), Clock()
     atlas.add(pieces[0].submap)

@@ -10,8 +10,9 @@ def sized(seed: int) -> ScriptedErrors:
 
     Focal: table 6 gives mean absolute errors of 34.67 px for single sub-maps and of 25.5 px for the
     mean over a drive, at KITTI's 718 px: sigmas of 4.3 % for the bias of a drive and of 3.9 % for
-    the deviation of a sub-map from it. Drift of depth relative to poses: sized by the errors of
-    Sim(3) chaining in tables 2 and 5. Pose noise: by the error of the paper's full system.
+    the deviation of a sub-map from it. Growth of the ratio of depth to poses within a sub-map:
+    such that Sim(3) chaining has about its errors of tables 2 and 5. Pose noise: such that our
+    method has about the error of the paper's full system.
     """
     return ScriptedErrors(
         coupled=True,

@@ -27,7 +27,8 @@ KITTI_SPACING_M = 0.54
 # Motion between keyframes: the selector's threshold of 25 px is 2 degrees at a focal of 718 px, and
 # on a street about 1.2 m.
 STEP_M, STEP_RAD = 1.2, np.radians(2.0)
-# After max_keyframe_gap_s this share of STEP_M suffices: MOVING_SHARE of the selector.
+# After max_keyframe_gap_s without a keyframe this share of STEP_M makes one, as in the front end's
+# keyframe selector (its MOVING_SHARE).
 _MOVING_SHARE = 0.2
 
 
@@ -155,7 +156,8 @@ def _arrivals(primary: Int, assistant: Int) -> list[tuple[int, int, int]]:
 def _keyframes(t_ns: Int, T_w_p: Float, max_gap_s: float) -> Int:
     """Indices of the poses (N, 4, 4) that become keyframes; the first always does.
 
-    t_ns: (N,) of the poses. max_gap_s: time after which a smaller motion suffices.
+    t_ns: (N,) of the poses. max_gap_s: time since the last keyframe after which the share
+    _MOVING_SHARE of the usual motion makes one.
     """
     chosen = [0]
     for k in range(1, len(t_ns)):

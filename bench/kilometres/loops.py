@@ -40,9 +40,10 @@ def true_loops(T_w_p: Float, min_gap: int, near_m: float = NEAR_M) -> Int:
 class ScriptedLoops:
     """Scripted `LoopFinder` of a drive; deterministic for a seed.
 
-    detection: probability that a window with a true loop yields it. false_share: probability that
-    any other window yields a keyframe of another place. aliased: finder and backbone give a
-    false candidate the same relative pose, as for places that look alike.
+    detection: probability that the loop of a window that has one is found. false_share: probability
+    that any other window gets a false candidate, a keyframe of another place. aliased: loop finder
+    and backbone give a false candidate the same wrong relative pose, as for places that look alike,
+    so that comparing the two does not reveal it.
     """
 
     def __init__(
@@ -90,7 +91,7 @@ class ScriptedLoops:
         self._known.update(keyframe.id for keyframe in window.primary)
 
     def is_true(self, query_id: int, match_id: int) -> bool:
-        """Whether both keyframes of a closure are at the same place."""
+        """Whether the two keyframes of a loop closure are truly at the same place."""
         p = self._drive.T_w_p[[query_id, match_id], :3, 3]
         return bool(np.linalg.norm(p[0] - p[1]) < FALSE_M / 2)
 

@@ -57,9 +57,10 @@ class Setting:
 class Focals:
     """Focal lengths of a run, one value per eye, px.
 
-    true: ground truth. raw: mean absolute error of the backbone's focals over sub-maps. mean: mean
-    of these focals over the drive. held: final estimate of the search. log_sigma: sigma of its log,
-    None if not observed. damping: see CONVENTIONS.md.
+    true: ground truth. raw: mean absolute error of the focals that the backbone predicts for each
+    sub-map. mean: mean of these focals over the drive. held: final estimate of the focal search.
+    log_sigma: sigma of its log, None if the motion does not determine it. damping: tenths of a
+    focal's error that are corrected in the poses.
     """
 
     true: tuple[float, ...]
@@ -75,8 +76,8 @@ class Measured:
     """Figures of one run; errors in m, None after a failure or for a drive that is too short.
 
     missing: number of keyframes without a pose, out of n_keyframes. ms: wall time per sub-map.
-    scale_error, scale_std: Scale Consistency Analysis of the paper. failed: reason why there is no
-    trajectory, else empty.
+    scale_error, scale_std: error and standard deviation of the scale over windows of keyframes, the
+    paper's Scale Consistency Analysis. failed: reason why there is no trajectory, else empty.
     """
 
     drive: str

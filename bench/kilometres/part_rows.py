@@ -68,7 +68,7 @@ def synchronisation(results: Results, command: str) -> Table:
 
 
 def scales(results: Results, command: str) -> Table:
-    """Table of the scale over windows of 100 keyframes, as table 7 of the paper."""
+    """Table of error and scatter of the scale over windows of 100 keyframes (paper, table 7)."""
     rows: list[tuple[Any, ...]] = []
     for name in results.names:
         ours, theirs = results.runs(OPEN, OURS, name), results.runs(OPEN, SIM3, name)
@@ -196,7 +196,7 @@ def _mean_of_drives(seen: Sequence[tuple[Measured, Focals]]) -> list[float | Non
 
 
 def ablation(results: Results, command: str) -> Table:
-    """Table of the error of each variant over that of the full model, as table 9 of the paper."""
+    """Table of the error without each part of our method over that with all (paper, table 9)."""
     rows: list[tuple[Any, ...]] = []
     remarks = []
     for part in ABLATIONS:
@@ -232,7 +232,10 @@ def ablation(results: Results, command: str) -> Table:
 
 
 def _searches(results: Results) -> str:
-    """Note on the primary's focal error by the paper's search and by ours, on common runs."""
+    """Note that compares the primary's focal error by the paper's search with that by ours.
+
+    Over the drives and seeds that were run with both.
+    """
     off: dict[str, dict[tuple[str, int], float]] = {}
     for variant in (OURS, PAPER_SEARCH):
         runs = results.runs(OPEN, variant)

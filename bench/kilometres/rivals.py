@@ -1,4 +1,4 @@
-"""Baselines on the sub-maps of our method, aligned by depth in their common pictures."""
+"""Baselines that align the sub-maps of our method by the depth of pictures they share."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _aligner(name: str, held: HeldViews) -> Aligner:
 
 
 class HeldViews:
-    """Cache of the raw sub-maps of the drive requested last."""
+    """Cache of the sub-maps, before correction, of the drive requested last."""
 
     def __init__(self) -> None:
         self._of: tuple[Drive, ScriptedLoops | None] | None = None
@@ -67,7 +67,7 @@ class HeldViews:
 
 
 class _Views:
-    """Raw sub-maps of a drive; depth is computed on demand, for common pictures only."""
+    """Sub-maps of a drive before correction, with depth on demand, of common pictures only."""
 
     def __init__(
         self,
@@ -100,7 +100,12 @@ class _Views:
         return self._correspondences(previous, new, *overlap.common_views(*pair))
 
     def closures(self) -> Iterator[LoopOverlap]:
-        """Yield the overlap of each loop keyframe with the first sub-map that contains it."""
+        """Yield the corresponding points of both sub-maps of each loop closure.
+
+        The later sub-map has a keyframe of the earlier visit appended to its window, as its last
+        view. The other one is the first sub-map in which this keyframe is a regular view. The
+        points are those at the same pixels of this one picture.
+        """
         for query, match_id in self._matches:
             match = next(k for k, s in enumerate(self.submaps) if match_id in s.primary_ids)
             views = overlap.loop_views(self.submaps[match], self.submaps[query], match_id)

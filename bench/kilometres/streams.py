@@ -18,8 +18,8 @@ class Streams:
     alternate: odd frames to one eye and even ones to the other, the paper's asynchronous mode.
     halved: every other frame to both eyes, synchronous at the same rate. offset_s: delay of the
     assistant's exposures. late_s: delay of stamps after the exposure, per eye. jitter_s: sigma of
-    all stamps. drift_ppm: rate error of the assistant's clock. drop_share: share of frames dropped,
-    per eye.
+    the noise of all stamps. drift_ppm: rate error of the assistant's clock. drop_share: share of
+    frames dropped, per eye.
     """
 
     alternate: bool = False

@@ -1,4 +1,4 @@
-"""The paper's tables on scripted kilometres.
+"""The paper's tables, on drives of kilometres with scripted predictions and loops.
 
 Makes the runs that have no stored outcome yet and prints each table from all outcomes. Notes below
 a table list the drives that were not run.

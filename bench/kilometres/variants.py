@@ -1,4 +1,7 @@
-"""Errors of calm-edge and baselines on scripted kilometres: a row for each variant and seed."""
+"""Errors of calm-edge and baselines on drives of kilometres with scripted predictions.
+
+A row for each variant and seed.
+"""
 
 from __future__ import annotations
 

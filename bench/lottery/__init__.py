@@ -1,1 +1,1 @@
-"""Drives drawn by lot: places, rigs and focal lengths that nothing was tuned on."""
+"""Drives with randomly drawn track, start, rig and focal lengths, used for no tuning."""

@@ -1,4 +1,4 @@
-"""`python -m bench lottery`: whole drives drawn by lot, and whether windows and sigmas hold."""
+"""Record and evaluate randomly drawn rendered drives: trajectories, focals and their sigmas."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print and keep the tables."""
+    """Record and evaluate all drives, print and save a table for each version of the code."""
     for name, checkout in (("against", options.against), ("this", ROOT)):
         if checkout is None:
             continue
@@ -64,7 +64,7 @@ def _percent(logs: tuple[float, float] | None) -> str:
 
 
 def _summary(found: list[Outcome]) -> tuple[str, ...]:
-    """Lines over all drives."""
+    """Notes below the table: figures over all drives."""
     done = [one for one in found if one.ate_percent is not None]
     ate = [one.ate_percent for one in done if one.ate_percent is not None]
     scale = [abs(one.scale - 1) for one in done if one.scale is not None]

@@ -1,4 +1,4 @@
-"""A drive drawn by lot: the simulator's options, from a seed and a number."""
+"""Draw a drive, as options of the simulator, at random from a seed and a number."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from bench.drives import Prepare, simulated
 
-# Tracks kept for the lottery, with the length of their centre line, m. A drive starts anywhere on
-# the first nine tenths.
+# Tracks of the simulator used for these drives only: name -> length of the centre line, m. The
+# start is drawn from the first nine tenths, less 150 m for the drive itself.
 TRACKS = {
     "corkscrew": 3606,
     "e-track-1": 3245,
@@ -32,7 +32,7 @@ MOST_TURNED_DEG = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """One drive of the lottery. spacing_m: metres between the cameras. prepare: renders it."""
+    """A randomly drawn drive. spacing_m: metres between the cameras. prepare: renders it."""
 
     name: str
     spacing_m: float
@@ -40,7 +40,7 @@ class Drawn:
 
 
 def draw(seed: int, number: int) -> Drawn:
-    """Drive `number` of lottery `seed`; does not depend on how many are drawn."""
+    """Draw drive `number` of the series `seed`; it depends on these two only."""
     rng = np.random.default_rng([seed, number])
     track = list(TRACKS)[int(rng.integers(len(TRACKS)))]
     start_m = rng.uniform(0, 0.9 * TRACKS[track] - 150)

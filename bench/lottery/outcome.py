@@ -1,4 +1,4 @@
-"""What one checkout of calm-edge makes of one drive of the lottery, kept in a file."""
+"""Record and evaluate a drive with the code of a git checkout; the outcome is kept in a file."""
 
 from __future__ import annotations
 
@@ -26,20 +26,22 @@ from calm_edge.trajectories import read_tum
 from calm_edge.types import Float
 
 FOLDER = ROOT / "build" / "lottery"
-# A keyframe step this far (log) from the true one, after one scale for the drive, is garbage.
+# A step, the distance between consecutive keyframes, is garbage if the log of its ratio to the true
+# one differs by more than this from the median over the drive.
 GARBAGE_LOG = 0.18
-# A true step shorter than this has no ratio, m.
+# With a shorter true step the car counts as standing, and the step is not judged, m.
 STANDING_M = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One drive. None where there is no result.
+    """Figures of one drive, None where there is no result.
 
-    path_m, yaw_deg: of the truth; yaw is the sum of turns. placed: share of the keyframes that a
-    sub-map placed. garbage: share of the steps between placed keyframes. scale: of the best
-    similarity, 1 is right. focal_error, focal_sigma: logs, one an eye. failed: the reason of a
-    drive without a result, else empty.
+    path_m: length of the true path. yaw_deg: magnitude of the sum of its turns. ate_percent: ATE
+    after rigid alignment, percent of the path. scale: of the similarity that best aligns trajectory
+    and truth, 1 if the trajectory is exact. placed: share of the primary keyframes with a pose.
+    garbage: share of the steps between these that are wrong by more than GARBAGE_LOG. focal_error,
+    focal_sigma: of the log focal, one per eye. failed: reason why there is no result, else empty.
     """
 
     drive: str
@@ -55,7 +57,7 @@ class Outcome:
 
 
 def code_key(checkout: Path) -> str:
-    """A hash of the shipped code and model of a checkout."""
+    """Hash of the shipped code, models and settings in a checkout."""
     digest = hashlib.sha256()
     for folder in ("calm_edge", "device"):
         for file in sorted((checkout / folder).rglob("*")):
@@ -65,7 +67,7 @@ def code_key(checkout: Path) -> str:
 
 
 def outcome(drawn: Drawn, checkout: Path) -> Outcome:
-    """Of a drive, computed once for each state of the code; raises EvaluationError."""
+    """Outcome of a drive, computed once for each code_key; raises EvaluationError."""
     kept = FOLDER / code_key(checkout) / f"{drawn.name}.json"
     if kept.is_file():
         values: dict[str, Any] = json.loads(kept.read_text())
@@ -123,7 +125,7 @@ def _pair(values: Iterable[float]) -> tuple[float, float]:
 
 
 def _steps(recording: Path, t_truth: Any, T_truth: Float) -> tuple[float, float]:
-    """Shares of keyframes placed, and of garbage among the steps between them."""
+    """Share of the primary keyframes with a pose, and of garbage among the steps between them."""
     windows = list(Recording(recording).windows())
     keyframes = {int(i) for w in windows for i, eye in zip(w.ids, w.eyes, strict=True) if eye == 0}
     t_ns, T_w_c = read_tum(recording / TRAJECTORY_FILE)
@@ -134,14 +136,17 @@ def _steps(recording: Path, t_truth: Any, T_truth: Float) -> tuple[float, float]
 
 
 def garbage_share(step: Float, true: Float) -> float:
-    """Share of the steps (N,) that are garbage against the true ones, standing left out."""
+    """Share of garbage (GARBAGE_LOG) among steps (N,), those where the car stands left out.
+
+    step, true: estimated and true distances between consecutive keyframes, m.
+    """
     moving = true > STANDING_M
     ratio = np.log(np.maximum(step[moving], 1e-9) / true[moving])
     return float((np.abs(ratio - np.median(ratio)) > GARBAGE_LOG).mean())
 
 
 def _run(checkout: Path, *arguments: str) -> str:
-    """stdout of a `calm-edge` of that checkout; raises EvaluationError with its last line."""
+    """Run `calm-edge` from a checkout; return stdout, raise EvaluationError with its last line."""
     command = [sys.executable, "-m", "calm_edge.cli", *arguments]
     done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
     if done.returncode not in (0, 3):

@@ -24,9 +24,10 @@ WAVE = 40.0
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """Sub-maps of a drive with anchors, and the correspondences that the baselines align.
+    """Sub-maps of a drive with depth and anchors, and the points by which baselines align them.
 
-    overlaps: between sub-maps k - 1 and k. skipped: reasons why windows have no depth.
+    overlaps: corresponding points of sub-maps k - 1 and k, k = 1, 2 ... skipped: reasons why
+    windows have no depth.
     """
 
     mapper: Mapper
@@ -39,7 +40,8 @@ class Built:
 def build(recorded: Recorded, folder: Path, warp: float) -> Built:
     """Compute depth, anchors and overlaps of all windows.
 
-    folder: for temporary files. warp: amplitude of a distortion added to the depth, see `warped`.
+    folder: for temporary files. warp: amplitude of the smooth relative error that `warped` adds to
+    the depth, 0 for none.
     """
     config = recorded.config
     spacing = config.scale.spacing
@@ -68,10 +70,11 @@ def build(recorded: Recorded, folder: Path, warp: float) -> Built:
 def warped(
     submap: Submap, depth: Float32, size: tuple[int, int], amplitude: float, spacing: float
 ) -> Float32:
-    """Add to a depth (N, h, w), raw unit, a smooth distortion, as section VI corrects.
+    """Add a smooth relative error, of the kind that section VI corrects, to depth (N, h, w).
 
-    The relative error is a wave in the space of the sub-map, with the given amplitude and a
-    wavelength of WAVE spacings. It is equal in all views and different in each sub-map. size: (2,)
+    The error is a wave over the 3-D points of the sub-map with the given amplitude and a wavelength
+    of WAVE camera spacings: the same function of the point in all N views, another one in each
+    sub-map. depth: in the sub-map's raw unit. size: (2,)
     width and height of the pictures, px. spacing: world units per map unit.
     """
     if not amplitude:
@@ -92,7 +95,8 @@ def warped(
 def raw_points(built: Built, k: int, config: MappingConfig, spacing: float) -> Float32:
     """Points (P, 3) of the k-th sub-map before any correction, in its own frame and raw unit.
 
-    Range and voxel size are those of our map, converted to that unit.
+    The points lie within our map's maximum range and are thinned to its voxel size, both converted
+    to that unit.
     """
     submap = built.submaps[k]
     spooled = built.spool.depth(submap.id)

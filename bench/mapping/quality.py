@@ -1,7 +1,7 @@
 """Map accuracy, completeness and seams on a recording, of calm-edge and of the baselines.
 
-Calm-edge is also measured without each part of section VI. All rows use the same depth; `--warp`
-adds a smooth distortion to it.
+Seams: distances between the positions of a point in two sub-maps. Calm-edge is also measured
+without each part of section VI. All rows use the same depth; `--warp` adds a smooth error to it.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def measure(
     """Compute all rows for a recording.
 
     assignments: SECTION.KEY=VALUE over its configuration. align: `se3` or `sim3`, of map to truth.
-    warp: amplitude of the distortion added to the depth. Raises CalmEdgeError where the recording
-    cannot be mapped or compared.
+    warp: amplitude of a smooth relative error added to the depth, 0 for none. Raises CalmEdgeError
+    where the recording cannot be mapped or compared.
     """
     recorded = read(path, assignments)
     config, drive = recorded.config, recorded.drive

@@ -19,8 +19,9 @@ from calm_edge.geometry.similarity import align
 from calm_edge.mapping.seams import SeamSummary, summary
 from calm_edge.types import Float, Float32, Int, Submap
 
-# Each but the first without one part of section VI. With infinite stiffness the thin-plate spline
-# cannot bend, which leaves a rigid motion by the anchors.
+# Title and settings of each variant, all but the first without one part of section VI. With
+# infinite stiffness the thin-plate spline cannot bend: sub-maps are only moved rigidly to fit the
+# anchors.
 VARIANTS: tuple[tuple[str, dict[str, float | bool]], ...] = (
     ("full", {}),
     ("without suppression", {"suppress": False}),
@@ -34,8 +35,9 @@ VARIANTS: tuple[tuple[str, dict[str, float | bool]], ...] = (
 class Quality:
     """Map quality of one variant or baseline.
 
-    error: None if no point lies near the path. seams: distances of common anchors, None for a
-    baseline. failed: reason why there is no map, else empty.
+    error: distances of map and truth, None if no point lies near the path. seams: distances between
+    the positions that two sub-maps give to a common anchor, None for a baseline. failed: reason why
+    there is no map, else empty.
     """
 
     name: str

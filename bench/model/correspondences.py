@@ -23,7 +23,9 @@ QUERIES = 200
 KINDS = ("SIFT", "corner")
 ALL = "all"
 THRESHOLDS_PX = (1.0, 3.0)
-# Cases measured on degraded pictures as well.
+# Kinds of pairs (`Pair.case`) also measured on degraded pictures (night, motion blur, JPEG).
+# "3 on": from a primary keyframe to the third keyframe after it. "eyes": from the primary's picture
+# to the assistant's of the same frame number.
 DEGRADED_CASES = ("3 on", "eyes")
 # A pair with fewer visible query points is skipped.
 MIN_QUERIES = 20
@@ -52,7 +54,10 @@ class Score:
     claimed: float
 
     def share(self, threshold: int = 0) -> float:
-        """Share of correct matches; half a query added on both sides keeps ratios finite."""
+        """Share of query points found within THRESHOLDS_PX[threshold].
+
+        Half a query is counted as correct and half as wrong in addition, to keep ratios finite.
+        """
         return (self.within[threshold] + 0.5) / (self.queries + 1)
 
 
@@ -94,7 +99,10 @@ def judge(matches: Matches, true_uv: Float) -> tuple[tuple[int, ...], int, float
 
 
 def measure_pair(pair: Pair, matchers: Mapping[str, Matcher]) -> list[Score]:
-    """Score all matchers on a pair, and in DEGRADED_CASES also on its degraded pictures."""
+    """Score all matchers on a pair, and in DEGRADED_CASES also on its degraded pictures.
+
+    The query points are always those detected in the clean picture.
+    """
     uv, kind = query_points(pair)
     if len(uv) < MIN_QUERIES:
         return []
@@ -171,9 +179,10 @@ COLUMNS = (
 def against(
     scores: Sequence[Score], ours: str, other: str, case: str, threshold: int
 ) -> PairedRatio | None:
-    """Ratio of the share of correct matches of `other` to that of `ours`, on clean pairs of a case.
+    """Ratio of the share of correct matches of `other` to that of `ours`, on one case of pairs.
 
-    Below 1 `ours` is better. threshold: index into THRESHOLDS_PX. None without common pairs.
+    Below 1 `ours` is better. On pictures that are not degraded. threshold: index into
+    THRESHOLDS_PX. None without pairs that both were run on.
     """
     mine, theirs = (_shares(scores, name, case, "", threshold) for name in (ours, other))
     return compare(theirs, mine) if mine.keys() & theirs.keys() else None
@@ -182,9 +191,10 @@ def against(
 def retained_against(
     scores: Sequence[Score], ours: str, other: str, degraded: str
 ) -> PairedRatio | None:
-    """Ratio of `other` to `ours` of the part of correct matches kept on degraded pictures.
+    """Ratio of `other` to `ours` in the correct matches on degraded over those on clean pictures.
 
-    A match is correct within 1 px. Below 1 `ours` is better. None without common pairs.
+    A match is correct within 1 px. degraded: kind of degradation. Below 1 `ours` loses less. None
+    without pairs that both were run on.
     """
     kept = []
     for name in (other, ours):

@@ -31,7 +31,7 @@ from device.frame import Eye
 RIVAL, SWEEP = "SGBM", "plane sweep"
 PLACES, KEYFRAMES = 3, 5
 NEAREST_M, FARTHEST_M = 1.0, 60.0
-# Target: error of ours over that of semi-global matching.
+# Target: largest ratio of our relative depth error to that of semi-global matching.
 ASKED = 0.7
 COLUMNS = (
     "maker", "coverage %", "abs-rel", "within 5 %", "both: abs-rel", "both: within 5 %",
@@ -43,9 +43,9 @@ COLUMNS = (
 class Scored:
     """Scores of one method on one picture.
 
-    own: over the pixels where this method has depth. common: where all methods have depth. equal:
-    over its most confident pixels, as many as the method with the fewest has. coverage: share of
-    pixels with depth.
+    own: over the pixels where this method has depth. common: over those where all methods have
+    depth. equal: over this method's most confident pixels, as many as the method with fewest depths
+    has in this picture. coverage: share of pixels with depth by this method.
     """
 
     maker: str

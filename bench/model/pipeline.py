@@ -1,8 +1,8 @@
 """Error and time on whole drives, by `bundle` with and without the network.
 
-Errors: lockstep runs of the same drives and seeds, the network in fp32 and int8, compared in pairs.
-Time: seconds per window in runs in real time. Results are kept in build/eval/model_pipeline.json; a
-run of some drives replaces only their results.
+Errors: lockstep runs without the network and with it, in fp32 and in int8, compared in pairs of the
+same drive and seed. Time: seconds per window in runs in real time. Results are kept in
+build/eval/model_pipeline.json; a run of some drives replaces only their results.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from calm_edge.loops.descriptor import GradientLayout, PlaceDescriptor
 from calm_edge.trajectories import read_kitti
 
 RIVAL = "SIFT-VLAD"
-# Minimum difference in pictures, one per second, between two visits of a place.
+# Least number of pictures, one per second, between two pictures that count as separate visits.
 MIN_GAP = 20
 TRAINING_PICTURES = 40
 # The returns of a drive are split into this number of stretches, the pairs of the comparison.
@@ -68,7 +68,8 @@ def measured(folder: Path, descriptors: dict[str, PlaceDescriptor]) -> dict[str,
 def requirements(found: Mapping[str, Mapping[str, NDArray[np.bool_]]]) -> tuple[Check, ...]:
     """Requirement that ours recognises more returns than RIVAL; empty if ours is not measured.
 
-    The comparison is paired over stretches of the drives. found: results of `measured` by drive.
+    Compared in pairs, the recall of both on each stretch of a drive. found: results of `measured`
+    by drive.
     """
     recall: dict[str, dict[tuple[str, int], float | None]] = {OURS: {}, RIVAL: {}}
     for drive, by_name in found.items():

@@ -84,7 +84,7 @@ class LineScore:
     def share(self, threshold: int = 0) -> float:
         """Share of query points within a threshold.
 
-        Half a query is added on both sides, to keep ratios finite.
+        Half a query is counted as correct and half as wrong in addition, to keep ratios finite.
         """
         return (self.within[threshold] + 0.5) / (self.queries + 1)
 

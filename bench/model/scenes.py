@@ -20,8 +20,8 @@ from calm_edge.types import Bytes
 from device.frame import Eye, Frame
 
 GAPS = (1, 3, 8)
-# Number of places along a drive, in ordinary and in hard scenes; and number of frames searched for
-# the keyframes of GAPS.
+# Number of places along a drive, in ordinary and in hard scenes; and number of frames searched at a
+# place for as many keyframes as GAPS, the intervals in keyframes of the pairs matched, requires.
 PLACES, HARD_PLACES = 5, 6
 SEARCHED = 60
 
@@ -51,7 +51,9 @@ class Side:
 class Pair:
     """A picture pair. Query points lie in a and are searched for in b.
 
-    case: kind of pair. place: index of the pair's place along the drive.
+    case: `eyes`, primary to assistant at one frame, with the difference of the cameras if large; or
+    `K on`, a primary keyframe and the K-th after it. place: index of the pair's place along the
+    drive.
     """
 
     case: str
@@ -77,7 +79,8 @@ DEVELOPMENT = (
 )  # fmt: skip
 UNSEEN = tuple(Scene(drive.name, drive.loose) for drive in HELD_OUT)
 
-# Focal lengths of ratio two (90 and 53.13 degrees), and 20 degrees about one axis.
+# Rig of the hard scenes: horizontal fields of view of 90 and 53.13 degrees, focal lengths of ratio
+# two; the eyes are rotated by 20 degrees about one axis.
 _TWICE = ["--frames", "60", "--hz", "4", "--hfov", "90", "53.13", "--rot-deg"]
 _TURNS = {"roll": "0 0 20", "yaw": "0 20 0"}
 

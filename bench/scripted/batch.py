@@ -79,7 +79,10 @@ class Batch:
         )
 
     def _bent(self) -> Float:
-        """Bend the path into an arc: turn each pose (N, 4, 4), half before and half after it."""
+        """Bend the path of the poses T_s_c (N, 4, 4) into an arc by the drawn angles.
+
+        A view's angle is applied half about the y axis of the sub-map, half about its own.
+        """
         half = np.zeros((len(self._eyes), 6))
         half[:, 4] = self._draw.bend / 2
         return np.asarray(se3.exp(half) @ self._T @ se3.exp(half))

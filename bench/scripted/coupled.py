@@ -21,14 +21,19 @@ from device.frame import Eye
 # Matches of each pair of primary views, and of each of the three pairs of an assistant view.
 MATCHES, _MATCHES_OF_THREE = 160, 80
 _MIN_MATCHES = 12
-# An assistant view is solved against the nearest primary view and those at this distance in views.
+# An assistant view is solved against three primary views this number of views apart. Except at the
+# ends of the window the middle one is that nearest in time.
 _REACH = 2
 # Minimum baseline of a pair, world units.
 _MIN_STEP = 0.02
 
 
 class _Pairs(NamedTuple):
-    """Pairs of views a and b. parent: index of the pair to which the baseline is relative."""
+    """Pairs of views a and b, by index.
+
+    parent: index of an earlier pair with a view in common; the length of a pair's baseline |t_b_a|
+    is measured relative to that of its parent.
+    """
 
     a: Int
     b: Int
@@ -108,15 +113,16 @@ def _with_assistants(
 def _matches(
     a: Int, b: Int, rays: Float, focals: Float, sightings: Sightings, most: int = MATCHES
 ) -> epipolar.Matches:
-    """Common matches of views a (P,) and b (P,); raises BackboneError if they are too few."""
+    """Matches of P pairs of views a (P,), b (P,); raises BackboneError if a pair has too few."""
     index, weight = _some(sightings.seen[a] & sightings.seen[b], most)
     x_a, x_b = rays[a[:, None], index], rays[b[:, None], index]
     return epipolar.Matches(x_a, x_b, focals[a], focals[b], weight)
 
 
 def _some(mask: Bool, most: int = MATCHES) -> tuple[Int, Float]:
-    """Choose up to `most` random columns in each row of a mask (P, M): indices, weights (P, C).
+    """Choose up to `most` of the true columns in each row of a mask (P, M), at random.
 
+    Returns their indices and weights (P, C), C = min(most, M); weights are 0 where a row has fewer.
     Raises BackboneError if a row has too few.
     """
     if mask.sum(1).min() < _MIN_MATCHES:
@@ -128,7 +134,7 @@ def _some(mask: Bool, most: int = MATCHES) -> tuple[Int, Float]:
 
 
 def _ratios(solved: Float, pairs: _Pairs, rays: Float, sightings: Sightings) -> Float:
-    """Ratios (P,) of the baseline of each pair to that of its parent, 1 for the first pair.
+    """Ratios (P,) of the baseline of each of P pairs to that of its parent, 1 for the first pair.
 
     They follow from the depths of common points in the view that both pairs contain.
     """

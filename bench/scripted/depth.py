@@ -16,7 +16,7 @@ _HALF_CONFIDENT = 0.1
 
 
 def partners(t_ns: Int) -> Int:
-    """Indices (N, P) of the views nearest in time to each of N views, for triangulation."""
+    """Indices (N, P), for each of N views, of the P others nearest in time, to triangulate with."""
     apart = np.abs(t_ns[:, None] - t_ns).astype(np.float64)
     np.fill_diagonal(apart, np.inf)
     return np.argsort(apart, axis=1, kind="stable")[:, : min(_PARTNERS, len(t_ns) - 1)]

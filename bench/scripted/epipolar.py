@@ -1,7 +1,8 @@
-"""Relative poses from matches under a given K, for many pairs at once.
+"""Relative poses from matches under a given K, for many pairs of views at once.
 
-Rays are pixels back-projected by K, (x, y, 1); p_b = R p_a + t, and x_b^T E x_a = 0 with E = [t]x
-R. Sampson distance: Hartley, Zisserman, "Multiple view geometry", 11.4.3.
+P: number of pairs, C: matches of a pair, k: parameters of a relative pose. Rays are pixels
+back-projected by K, (x, y, 1); p_b = R p_a + t, and x_b^T E x_a = 0 with E = [t]x R. Sampson
+distance: Hartley, Zisserman, "Multiple view geometry", 11.4.3.
 """
 
 from __future__ import annotations
@@ -107,7 +108,8 @@ def _descend(
 ) -> Float:
     """Minimise over independent poses (P, 4, 4) by Levenberg-Marquardt.
 
-    linearised: (poses, rows) -> normal equations. moved: (poses, steps) -> new poses.
+    linearised: (poses, their row indices in start) -> normal equations. moved: (poses, steps) ->
+    new poses. A step has the k parameters of a pose.
     """
     T, damping = np.array(start), np.full(len(start), 1e-4)
     going = np.arange(len(T))
@@ -150,7 +152,10 @@ def weighted_median(value: Float, weight: Float) -> Float:
 
 
 def _residuals(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> tuple[Float, Float]:
-    """Sampson distances (P, C) of E[:, 0], and their derivatives (P, k, C) along E[:, 1:]."""
+    """Sampson distances (P, C), px, and their derivatives (P, k, C) by the k pose parameters.
+
+    E: (P, 1 + k, 3, 3), the essential matrix of each pair, then its k derivatives.
+    """
     in_b = E @ np.swapaxes(x_a, 1, 2)[:, None]
     in_a = np.swapaxes(E, -1, -2) @ np.swapaxes(x_b, 1, 2)[:, None]
     value = (in_b * np.swapaxes(x_b, 1, 2)[:, None]).sum(2)
@@ -164,14 +169,17 @@ def _residuals(E: Float, x_a: Float, x_b: Float, f_a: Float, f_b: Float) -> tupl
 
 
 class _Linear(NamedTuple):
-    """Costs (P,) with gradients (P, k) and Gauss-Newton Hessians (P, k, k)."""
+    """Costs (P,) of P poses with gradients (P, k) and Gauss-Newton Hessians (P, k, k).
+
+    k: number of parameters of a pose.
+    """
 
     cost: Float
     gradient: Float
     hessian: Float
 
     def step(self, damping: Float) -> Float:
-        """Levenberg-Marquardt steps (P, k) with damping (P,)."""
+        """Levenberg-Marquardt steps (P, k) of k parameters, with a damping factor (P,) per pose."""
         diagonal = np.einsum("pii->pi", self.hessian) + 1e-12
         eye = np.eye(diagonal.shape[1])
         A = self.hessian + (damping[:, None] * diagonal)[:, None] * eye

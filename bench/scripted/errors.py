@@ -26,10 +26,10 @@ class ScriptedErrors:
     scale after a path of 100 world units (random walk).
 
     Per batch: scale_log_sigma, of the log raw units per world unit; focal_log_error, constant, one
-    per eye; focal_log_sigma, correlated between the eyes; depth_drift, sigma of the log ratio of
-    depth to poses between the first view in time and the last; bend_sigma_rad, of the angle by
-    which the path is bent into an arc. The focal errors that are drawn grow on straight roads, see
-    `focal_factor`.
+    per eye; focal_log_sigma, correlated between the eyes; depth_drift, sigma of the change of
+    log(scale of depth / scale of poses) from the first view in time to the last; bend_sigma_rad, of
+    the angle by which the path is bent into an arc. The focal errors that are drawn grow on
+    straight roads, see `focal_factor`.
 
     Per view: rotation_sigma_rad and translation_sigma of the pose; depth_warp, amplitude of a
     smooth relative depth error over the picture.
@@ -62,9 +62,9 @@ class ScriptedErrors:
 class Draw:
     """Random values of one batch of N views.
 
-    scale: raw units per world unit. focal: (N,) log errors. twists: (N, 6) errors of the poses,
-    world units. bend: (N,) rad about the y axis of the first view. phases: (N, 3) of the depth
-    warp. depth: (N,) log errors of depth relative to poses.
+    scale: raw units per world unit. focal: (N,) log errors. twists: (N, 6) errors of the poses in
+    se(3), world units and rad. bend: (N,) rad about the y axis of the first view. phases: (N, 3)
+    rad, of the wave of depth_warp. depth: (N,) log errors of depth relative to poses.
     """
 
     scale: float

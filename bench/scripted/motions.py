@@ -97,9 +97,10 @@ def group(
     noise_px: float = 0.3,
     outliers: float = 0.0,
 ) -> BankGroup:
-    """Test group of one motion, with its information computed at the guess.
+    """Matches on which focal lengths are tested, of the views of one motion.
 
-    guess: focal length, px. off_px: offset of the true principal point from the guessed one.
+    Their information on the focal is computed at `guess`, px. off_px: offset of the true principal
+    point from the guessed one.
     """
     cx, cy = CAMERA.cx + off_px[0], CAMERA.cy + off_px[1]
     camera = replace(CAMERA, fx=focal, fy=focal, cx=cx, cy=cy)
