@@ -19,10 +19,10 @@ class Backbone(Protocol):
     """Maps N images to intrinsics, poses, depth and confidence. Stateless and deterministic."""
 
     def infer(self, images: Sequence[NDArray[np.uint8]], hints: Hints) -> Prediction:
-        """Reconstruct a batch. images: (H, W, 3) uint8 BGR in batch order; hints: known facts.
+        """Reconstruct a batch of images (H, W, 3) uint8 BGR: primary, assistant, loop keyframe.
 
-        Depth may be None for backbones that solve the poses first; see `densify`. Raises
-        BackboneError.
+        hints: camera and stamp of each image, prior on the kit. Depth may be None for backbones
+        that solve the poses first; `densify` then adds it. Raises BackboneError.
         """
         ...
 
@@ -43,7 +43,7 @@ class ExpectsPictures(Protocol):
         ...
 
     def expect(self, image: NDArray[np.uint8]) -> None:
-        """Start processing a primary keyframe, (H, W, 3) uint8 BGR. No effect on results."""
+        """Start processing a primary keyframe, (H, W, 3) uint8 BGR. Only saves time."""
         ...
 
 

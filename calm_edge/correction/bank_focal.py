@@ -1,4 +1,7 @@
-"""Focal of least score (`spectral.score`) on a test bank, and its sigma; extends paper V-A."""
+"""Focal of least score (`spectral.score`) on a test bank, and its sigma; extends paper V-A.
+
+A test bank holds fundamental matrices of image pairs of one camera, by which focals are scored.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +45,13 @@ class BankFocal:
 
 
 def minimise(bank: TestBank, shape: Camera, start: float, *, weighted: bool) -> BankFocal:
-    """Find the focal of least score. start: initial focal [px]. shape: the rest of K.
+    """Find the focal of least score. start: initial focal [px]. shape: gives the rest of K.
 
-    Not weighted: the minimum of the mean score. weighted: the minima of each group's score,
-    weighted by information, combined by generalised least squares. Their covariance contains the
-    noise of each group and the error of the principal point, which is common to all groups but
-    shifts each minimum differently. Iterated, as the information depends on the focal.
+    Not weighted: the minimum of the mean score. weighted: the minima of the score of each group
+    (the matrices of one sub-map), weighted by information, combined by generalised least squares.
+    Their covariance contains the noise of each group and the error of the principal point, which is
+    common to all groups but shifts each minimum differently. Iterated, as the information depends
+    on the focal.
     """
     x, plain = float(np.log(start)), np.ones(len(bank.F))
     if not weighted:
@@ -64,7 +68,7 @@ def minimise(bank: TestBank, shape: Camera, start: float, *, weighted: bool) -> 
 
 
 def _common(bank: TestBank, shape: Camera, x: float) -> tuple[float, float, Float, float]:
-    """Combined log focal of the groups, its sigma, information (P,) and model noise.
+    """Combined log focal of the groups, its sigma, information (P,) by matrix, model noise.
 
     x: log focal at which information is computed.
     """

@@ -1,4 +1,8 @@
-"""Intrinsic search of one camera: candidates, test bank and two-stage update (paper V-A)."""
+"""Intrinsic search of one camera: candidates, test bank and two-stage update (paper V-A).
+
+A candidate is the camera that the backbone found in one sub-map. The test bank holds fundamental
+matrices of image pairs, by which the candidates are scored.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +42,7 @@ class EyeSearch:
 
     @property
     def camera(self) -> Camera | None:
-        """Camera of the best candidate so far (K_global, undamped); None before any sub-map."""
+        """Best estimate of the camera so far (K_global), undamped; None before any sub-map."""
         return self._best
 
     @property
@@ -48,12 +52,12 @@ class EyeSearch:
 
     @property
     def is_informative(self) -> bool:
-        """Whether the test bank determines the focal."""
+        """Whether the fundamental matrices of the test bank determine the focal."""
         return bool(np.isfinite(self.measured.log_sigma))
 
     @property
     def damping(self) -> float:
-        """Damping of the paper, from the number of matrices (V-C)."""
+        """Share of the focal's error to correct, by the number of matrices in the bank (V-C)."""
         if not self.bank.groups:
             return 0.0
         if not self._config.adaptive_damping:
@@ -61,13 +65,13 @@ class EyeSearch:
         return damping.from_density(len(self.bank.F), self._config)
 
     def shape(self) -> Camera:
-        """Medians of the candidates: focal, aspect ratio and principal point."""
+        """Camera with the candidates' median focal, aspect ratio and principal point."""
         focal = float(np.exp(np.median(self.log_focals)))
         aspect = float(np.median([camera.fy / camera.fx for camera in self._candidates]))
         return replace(median(self._candidates), fx=focal, fy=focal * aspect)
 
     def add_candidate(self, camera: Camera) -> None:
-        """Add the estimate of a sub-map: stage one of the update."""
+        """Stage one of the update: add the camera of a sub-map, which may replace the best."""
         self._candidates.append(camera)
         if self._best is None or self._is_better(camera, self._best):
             self._best = camera
@@ -91,7 +95,7 @@ class EyeSearch:
         return bool(new < old)
 
     def _scores(self, cameras: Sequence[Camera]) -> Float:
-        """Weighted mean scores (C,) of cameras on the test bank; 0 is perfect."""
+        """Weighted mean scores (C,) of C cameras on the bank's fundamental matrices; 0: perfect."""
         scores = spectral.score_of(cameras, self.bank.F)
         return np.asarray(np.average(scores, -1, self.measured.weights))
 

@@ -66,8 +66,10 @@ class IntrinsicSearch:
     ) -> bool:
         """Add a sub-map; returns whether all sub-maps must be rectified again.
 
-        The candidates are submap.cameras_raw. landmarks: of the backbone. images: (H, W, 3) BGR
-        in batch order. Without both no test group is started.
+        The candidates are submap.cameras_raw. landmarks: of the backbone. images: (H, W, 3) BGR in
+        batch order. Test groups (fundamental matrices of the image pairs of one sub-map) are
+        estimated from matches of the landmarks or of SIFT features of the images; without
+        these no group is started.
         """
         for eye in Eye:
             views, ids = views_of(submap, eye)

@@ -20,9 +20,9 @@ _I = np.eye(3)
 
 
 def damped_scaling(estimated: Camera, target: Camera, damping: float) -> Float:
-    """S' (3, 3) = I + damping (S - I), with S of the focals of two cameras (V-B, end of V-C).
+    """S' (3, 3) = I + damping (S - I), S the ratios of estimated to target focals (V-B, V-C).
 
-    target: K_global. damping: in [0, 1]. Principal points are ignored.
+    target: the global estimate, K_global. damping: in [0, 1]. Principal points are ignored.
     """
     ratio = np.array([estimated.fx / target.fx, estimated.fy / target.fy])
     return np.diag([*(1 + damping * (ratio - 1)), 1.0])
@@ -38,7 +38,10 @@ def effective_camera(estimated: Camera, S: Float) -> Camera:
 
 
 def translation_simple(t: Float, S: Float) -> Float:
-    """Corrected translation S t (..., 3), for small rotations (simplified form of V-B)."""
+    """Corrected translation S t (..., 3), for small rotations (simplified form of V-B).
+
+    t: (..., 3), estimated. S: (..., 3, 3) focal ratios.
+    """
     return np.asarray((S @ t[..., None])[..., 0])
 
 

@@ -115,7 +115,11 @@ def _assistant(
     T_s_p: Float, T_s_p_new: Float, T_s_a: Float, between: _Between, S_joint: Float,
     config: CorrectionConfig,
 ) -> Float:  # fmt: skip
-    """Rectified assistant poses (M, 4, 4), relative to the primary interpolated at their stamps."""
+    """Rectified assistant poses (M, 4, 4), relative to the primary interpolated at their stamps.
+
+    T_s_p, T_s_p_new: primary before and after rectification. S_joint: focal ratios, the mean of
+    both cameras.
+    """
     before, after, share = between
     both = np.stack([T_s_p, T_s_p_new])
     T_s_ref, T_s_ref_new = se3.interpolate(both[:, before], both[:, after], share)

@@ -1,4 +1,7 @@
-"""Test bank of one camera: groups of fundamental matrices to score intrinsics on (paper V-A)."""
+"""Test bank of one camera: groups of fundamental matrices to score intrinsics on (paper V-A).
+
+A group has the matrices of the image pairs of one sub-map.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,10 @@ _FOCALS = 12
 
 @dataclass(frozen=True, slots=True)
 class BankGroup:
-    """A test group: F (P, 3, 3) px of one camera, x_b^T F x_a = 0, and their sensitivity."""
+    """A test group: F (P, 3, 3) px of P image pairs of one camera, x_b^T F x_a = 0.
+
+    sensitivity: of the scores of these matrices to the focal, and their noise.
+    """
 
     F: Float
     sensitivity: FocalSensitivity
@@ -71,7 +77,7 @@ class GroupBuilder:
                 self._found.append(fit)
 
     def finish(self, shape: Camera) -> BankGroup | None:
-        """Process the remaining pairs and return the group; None with fewer than n_pair pairs.
+        """Process the remaining pairs and return the group; None if under n_pair pairs have an F.
 
         shape: current camera, for which the sensitivity is computed.
         """
@@ -138,7 +144,10 @@ class TestBank:
         return np.concatenate([np.zeros(0), *(g.sensitivity.at(log_focal)[1] for g in self.groups)])
 
     def centre_shift(self, log_focal: float) -> Float:
-        """Shifts (P, 2) as `spectral.centre_shift`, of each matrix, at a log focal [log px]."""
+        """Shift (P, 2) of each matrix's best log focal per sigma of the principal point in x, y.
+
+        log_focal: [log px] at which it is linearised.
+        """
         parts = [spectral.centre_shift(g.sensitivity, log_focal) for g in self.groups]
         return np.concatenate([np.zeros((0, 2)), *parts])
 

@@ -132,8 +132,9 @@ class WindowBuilder:
     def _next_size(self) -> tuple[int, int]:
         """Number of primary keyframes of the next full window, and how many of them are new.
 
-        A short first window provides points for the live pose seconds earlier. The second contains
-        it, so that all later windows are as without it.
+        The first window may have only `first_window` keyframes, so that the live pose has points
+        seconds earlier. The second is a full one that begins with the same keyframes, so that all
+        later windows are as without a short one.
         """
         n_max, early = self.config.n_max, self.config.first_window
         n_emitted = self._submap_id - self._first_submap_id

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32
 
-# Frames are kept for tracking a new sub-map from its keyframes to the newest frame.
+# Largest age and number of past frames that are kept. The points of a new sub-map are tracked
+# through them, from its keyframes to the newest frame.
 REMEMBERED_NS, MAX_REMEMBERED = 12_000_000_000, 360
 
 

@@ -31,8 +31,8 @@ HOP_NS, CATCH_UP_NS = 390_000_000, 90_000_000
 # while there is no pose that could be delayed.
 CATCH_UP_FRAMES, CATCH_UP_FRAMES_LOST = 2, 3
 INLIER_PX = 3.0
-# Largest difference of log length between the old track and the new sub-map; if it is larger, the
-# old track is dropped.
+# Largest |log ratio| of a distance travelled in the new sub-map to that in the old track; if it is
+# larger, the old track is dropped.
 MAX_DISAGREEMENT = 0.2
 
 
@@ -297,7 +297,7 @@ class Tracker:
         return p_w[alive], now, T, gray
 
     def _hops(self, here: int, there: int) -> list[tuple[int, int]]:
-        """Steps from one past frame to another: a single one if both poses are known."""
+        """Pairs of past frames to track between, from `here` to `there`; one if both have poses."""
         past = self._past
         if past[here].T_m_c is not None and past[there].T_m_c is not None:
             return [(here, there)]

@@ -19,8 +19,8 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
     t_ns (N,), T_o_c (N, 4, 4), covariance (N, 6, 6) of (translation, rotation) in each camera's
     axes; poses are taken as independent. The twist is the slope of a fitted parabola at its end: a
     mean over the window would be delayed by half of it. Residuals beyond the noise of the poses, as
-    on a bad road, add to the covariance. Up to three poses have no residuals: it is NaN then.
-    The twist is NaN for a single pose.
+    on a bad road, add to the covariance. Up to three poses leave no residuals: the covariance is
+    NaN then. The twist is NaN for a single pose.
     """
     if len(t_ns) < 2:
         return np.full(6, np.nan), np.full((6, 6), np.nan)
@@ -41,7 +41,9 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
 def _misfit(powers: Float, moved: Float, covariance: Float) -> Float:
     """Variances (6,) of moved (N, 6) about the parabola, in excess of the noise of the poses.
 
-    One value for the three axes of translation and one for those of rotation.
+    powers: (N, 3) powers of time, the terms of the parabola. moved: translation and rotation vector
+    relative to the last pose. One value for the three axes of translation and one for those of
+    rotation.
     """
     spare = len(moved) - powers.shape[1]
     if spare < 1:

@@ -86,7 +86,7 @@ class Camera(ABC):
         return np.stack([self.fx * q[..., 0] + self.cx, self.fy * q[..., 1] + self.cy], -1)
 
     def parameter_jacobian(self, p_c: Float) -> Float:
-        """Derivative (..., 2, P) of `project` by (fx, fy, cx, cy, distortion...)."""
+        """Derivative (..., 2, P) of `project` by P parameters: fx, fy, cx, cy, distortion..."""
         q = self._plane(p_c)
         J = np.zeros((*q.shape, 4 + len(self.distortion)))
         J[..., 0, 0], J[..., 1, 1] = q[..., 0], q[..., 1]

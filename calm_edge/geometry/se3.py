@@ -166,9 +166,10 @@ def adjoint(T: Float) -> Float:
 def right_jacobian_inverse(xi: Float) -> Float:
     """Inverse right Jacobian of SE(3) (..., 6, 6): log(exp(xi) exp(d)) = xi + J d + O(d^2).
 
-    xi: (..., 6), rotation below 2 pi. J = I + ad/2 + a ad^2 + b ad^4: the Bernoulli series
-    reduced by the characteristic polynomial ad^5 + 2 theta^2 ad^3 + theta^4 ad = 0; a and b are
-    from (theta/2) cot(theta/2) and its derivative.
+    xi: (..., 6), rotation below 2 pi. J = I + ad/2 + a ad^2 + b ad^4, with ad the matrix of the Lie
+    bracket with xi and theta its angle: the Bernoulli series reduced by the characteristic
+    polynomial ad^5 + 2 theta^2 ad^3 + theta^4 ad = 0; a and b are from (theta/2) cot(theta/2) and
+    its derivative.
     """
     ad = np.zeros((*xi.shape[:-1], 6, 6))
     ad[..., :3, :3] = ad[..., 3:, 3:] = hat(xi[..., 3:])

@@ -87,12 +87,12 @@ class ThinPlate:
 def fit(source: Float, target: Float, stiffness: float) -> ThinPlate:
     """Fit a thin-plate spline from source (N, 3) to target (N, 3), kernel U(r) = r (paper VI-D).
 
-    Minimises sum |Phi(p_i) - q_i|^2 + stiffness * bending energy; 0 interpolates. Stiffness is
-    dimensionless, because points are first centred and divided by their RMS radius. The model
-    depends on the extent of `source`: thin plate (at least 4 points not in a plane), rigid motion
-    (plane), translation (line or point), identity (no points). Rows that are not finite are
-    ignored. Raises ValueError for different shapes or negative stiffness. Bookstein, "Principal
-    warps", 1989.
+    Minimises, over source points p_i and targets q_i, sum |Phi(p_i) - q_i|^2 + stiffness * bending
+    energy; 0 interpolates. Stiffness is dimensionless, because points are first centred and divided
+    by their RMS radius. The model depends on the extent of `source`: thin plate (at least 4 points
+    not in a plane), rigid motion (plane), translation (line or point), identity (no points). Rows
+    that are not finite are ignored. Raises ValueError for different shapes or negative stiffness.
+    Bookstein, "Principal warps", 1989.
     """
     source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:

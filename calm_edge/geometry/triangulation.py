@@ -10,9 +10,9 @@ Int = NDArray[np.int64]
 
 
 def triangulate(T_c_s: Float, view: Int, point: Int, rays: Float, n_points: int) -> Float:
-    """Linear triangulation of all points: (M, 4) unit homogeneous, NaN when not seen twice.
+    """Linear triangulation of M = n_points points: (M, 4) unit homogeneous, NaN if not seen twice.
 
-    T_c_s: (C, 4, 4) of the views. view, point: (O,) of each observation. rays: (O, 2) on z = 1.
+    T_c_s: (C, 4, 4) of C views. view, point: (O,) of each observation. rays: (O, 2) on z = 1.
     Signed so that z > 0 in the views. Hartley and Zisserman, "Multiple View Geometry", 2004, 12.2.
     """
     P = T_c_s[view][:, :3]

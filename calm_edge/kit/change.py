@@ -60,9 +60,9 @@ def faded(belief: KitBelief) -> KitBelief:
 def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
     """Test the focal of each eye, the assistant's rotation and its position separately.
 
-    remembered: of earlier drives, faded. evidence: of this drive alone. The prior bounds the
-    principal points and distortion, without which a short drive leaves the focal undetermined.
-    Raises ValueError if a belief has not layout.SIZE entries.
+    remembered: of earlier drives, faded. evidence: of this drive alone. Both are multiplied by the
+    prior (kit/layout) on principal points and distortion: without it a short drive leaves the focal
+    undetermined. Raises ValueError if a belief has not layout.SIZE entries.
     """
     bounds = _bounds()
     remembered, evidence = (_bounded(belief, bounds) for belief in (remembered, evidence))
@@ -115,12 +115,12 @@ def _change(text: str, part: tuple[float, int]) -> Change:
 def _part(
     remembered: KitBelief, evidence: KitBelief, axes: Float, prior_sigma: float
 ) -> tuple[Float, tuple[float, int]]:
-    """Return the observed difference (k,) along orthonormal `axes` (D, k), and (distance2, rank).
+    """Return the observed difference (k,) along k orthonormal `axes` (D, k), and (distance2, rank).
 
-    The information of a difference is the parallel sum A (A + B)^+ B of the marginal ones, zero
-    along directions undetermined in either (Anderson and Duffin, Series and Parallel Addition of
-    Matrices, 1969). prior_sigma: sigma of these terms in the prior, relative to which a
-    direction counts as observed.
+    The information of a difference is the parallel sum A (A + B)^+ B of the marginal informations A
+    and B of the two beliefs, zero along directions undetermined in either (Anderson and Duffin,
+    Series and Parallel Addition of Matrices, 1969). prior_sigma: sigma of these terms in the prior,
+    relative to which a direction counts as observed.
     """
     A, B = (_marginal(b.information, axes) * prior_sigma**2 for b in (remembered, evidence))
     information = A @ np.linalg.pinv(A + B, rcond=_ROUNDING, hermitian=True) @ B

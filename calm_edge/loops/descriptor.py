@@ -94,8 +94,8 @@ class GradientLayout:
 def layout_likeness(queries: Float32, places: Float32, shifts: Sequence[int]) -> Float32:
     """Cosine similarity (Q, P) of two sets of lattices, the largest over sideways shifts [columns].
 
-    queries: (Q, rows, columns, D). places: (P, rows, columns, D). The mean over all places is
-    subtracted first, since it does not distinguish them.
+    queries: Q lattices (Q, rows, columns, D) with D values per cell. places: P lattices (P, rows,
+    columns, D). The mean over all places is subtracted first, since it does not distinguish them.
     """
     common = places.mean(0) if len(places) > 1 else np.zeros(places.shape[1:], np.float32)
     a, b, columns = queries - common, places - common, places.shape[2]

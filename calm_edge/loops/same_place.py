@@ -26,7 +26,8 @@ POSE_PX = 3.0
 # Sigma of the motion between the exposures of the two cameras, tens of milliseconds apart:
 # mostly forward, with little rotation. Spacings (x, y, z), then rad.
 RIG_SIGMA = np.array([0.1, 0.1, 0.5, 0.01, 0.01, 0.01])
-# A point is near if its parallax exceeds that of the farthest points by this.
+# A point is near if its parallax between the cameras exceeds the FAR_PERCENT percentile, that of
+# the farthest points, by this.
 NEAR_PX = 2.0
 FAR_PERCENT = 10.0
 SOME_DEPTH = 10.0  # spacings; for the direction of the parallax any depth will do
@@ -176,7 +177,8 @@ def triangulated(uv_p: Float, uv_a: Float, kit: KnownKit, T_a_p: Float) -> tuple
 def _pose(camera: Camera, points: Float, uv: Float, threshold_px: float) -> pnp.PoseFit | None:
     """Pose T_q_c (4, 4) of an image by PnP; None if it fails.
 
-    points: (M, 3) in the frame of the query camera. camera, uv: of the image, (M, 2) px.
+    c: its camera, q: the query camera. points: (M, 3) in the frame of q. camera, uv (M, 2) px: of
+    the image.
     """
     try:
         return pnp.locate(camera, points, np.asarray(uv, np.float32), np.eye(4), threshold_px)

@@ -11,8 +11,8 @@ from calm_edge.geometry import thin_plate
 from calm_edge.geometry.thin_plate import ThinPlate
 from calm_edge.types import Float, Int
 
-# anchors that would move by more than this share of their distance to the central camera are
-# wrong associations, not depth distortions
+# anchors that would move by more than this share of their distance to the central camera are wrong
+# associations, not errors of depth to correct
 MAX_RELATIVE_SHIFT = 0.25
 # an anchor's shift is compared with the median of this many neighbours; the anchor is torn if the
 # difference exceeds three robust sigmas and TORN_SHIFT of its distance to the central camera
@@ -76,9 +76,9 @@ def cells(points: Float, most: int) -> Int:
 def control_points(p_s: Float, target_s: Float, n: Int, most: int) -> tuple[Float, Float]:
     """Source and target control points (C, 3), (C, 3), C <= `most`, evenly over the volume.
 
-    p_s, target_s: (M, 3) sub-map frame. n: (M,) observation counts. A control point is the mean
-    of the most observed anchors of its lattice cell, which averages the depth noise of single
-    anchors.
+    p_s, target_s: (M, 3) sub-map frame. n: (M,) number of sub-maps that hold each anchor. A control
+    point is the mean of the most observed anchors of its lattice cell, which averages the depth
+    noise of single anchors.
     """
     label = cells(p_s, most)
     best = np.zeros(label.max(initial=-1) + 1, np.int64)
@@ -96,9 +96,10 @@ def control_points(p_s: Float, target_s: Float, n: Int, most: int) -> tuple[Floa
 def torn(p_s: Float, shift: Float, n: Int, centre_s: Float) -> NDArray[np.bool_]:
     """Mask (M,) of outliers: anchors with a shift that differs from that of their neighbours.
 
-    Anchors on occlusion edges can have a depth error just within the tolerance of verification,
-    and would dent the map. p_s: (M, 3). shift: (M, 3) target minus source. n: (M,) observation
-    counts; only anchors of several sub-maps are compared and marked. centre_s: (3,) central camera.
+    Anchors on occlusion edges can have a depth error just within the tolerance of verification, and
+    would dent the map. p_s: (M, 3). shift: (M, 3) target minus source. n: (M,) number of sub-maps
+    that hold each anchor; only anchors of several sub-maps are compared and marked. centre_s: (3,)
+    central camera.
     """
     from scipy.spatial import cKDTree
 
@@ -124,11 +125,12 @@ def fit_deformation(
 ) -> Deformation:
     """Fit the deformation that takes anchors p_s (M, 3) to target_s (M, 3) (paper VI-D).
 
-    Sub-map frame, world units. n: (M,) observation counts. centre_s: (3,) central camera.
-    probes: (P, 3) points of the cloud at which, besides the control points, folding is checked.
-    stiffness: lambda of VI-D, inf for the best rigid motion. most: maximum number of control
-    points. While det dPhi/dx < 0.1 anywhere, the stiffness is raised tenfold, up to 10^6 times
-    (practically affine); if that folds too, the best rigid motion is used.
+    Sub-map frame, world units. n: (M,) number of sub-maps that hold each anchor. centre_s: (3,)
+    central camera. probes: (P, 3) points of the cloud at which, besides the control points, folding
+    is checked. stiffness: weight of the bending energy (lambda of VI-D), inf for the best rigid
+    motion. most: maximum number of control points. While the deformation's Jacobian determinant is
+    below 0.1 anywhere, the stiffness is raised tenfold, up to 10^6 times (practically affine); if
+    that folds too, the best rigid motion is used.
     """
     shift = np.linalg.norm(target_s - p_s, axis=-1)
     likely = shift <= MAX_RELATIVE_SHIFT * np.linalg.norm(p_s - centre_s, axis=-1)

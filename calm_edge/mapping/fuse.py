@@ -29,7 +29,10 @@ def central_centre(submap: Submap) -> Float:
 
 
 def weights(p_s: Float, centre_s: Float) -> Float:
-    """Fusion weights (M,), 1 / |p - centre|^2, of points (M, 3), world units (paper VI-C.1)."""
+    """Fusion weights (M,), 1 / |p - centre|^2, of points (M, 3), world units (paper VI-C.1).
+
+    centre_s: (3,) optical centre of the sub-map's central primary keyframe.
+    """
     return np.asarray(1 / np.maximum(((p_s - centre_s) ** 2).sum(-1), MIN_DISTANCE2))
 
 

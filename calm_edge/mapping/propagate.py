@@ -52,9 +52,10 @@ def carried(source: AnchorTable, pairs: Int, present: Int) -> AnchorTable:
 def place(carried_rows: AnchorTable, target: DenseViews, tolerance: float) -> AnchorTable:
     """Back-project observations with the depth of the target sub-map and verify them there.
 
-    Returns rows of the target. The paper verifies only backward propagation; here forward copies
-    are verified too, which rejects pixels on the target's occlusion edges. If an anchor has
-    observations in several common images, the position on which most views agree is taken.
+    Returns the verified anchors, as rows of the target's table. The paper verifies only backward
+    propagation; here forward copies are verified too, which rejects pixels on the target's
+    occlusion edges. If an anchor has observations in several common images, the position on which
+    most views agree is taken.
     """
     anchor, view = (a.astype(np.int64) for a in (carried_rows.seen_anchor, carried_rows.seen_view))
     uv = carried_rows.uv
@@ -76,7 +77,7 @@ def place(carried_rows: AnchorTable, target: DenseViews, tolerance: float) -> An
 def copy_forward(
     sources: Sequence[tuple[AnchorTable, Int]], target: DenseViews, tolerance: float
 ) -> AnchorTable:
-    """Forward propagation: seeds of a new sub-map from earlier ones with common images.
+    """Forward propagation: anchors that a new sub-map takes over from earlier ones (its seeds).
 
     sources: (anchor table, pairs (P, 2) of (its view, target's view)) of each earlier sub-map.
     """

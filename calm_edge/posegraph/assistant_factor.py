@@ -1,7 +1,8 @@
 """Residuals of the pose graph and their exact derivatives, vectorised over edges (paper IV-C).
 
-Perturbation on the right, T <- T exp(d), twists ordered (translation, rotation). E_pri and E_loop
-are E_ast with T_p_a = I; GTSAM calls this residual a BetweenFactor.
+Perturbation on the right, T <- T exp(d), twists ordered (translation, rotation). E_ast is the cost
+of the assistant's relative poses; that of the primary's, E_pri, and of loop closures, E_loop, is
+the same with T_p_a = I; GTSAM calls this residual a BetweenFactor.
 """
 
 from __future__ import annotations

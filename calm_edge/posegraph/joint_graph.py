@@ -75,12 +75,12 @@ class JointGraph:
     def add_submap(
         self, ids: tuple[int, ...], T_w_s: Float, T_s_p: Float, T_s_a: Float, seen: Int
     ) -> None:
-        """Add E_pri and E_ast between each keyframe and its `window` predecessors in a sub-map.
+        """Add a sub-map's measurements between each keyframe and its `window` predecessors.
 
-        ids: keyframe ids of T_s_p (N, 4, 4). T_s_a: (V, 4, 4) assistant poses interpolated to
-        the stamps of the primary views with index `seen` (V,). All rectified, world units.
-        A keyframe that is in the graph already keeps its pose; a pair of keyframes that lies in
-        two sub-maps gets an edge from each.
+        Of both cameras (E_pri, E_ast of IV-C). ids: keyframe ids of T_s_p (N, 4, 4). T_s_a: (V, 4,
+        4) assistant poses interpolated to the stamps of the primary views with index `seen` (V,).
+        All rectified, world units. A keyframe that is in the graph already keeps its pose; a pair
+        of keyframes that lies in two sub-maps gets an edge from each.
         """
         for keyframe_id, T in zip(ids, T_w_s @ T_s_p, strict=True):
             if keyframe_id not in self._row:
@@ -117,7 +117,10 @@ class JointGraph:
         self._add_single(before_id, after_id, T_j_i, _BRIDGE_WEIGHT, robust=False)
 
     def add_loop(self, loop: LoopClosure) -> None:
-        """Add E_loop with a robust kernel. Raises KeyError for a keyframe not in the graph."""
+        """Add a loop closure (E_loop), under a robust kernel.
+
+        Raises KeyError for a keyframe not in the graph.
+        """
         self._add_single(loop.match_id, loop.query_id, loop.T_match_query, 1.0, robust=True)
 
     def _add_single(

@@ -25,7 +25,7 @@ _CHUNK = 256
 
 
 class Rows(NamedTuple):
-    """Whitened Jacobians (P, 12, 6) by pose i, pose j and T_p_a, and b = -residuals (P, 12).
+    """Whitened Jacobians (P, 12, 6) of P edges by pose i, pose j and T_p_a; b = -residuals (P, 12).
 
     Rows 0-5 are the primary's residual, rows 6-11 the assistant's.
     """

@@ -65,7 +65,7 @@ class Marginals:
         return factor, Z, by_rig.T @ by_rig + self._prior - border.T @ Z
 
     def _sensitivity(self, row: int, origin: int) -> Float:
-        """H^-1 D^T (N + 1, 6, 6), D the derivative of the pose of `row` relative to `origin`."""
+        """H^-1 D^T (N + 1, 6, 6): H Hessian, D derivative of pose `row` relative to `origin`."""
         target = np.zeros((self._n + 1, 6, 6))
         T_w_p = self._state.T_w_p
         target[row] = np.eye(6)

@@ -12,13 +12,17 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.types import Float, Float32
 
-# A point is not compared with a view if its depth there is below this share of its depth here.
+# A point is not compared with another view if its z-depth there is below this share of its z-depth
+# in its own view.
 NEAREST_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class DepthView:
-    """Depth of a view: inverse depth zeta (h, w), 1/spacings; its pinhole camera; T_s_c (4, 4)."""
+    """Depth of a view: inverse depth zeta (h, w), 1/spacings, 0 at infinity.
+
+    camera: pinhole, of a picture of w x h px. T_s_c: (4, 4) camera to sub-map, spacings.
+    """
 
     zeta: Float32
     camera: Camera
@@ -29,8 +33,9 @@ class DepthView:
 class Agreement:
     """Consistent inverse depth of a view; each field is (h, w).
 
-    zeta: mean over the views that agree, 1/spacings. votes: number of other views that agree.
-    spread: root mean square of their differences, 1/spacings.
+    zeta: mean of the view's own value and those of the other views that agree with it, 1/spacings.
+    votes: number of those others. spread: root mean square of their differences from the view's own
+    value, 1/spacings.
     """
 
     zeta: Float32
@@ -43,10 +48,10 @@ def agree(
 ) -> Agreement:
     """Compare the inverse depth of every pixel with that of other views, by reprojection.
 
-    Inverse depths agree if they differ by less than `absolute` [1/spacings] plus `relative` times
-    the inverse depth.
-    The check of Schoenberger et al., "Pixelwise View Selection for Unstructured Multi-View
-    Stereo", ECCV 2016.
+    The point of the pixel is projected into the other view, and the depth found there is
+    transformed back. Inverse depths agree if they differ by less than `absolute` [1/spacings] plus
+    `relative` times the inverse depth. The check of Schoenberger et al., "Pixelwise View Selection
+    for Unstructured Multi-View Stereo", ECCV 2016.
     """
     h, w = view.zeta.shape
     y, x = np.mgrid[:h, :w]
@@ -57,7 +62,7 @@ def agree(
     for other in others:
         T_o_v = (se3.inverse(other.T_s_c) @ view.T_s_c).astype(np.float32)
         R, t = T_o_v[:3, :3], T_o_v[:3, 3]
-        q = R @ ray + t[:, None] * zeta  # homogeneous: a point's coordinates times its zeta
+        q = R @ ray + t[:, None] * zeta  # in the other view's axes, times zeta: finite at infinity
         in_front = q[2] > NEAREST_SHARE
         q /= np.where(in_front, q[2], 1)
         uv = other.camera.project(np.where(in_front, q, 1).T).T
@@ -65,7 +70,8 @@ def agree(
             other.zeta, uv[0].reshape(h, w), uv[1].reshape(h, w), cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT, borderValue=-1,
         ).ravel()  # fmt: skip
-        # z in this view, times `found`, of the point at the other view's own depth there
+        # the other view has a point at inverse depth `found` there: its z in this view, times
+        # `found`
         back_z = R[:, 2] @ q - found * (R[:, 2] @ t)
         back = np.where(back_z > 1e-3, found / np.maximum(back_z, 1e-3), -1)
         close = in_front & (found >= 0) & (np.abs(back - zeta) < relative * zeta + absolute)

@@ -32,32 +32,36 @@ from calm_edge.types import Float, Hints, KitBelief, Prediction
 # independent; those along a track or within a texture are correlated. Fitted to the scatter of the
 # kits that different windows give.
 TEMPERING = 0.02
-# Added to the reported sigma of log focal (root of the sum of squares) for errors of the model:
-# distortion, rolling shutter, stamps.
+# Added to the reported sigma of log focal (root of the sum of squares) for effects that are not
+# modelled: distortion beyond k1, rolling shutter, errors of the stamps.
 FOCAL_FLOOR = 0.015
-# Cauchy scales [sigmas]: wide first, so that a poor start loses no match; then narrow, since wrong
-# matches are biased: most are too near and shrink the scene. The wide solution is only a start and
-# need not be as exact.
+# Scale of the Cauchy kernel [sigmas of a match] in the first and the second pass: wide first, so
+# that a poor start loses no match; then narrow, since wrong matches are biased: most give points
+# that are too near, which shrinks the scene. TOLERANCES: relative decrease of the cost at which
+# either pass stops; the first is only a start and need not be as exact.
 ROBUST_SCALES = (2.0, 0.5)
 TOLERANCES = (1e-3, 1e-4)
-# Largest sigmas of a rig and a focal that count as known; else several initial focals are tried.
+# Largest sigmas of the rig's rotation and of the log focals at which they count as known. Else
+# FOCAL_GUESSES times the prior's focals are tried.
 RIG_KNOWN_RAD = 0.02
 FOCAL_KNOWN = 0.05
 FOCAL_GUESSES = (1.0, 1.25, 0.75)
 GUESS_ITERATIONS = 15
 GUESS_POINTS = 200
-# Direction of travel in camera axes, as long as nothing is known of the mounting.
+# Direction of travel in the primary's axes from which its estimation starts: forward.
 AHEAD = np.array([0.0, 0.0, 1.0])
 SEED_SHARES = (0.5, 0.3, 0.15)
-# A start of a lower cost per observation after a few iterations is used without trying others.
+# A trial solution with a lower robust cost per observation than this, after GUESS_ITERATIONS, is
+# used without trying others.
 GOOD_START = 1.0
-# Largest median reprojection errors [px] of a sub-map, and of one that gives evidence on the kit.
+# Largest median reprojection error [px]: above the first a window is rejected, above the second it
+# gives no evidence on the kit.
 MAX_MEDIAN_PX = 2.0
 MAX_EVIDENCE_PX = 0.8
 
 
 class BundleBackbone:
-    """Backbone `bundle`: matching and bundle adjustment, see the module.
+    """Backbone `bundle`: poses, cameras and depth by matching and bundle adjustment.
 
     Stateless: the prior on the kit is in Hints.kit, the window's evidence in Prediction.kit.
     """
@@ -69,9 +73,9 @@ class BundleBackbone:
         notices: tuple[str, ...] = (),
         places: PlaceDescriptor | None = None,
     ) -> None:
-        """matching: by a network; None for Lucas-Kanade. notices: lines for every prediction.
+        """matching: learned matcher, None: Lucas-Kanade. notices: for `Prediction.notices`.
 
-        places: the same network's place descriptor.
+        places: learned place descriptor of the same network, None without one.
         """
         self._seed, self._matching, self._notices = config.seed, matching, notices
         self.places = places
@@ -98,7 +102,7 @@ class BundleBackbone:
         return self._matching is not None
 
     def expect(self, image: NDArray[np.uint8]) -> None:
-        """See backbones.base.ExpectsPictures."""
+        """Start to encode a primary keyframe (H, W, 3) uint8 BGR, if there is a network."""
         if self._matching is not None:
             gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
             self._matching.expect([gray], [], None)
@@ -148,7 +152,7 @@ class BundleBackbone:
 
 
 def kit_belief(hints: Hints) -> KitBelief:
-    """Prior for a window: layout.prior of the hinted fields of view times `hints.kit`."""
+    """Prior on the kit: product of the Gaussians layout.prior(hints.hfov_deg) and hints.kit."""
     joint = product([layout.prior(hints.hfov_deg), hints.kit])
     assert joint is not None
     length = np.linalg.norm(joint.mean[layout.RIG_CENTRE])
@@ -164,8 +168,8 @@ def _sigma(belief: KitBelief) -> Float:
 def _untempered(belief: KitBelief) -> KitBelief:
     """Scale the information of a belief by 1 / TEMPERING.
 
-    The solver gives pixels their full weight, not TEMPERING times it. Dividing the prior by
-    TEMPERING leaves the ratio of the two, and so the solution, the same.
+    As observations are correlated, pixels should have only TEMPERING times their weight. The solver
+    gives them all of it, so the prior is divided by TEMPERING instead: the solution is the same.
     """
     return KitBelief(belief.mean, belief.information / TEMPERING)
 
@@ -184,7 +188,10 @@ def _solvable() -> Iterator[None]:
 def _solve(
     start: State, m: Measurements, ties: RigTies, belief: KitBelief
 ) -> tuple[Solution, RigTies]:
-    """Solve a window; return the solution, and the ties corrected for jitter of the stamps."""
+    """Solve a window in two passes; return the solution and the rig ties of the second pass.
+
+    In the second pass the ties' exposure times are corrected for delay of the stamps (stamps.py).
+    """
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
     for robust_scale, tolerance, timed in passes:
         timed_ties = timed(ties, start)
@@ -199,11 +206,13 @@ def _solve(
 
 
 def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool) -> State:
-    """The best of several starts on the longest tracks; its poses then place every point.
+    """Initial state: the best of several trial solutions, from the points seen in most views.
 
-    A chain of resections can drift, and a wrong focal can trap the solver, so starts are compared
-    by their cost after a few iterations. The path of a car comes first; incremental structure from
-    motion follows where its cost is high.
+    Its poses then triangulate all points. A chain of resections can drift, and a wrong focal can
+    trap the solver, so trials are compared by their cost after a few iterations. The first one
+    takes the primary's path for that of a car (travel.py); if its cost is high, incremental
+    structure from motion is tried too. known: rig and focals are known; else several focals are
+    tried.
     """
     few = window.thinned(m, GUESS_POINTS)
     candidates: list[tuple[float, State]] = []

@@ -1,8 +1,8 @@
 """Match points between two pictures by learned features, without an initial guess.
 
-A query is compared with all coarse cells of the other picture; the best cell must match back
-(mutual nearest neighbours). Finer features then refine the position and give its sigma, coarse to
-fine as in LoFTR (Sun et al., CVPR 2021).
+A query (a point of the first picture) is compared with all coarse cells of the other picture; the
+best cell must match back (mutual nearest neighbours). Finer features then refine the position and
+give its sigma, coarse to fine as in LoFTR (Sun et al., CVPR 2021).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from calm_edge.backbones.bundle.matching import Matches
 from calm_edge.types import Float32, Int
 
 STRIDE, FINE_STRIDE = 8, 4
-# Fine cells on each side of the guess in the correlation window.
+# Half width, in fine cells, of the window around a guessed match that is correlated with a query.
 RADIUS = 4
-# Largest distance [cells] of the match back from its query.
+# A match is matched back to the first picture: largest distance [coarse cells] from its query.
 RETURN_CELLS = 1.5
 # Queries with a lower reliability, as the encoder predicts it, are not matched.
 MIN_RELIABILITY = 0.05
@@ -52,7 +52,10 @@ def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Matches:
 
 
 def sampled(maps: Float32, uv: Float32, stride: int) -> Float32:
-    """Bilinear samples of a map (h, w, C) at uv (N, 2) px of the input -> (N, C), unit length."""
+    """Sample a feature map (h, w, C) bilinearly at uv (N, 2) -> (N, C), of unit length.
+
+    C: channels. uv: px of the network's input. stride: input pixels per cell of the map.
+    """
     height, width = maps.shape[:2]
     at = np.clip((uv + 0.5) / stride - 0.5, 0, [width - 1, height - 1])
     low = np.minimum(np.floor(at).astype(np.int64), [width - 2, height - 2])
@@ -65,10 +68,10 @@ def sampled(maps: Float32, uv: Float32, stride: int) -> Float32:
 
 
 def correlations(fine: Float32, uv: Float32, query: Float32) -> Float32:
-    """Correlate features (N, C) with the 9 x 9 cells of a fine map (h, w, C) around uv (N, 2) px.
+    """Correlate features (N, C) with the 9 x 9 cells of a fine map (h, w, C) around uv (N, 2).
 
-    uv: of the input. Returns (N, 81), rows first. The product is linear in the map, so cells are
-    correlated first and interpolated after.
+    C: channels. uv: px of the network's input. Returns (N, 81) dot products, row by row. As they
+    are linear in the map, they are computed at whole cells and then interpolated.
     """
     height, width = fine.shape[:2]
     at = (uv + 0.5) / FINE_STRIDE - 0.5
@@ -88,8 +91,11 @@ def correlations(fine: Float32, uv: Float32, query: Float32) -> Float32:
 
 
 def _best(query: Float32, maps: Float32) -> tuple[Int, Float32]:
-    """Best cell (N,) of a map (h, w, C), and the soft-argmax position around it, (N, 2) px of
-    the input."""
+    """Cell (N,) of a map (h, w, C) most similar to each query (N, C), and refined position (N, 2).
+
+    Cell: row * w + column. Position: px of the network's input, the mean of the 3 x 3 cells around
+    it weighted by the softmax of their similarity.
+    """
     height, width = maps.shape[:2]
     likeness = query @ maps.reshape(height * width, -1).T
     cell = likeness.argmax(1)
@@ -106,12 +112,12 @@ def _best(query: Float32, maps: Float32) -> tuple[Int, Float32]:
     return cell, np.asarray((centre + 0.5) * STRIDE - 0.5, np.float32)
 
 
-# Softmax temperature of the cosines that the encoder is trained with.
+# Temperature of the softmax over cosine similarities: the one used in the encoder's training.
 TEMPERATURE = 0.05
 
 
 def _nearest(values: Float32, uv: Float32) -> Float32:
-    """Values (N,) of a map (h, w) in the cells of uv (N, 2) px of the input."""
+    """Values (N,) of a map (h, w) in the cells that contain uv (N, 2) px of the network's input."""
     height, width = values.shape
     cell = np.clip(np.floor((uv + 0.5) / STRIDE).astype(np.int64), 0, [width - 1, height - 1])
     return values[cell[:, 1], cell[:, 0]]

@@ -1,9 +1,9 @@
 """Plane-sweep stereo: match scores of a view against others at planes of depth.
 
 Collins, "A Space-Sweep Approach to True Multi-Image Matching", CVPR 1996. Planes are parallel to
-the view's image plane, at inverse depths zeta. Pictures are whitened over small windows first, so
-that the window mean of a product is a zero-mean normalised cross-correlation: gain and exposure
-cancel before the sweep.
+the view's image plane, at inverse depths zeta = 1 / z. Pictures are whitened over small windows
+first, so that the window mean of a product is a zero-mean normalised cross-correlation: gain and
+exposure cancel before the sweep.
 """
 
 from __future__ import annotations
@@ -20,18 +20,22 @@ from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32
 
 WHITENING_PX = 7
-# Grey levels of noise left after shrinking: damps the correlation of weaker texture.
+# Sigma of noise [grey levels] in the reduced pictures: texture weaker than it correlates less.
 NOISE = 1.5
-# Clips single strong edges, which would dominate their window.
+# Whitened values are clipped to +- this: else a single strong edge would dominate its window.
 CONTRAST_LIMIT = 2.5
 WINDOW_PX = 3
-# A plane is not matched with a camera if its depth there is below this share of its depth here.
+# A plane is not matched with another view if, at its point on this view's axis, the z-depth in the
+# other view is below this share of that in this one.
 NEAREST_SHARE = 0.15
 
 
 @dataclass(frozen=True, slots=True)
 class SweepView:
-    """View of the sweep: whitened picture (h, w), pinhole camera at its size, T_s_c (4, 4)."""
+    """View of the sweep: picture (h, w) from `whitened`, pinhole camera of this size, and pose.
+
+    T_s_c: (4, 4) camera to sub-map, spacings.
+    """
 
     white: Float32
     camera: Camera
@@ -50,9 +54,11 @@ def whitened(gray: Bytes | Float32) -> Float32:
 
 
 def plane_homographies(view: SweepView, other: SweepView, zeta: Float) -> tuple[Float, Float]:
-    """Homographies (D, 3, 3) view px -> other px of planes zeta (D,), and z' / z (D,) on the axis.
+    """Homographies (D, 3, 3) of D planes, from pixels of `view` to `other`, and z' / z (D,).
 
-    The point on a ray r (z = 1) at inverse depth zeta is on the other camera's ray R r + zeta t.
+    zeta: (D,) inverse depths in `view`. z' / z: depth in `other` over depth in `view` of the point
+    of each plane on the axis of `view`. A point on the ray r (z = 1) of `view` at inverse depth
+    zeta is on the ray R r + zeta t of `other`, with R, t of T_other_view.
     """
     T_o_v = se3.inverse(other.T_s_c) @ view.T_s_c
     planes = np.broadcast_to(T_o_v[:3, :3], (len(zeta), 3, 3)).copy()
@@ -64,10 +70,11 @@ def plane_homographies(view: SweepView, other: SweepView, zeta: Float) -> tuple[
 def match_scores(
     view: SweepView, others: Sequence[SweepView], zeta: Float, size: tuple[int, int]
 ) -> Float32:
-    """Scores (D, h, w) in [0, 1]: mean correlation of the better half of the others.
+    """Scores (D, h, w) in [0, 1] of the view's pixels at D planes of inverse depths zeta (D,).
 
-    size: (w, h) of the volume, at most that of the pictures. The better half tolerates occlusion
-    (Kang, Szeliski and Chai, CVPR 2001). Outside another picture its correlation is 0.
+    The mean of the correlations with the better half of the other views: tolerates occlusion (Kang,
+    Szeliski and Chai, CVPR 2001). Outside another view's picture its correlation is 0. size: (w, h)
+    of the result, at most that of the pictures.
     """
     rows, columns = view.white.shape
     w, h = size
@@ -93,7 +100,7 @@ def match_scores(
 
 
 def _insert(best: NDArray[np.float32], score: NDArray[np.generic]) -> None:
-    """Keep the highest scores of each pixel, sorted, in best (k, h, w); score is overwritten."""
+    """Insert one view's scores (h, w) into best (k, h, w): each pixel's k highest, sorted."""
     for k in range(len(best)):
         lower = np.minimum(best[k], score)
         np.maximum(best[k], score, out=best[k])

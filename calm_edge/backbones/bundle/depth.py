@@ -22,13 +22,13 @@ from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 DEPTH_WIDTH_PX = 192
 OVERSAMPLE = 2
 PLANES = 64
-# The nearest plane, as a share of the landmarks' NEAR_PERCENT percentile of depth: landmarks lie on
-# texture, and the road before the bumper is nearer than any of them.
+# The nearest plane has NEAR_SHARE times the depth that NEAR_PERCENT % of the landmarks are below:
+# landmarks lie on texture, and the road before the bumper is nearer than any of them.
 NEAR_PERCENT = 1.0
 NEAR_SHARE = 0.7
 NEAREST = 2.0  # smallest depth of a plane, spacings
 NEAR_DEFAULT = 5.0  # depth of the nearest plane if there are no landmarks, spacings
-# Largest distance between two views that are matched.
+# Two views of one camera, or a loop view and another, are matched up to this distance.
 REACH = 12.0  # spacings
 NEIGHBOURS_A_SIDE = 2
 # Tolerance between the inverse depths of two views: a share of the inverse depth, plus a share of
@@ -90,8 +90,9 @@ def sweep_window(
 def judge(agreement: Agreement) -> tuple[Float32, Float32]:
     """Depth (h, w) and confidence (h, w) from the views' agreement.
 
-    Depth is 0 where no other view agrees, beyond FARTHEST (sky), and at the sky's border. One vote
-    gives a confidence of at most 0.5, two 0.67; a spread of SPREAD of the inverse depth halves it.
+    Depth is 0 where no other view agrees, beyond FARTHEST (sky), and at the sky's border. The
+    confidence is n / (n + 1) with n agreeing views, and half of that if their spread is SPREAD
+    times the inverse depth.
     """
     zeta, votes = agreement.zeta, agreement.votes
     # foreground fattening: beside a silhouette the sky gets the depth of the foreground
@@ -134,9 +135,10 @@ def nearest_depth(prediction: Prediction) -> float:
 
 
 def sweep_sources(view: int, eyes: Int, t_ns: Int, T_s_c: Float) -> list[int]:
-    """Views that a view is matched against.
+    """Indices of the views that view `view` is matched against.
 
-    The other camera's nearest in time, and its own camera's before and after it within REACH.
+    The other camera's nearest in time, and up to NEIGHBOURS_A_SIDE of its own camera on either side
+    of it, nearer than REACH. eyes, t_ns: (N,), T_s_c: (N, 4, 4) of all views.
     """
     other = np.flatnonzero(eyes != eyes[view])
     own = np.flatnonzero(eyes == eyes[view])
@@ -150,7 +152,10 @@ def sweep_sources(view: int, eyes: Int, t_ns: Int, T_s_c: Float) -> list[int]:
 
 
 def loop_sources(T_s_c: Float) -> list[int]:
-    """Views that the last one (of N + 1) is matched against: the nearest within REACH."""
+    """Indices of the views that the loop view, the last of T_s_c (N + 1, 4, 4), is matched against.
+
+    The 2 * NEIGHBOURS_A_SIDE + 1 nearest ones, as far as they are nearer than REACH.
+    """
     away = np.linalg.norm(T_s_c[:-1, :3, 3] - T_s_c[-1, :3, 3], axis=1)
     near = np.argsort(away, kind="stable")[: 2 * NEIGHBOURS_A_SIDE + 1]
     return [int(i) for i in near if away[i] < REACH]
@@ -166,9 +171,10 @@ def _without_last(
 
 
 def choose(scores: Float32, gray: Bytes, zeta: Float) -> Float32:
-    """Inverse depth (h, w) of the best scores (D, h, w) at planes zeta (D,), by a parabola fit.
+    """Inverse depth (h, w) from scores (D, h, w) at D planes of inverse depths zeta (D,).
 
-    gray: (h, w), of the same view: discontinuities of depth cost less across its edges.
+    The plane of least cost after semi-global matching (scanline.py), refined by a parabola through
+    its neighbours. gray: (h, w), picture of the view: jumps of depth cost less across its edges.
     """
     cost = aggregate(1 - scores, gray)
     best = np.clip(cost.argmin(0), 1, len(zeta) - 2)

@@ -32,9 +32,10 @@ ENCODERS = 2
 class Features:
     """Feature maps of one picture, at 1/8 (h8, w8) and 1/4 (h4, w4) of the network's input size.
 
-    Cell k of a map is centred on (k + 0.5) * stride - 0.5 px of the input. fit: transform from
-    picture to input. coarse: (h8, w8, 64) and fine: (h4, w4, 32), of unit length in each cell.
-    reliability: (h8, w8) in [0, 1]. place: global descriptor (256,) of unit length.
+    Cell k of a map is centred on (k + 0.5) * stride - 0.5 px of the input, with a stride of 8 or 4.
+    fit: transform from picture to input. coarse: (h8, w8, 64) and fine: (h4, w4, 32), of unit
+    length in each cell. reliability: (h8, w8) in [0, 1]. place: global descriptor (256,) of unit
+    length.
     """
 
     fit: Fit
@@ -60,9 +61,9 @@ class Features:
 
 
 class FeatureNet:
-    """The `encoder` and `refine` graphs of a model of kind bundle.
+    """Runs a model's graphs `encoder`, for features of a picture, and `refine`, for matches.
 
-    Features of recent pictures are cached. Thread-safe.
+    The model is of kind bundle. Features of recent pictures are cached. Thread-safe.
     """
 
     def __init__(self, manifest: Manifest, precision: Precision) -> None:
@@ -103,7 +104,7 @@ class FeatureNet:
         return [encoded.result() for encoded in self.begin(pictures)]
 
     def begin(self, pictures: Sequence[Bytes | Gray]) -> list[Future[Features]]:
-        """Start encoding and return futures."""
+        """Start encoding pictures in other threads; return a future for each."""
         return [self._begin(picture) for picture in pictures]
 
     def _begin(self, picture: Bytes | Gray) -> Future[Features]:
@@ -135,9 +136,11 @@ class FeatureNet:
         )
 
     def refined(self, there: Float32, here: Float32) -> tuple[Float32, Float32]:
-        """Offset (N, 2) and sigma (N,), px of the input, from correlations (N, 81) there and here.
+        """Refine guessed matches: offset (N, 2) to add, and sigma (N,), px of the network's input.
 
-        See `correspond.correlations`. Raises BackboneError.
+        there: (N, 81) correlations of each point's feature with the cells around its guess in the
+        other picture; here: with those around the point itself (`correspond.correlations`). Raises
+        BackboneError.
         """
         out = self._refine.run({"there": there, "here": here})
         return np.asarray(out["offset"], np.float32), np.asarray(out["sigma"], np.float32)

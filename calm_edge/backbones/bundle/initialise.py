@@ -1,10 +1,10 @@
 """Initial poses, points and rig from matches and a rough focal.
 
-The primary views as those of a car (travel.py), or by incremental structure from motion: two views
-by their essential matrix, the others by resection (PnP). The assistant's views by the rig, or by
-resection where it is unknown; the rig's rotation is then unconstrained. Until the spacing is found,
-lengths are in the *initial unit*: the median step of the car's path, or the distance of the first
-two views; then in spacings.
+The primary views are placed along the path of a car (travel.py), or by incremental structure from
+motion: two views by their essential matrix, the others by resection (PnP). The assistant's views
+are placed by the rig, or by resection where the rig is unknown, at any rotation to the primary.
+Until the spacing is found, lengths are in the *initial unit*: the median step of the car's path, or
+the distance of the first two views; then in spacings.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ from calm_edge.types import Float, Int
 MIN_COMMON = 30
 MIN_RESECTION = 10
 RESECTION_PX = 4.0
-# range of the depth of a scene's nearer points; their share of all, %
+# the spacing is searched such that NEAR_PERCENT % of the points are nearer than a depth [spacings]
+# within this range
 DEPTHS_IN_SPACINGS = (1.0, 2000.0)
 NEAR_PERCENT = 20
 N_SPACINGS = 60
-# error of a known rig's rotation, and the iterations that find it
+# sigma of the rotation of a rig that counts as known, and iterations to estimate its error
 RIG_SIGMA_RAD = 0.01
 RIG_ITERATIONS = 4
-# points further off the axis (x / z) do not count for it
+# points with a larger |x / z| or |y / z| are not used for that estimate
 MAX_SLOPE = 2.0
 
 # T_c_s (4, 4) by view
@@ -42,7 +43,10 @@ Poses = dict[int, Float]
 
 
 def normalised(m: Measurements, theta: Float) -> Float:
-    """Observations as rays (O, 2) on z = 1, without distortion: exact enough for a start."""
+    """Rays (O, 2) on z = 1 of all observations, ignoring distortion: exact enough for a start.
+
+    theta: the kit, for the focals and principal points.
+    """
     out = np.empty_like(m.uv)
     for eye, camera in enumerate(_pinholes(m, theta)):
         rows = m.eye[m.view] == eye
@@ -61,7 +65,8 @@ def _rows_of(m: Measurements, view: int) -> Int:
 def two_views(m: Measurements, rays: Float, first: int, second: int, f: float) -> Float | None:
     """T_second_first (4, 4), unit translation, or None with too few inliers.
 
-    cv2.findEssentialMat with USAC_MAGSAC, then cv2.recoverPose.
+    first, second: view indices. rays: (O, 2) of all observations, on z = 1. f: focal [px], for the
+    inlier threshold of a pixel. cv2.findEssentialMat with USAC_MAGSAC, then cv2.recoverPose.
     """
     a, b = _rows_of(m, first), _rows_of(m, second)
     _, ia, ib = np.intersect1d(m.point[a], m.point[b], return_indices=True)
@@ -85,7 +90,8 @@ def two_views(m: Measurements, rays: Float, first: int, second: int, f: float) -
 def resection(points: Float, rays: Float, f: float, guess: Float | None) -> Float | None:
     """T_c_s (4, 4) of a view that sees known points (n, 3) along rays (n, 2), or None.
 
-    cv2.solvePnPRansac with SQPNP, then cv2.solvePnPRefineLM. guess: returned with too few inliers.
+    cv2.solvePnPRansac with SQPNP, then cv2.solvePnPRefineLM. f: focal [px], for the inlier
+    threshold RESECTION_PX. guess: returned with too few inliers.
     """
     if len(points) < MIN_RESECTION:
         return None
@@ -113,7 +119,10 @@ def _usable(X: Float) -> np.ndarray:
 
 
 def driven(m: Measurements, theta: Float, direction: Float) -> Poses:
-    """T_c_s of the primary views as those of a car; direction: (3,) of travel, camera axes."""
+    """Poses T_c_s of the primary views, placed along the path of a car (travel.py).
+
+    theta: the kit, for the focal. direction: (3,) initial direction of travel, camera axes.
+    """
     f = _pinholes(m, theta)[0].fx
     T_c_s = travel.path(travel.matches(m, normalised(m, theta), f), direction)
     return dict(zip(np.flatnonzero(m.eye == 0).tolist(), T_c_s, strict=True))
@@ -122,7 +131,7 @@ def driven(m: Measurements, theta: Float, direction: Float) -> Poses:
 def chained(m: Measurements, theta: Float, seed_share: float) -> Poses:
     """T_c_s of the primary views by incremental structure from motion; raises BackboneError.
 
-    seed_share: position of the first pair's second view in the window.
+    The first pair is the first primary view and the one at `seed_share` (0 to 1) of the window.
     """
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
@@ -152,7 +161,7 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, poses: Poses) 
     X = _triangulate_known(m, rays, poses, n_points)
     T_s_p = se3.inverse(np.stack([poses[int(v)] for v in primary]))
     instants = m.t[assistant] + theta[layout.TIME_OFFSET]
-    at = se3.interpolate_at(m.t[primary], T_s_p, instants)  # primary poses at the exposures
+    at = se3.interpolate_at(m.t[primary], T_s_p, instants)  # primary, when the assistant exposes
     if rig_known:
         T_p_a = layout.rig(theta)
         spacing = _spacing(m, theta, X, assistant, at)
@@ -206,7 +215,7 @@ def _resect(
 
 
 def _outward(primary: Int, known: list[int]) -> list[int]:
-    """Views without a pose, those between the known ones first, then those after."""
+    """Views to resect, in order: those between the views with a pose, then those after them."""
     return [int(v) for v in primary if v not in known and v < max(known)] + [
         int(v) for v in primary if v > max(known)
     ]
@@ -219,7 +228,11 @@ def _nearest(poses: dict[int, Float], view: int) -> Float:
 def _resected(
     m: Measurements, rays: Float, X: Float, assistant: Int, at: Float, f: float
 ) -> list[Float]:
-    """T_p_a (4, 4), initial unit, of every assistant view that resection places."""
+    """T_p_a (4, 4), initial unit, of every assistant view that resection places.
+
+    X: (M, 4) points. assistant: (A,) view indices. at: (A, 4, 4) poses T_s_p of the primary
+    interpolated to their exposures. f: the assistant's focal [px].
+    """
     found = []
     for view, T_s_p in zip(assistant, at, strict=True):
         pose = _resect(m, rays, X, int(view), f, None)
@@ -235,8 +248,9 @@ def _rig(
 ) -> tuple[Float, Float]:
     """T_p_a (4, 4), initial unit, and theta with the assistant's focal, both from all its views.
 
-    Resection alone turns an error of that focal into a step along the axis of many spacings, so
-    rig and focal are fitted together, with the primary's points fixed.
+    Resection alone turns an error of that focal into a shift of many spacings along the optical
+    axis, so rig and focal are fitted together, with the points fixed. found: T_p_a by resection of
+    single views. at: poses T_s_p of the primary at the exposures of the views `assistant`.
     """
     stack = np.stack(found)
     rotation = se3.log(se3.inverse(stack)[:, None] @ stack[None])[..., 3:]
@@ -260,8 +274,9 @@ def _rig(
 def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float) -> float:
     """The spacing in the initial unit when the rig is known, by a coarse and a fine line search.
 
-    The solver converges only from about the right scale, since that couples all unknowns. The error
-    of the rig's rotation can exceed the parallax of a road, so it is corrected at each candidate.
+    The bundle adjustment converges only from about the right scale. The error of the rig's rotation
+    can exceed the parallax of a road, so it is estimated anew for each candidate. at: poses T_s_p
+    of the primary at the exposures of the views `assistant`.
     """
     uv, p_p = _seen_across(m, X, assistant, at)
     camera, T_p_a = _pinholes(m, theta)[1], layout.rig(theta)

@@ -15,9 +15,10 @@ ITERATIONS = 4
 
 
 def jitter(t: Float) -> Float | None:
-    """Residuals (N,) s of stamps t (N,) s, increasing, from a fixed frame rate; None without one.
+    """Residuals (N,) s of increasing stamps t (N,) s from a constant frame rate; None without one.
 
-    Frames may be missing. Where several rates explain the gaps, any of them gives the residuals.
+    Period and phase are fitted; frames may be missing. Where several periods explain the gaps, any
+    of them is used.
     """
     gaps = np.diff(t)
     if len(t) < MIN_FRAMES or gaps.min() <= 0:

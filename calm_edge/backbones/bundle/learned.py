@@ -38,17 +38,20 @@ from calm_edge.types import Float, Float32
 # Fitted to true errors (models/calm-geo/README.md) up to a common factor: see `_normalised`.
 FEATURES_SHARE, WINDOWS_SHARE = 0.25, 2.6
 SIGMA_RANGE_PX = (0.2, 3.0)
-# Features are within a few pixels: higher pyramid levels only lose points.
+# Lucas-Kanade from the features' matches, which are off by a few pixels at most: higher pyramid
+# levels only lose points.
 FROM_FEATURES = replace(MATCHING, levels=1)
 HALF_WINDOW = replace(MATCHING, window_px=MATCHING.window_px // 2 + 1, levels=1)
 # Largest distance of the refined match from the features' one, in its sigmas.
 MAX_SIGMAS = 3.0
-# Sigma of matches from the flow of neighbours alone; largest sigma of matches by features alone.
+# Sigma [px] of a Lucas-Kanade match that the features do not support; largest sigma [px] of a match
+# of the features that is kept without Lucas-Kanade.
 UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
 # Above this zoom the smaller picture is enlarged instead of the larger one shrunk, which would lose
 # too much detail; below it enlarging costs more accuracy, by the blur.
 MUCH_LARGER = 1.5
-# Below this share of inliers, rotated and zoomed versions of the second picture are tried.
+# If the matches of fewer points than this share fit one similarity transform, rotated and zoomed
+# versions of the second picture are tried.
 ENOUGH_AGREE = 0.5
 TURNS_DEG, ZOOMS = (-20.0, 0.0, 20.0), (0.5, 1.0, 2.0)
 
@@ -62,7 +65,7 @@ class LearnedMatching:
         self._expected: list[tuple[Gray, Float, Gray]] = []
 
     def expect(self, primary: list[Gray], assistant: list[Gray], H_a_p: Float | None) -> None:
-        """See matching.Matching."""
+        """Start encoding pictures to be matched. H_a_p: primary to assistant px, or None."""
         self._expected = []
         if H_a_p is not None:
             a = primary[0]
@@ -72,12 +75,12 @@ class LearnedMatching:
             self.net.begin([picture for picture in pair if picture is not None])
 
     def along(self, source: Gray, target: Gray, uv: Float32) -> Matches:
-        """See matching.Matching; raises BackboneError."""
+        """Match uv (N, 2) px to a later picture of the same camera; raises BackboneError."""
         found = _found(self.net, source, target, uv)
         return _only_measured(finished(source, target, uv, found))
 
     def homography(self, primary: Gray, assistant: Gray) -> Float | None:
-        """See matching.Matching; raises BackboneError.
+        """Rough H_a_p (3, 3), primary to assistant px; None if not found; raises BackboneError.
 
         SIFT first: its few matches are mostly far away, where rotation and zoom show, while most
         learned ones lie on the road.
@@ -91,7 +94,7 @@ class LearnedMatching:
         return homography(uv, found, primary.shape[1])
 
     def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Matches:
-        """See matching.Matching; raises BackboneError."""
+        """Match primary points uv (N, 2) px to the assistant's picture; raises BackboneError."""
         return _only_measured(self._across(primary, assistant, H_a_p, uv))
 
     def match(self, a: Gray, b: Gray, uv: Float32) -> Matches:
@@ -128,7 +131,7 @@ class LearnedMatching:
 
 
 def _made_alike(a: Gray, b: Gray, H_b_a: Float) -> Gray:
-    """Picture b, warped by H_b_a to look like a if that helps the features."""
+    """Picture b warped by H_b_a to look like a; b itself if they are alike or b is much larger."""
     as_it_is = are_alike(H_b_a, a) or zoom_of(H_b_a, a) > MUCH_LARGER
     return b if as_it_is else warped(b, H_b_a, a)
 
@@ -137,8 +140,8 @@ def finished(a: Gray, b: Gray, uv: Float32, found: Matches) -> Matches:
     """Refine matches of uv (N, 2) px by Lucas-Kanade, on images of similar zoom and rotation.
 
     Matches are dropped where Lucas-Kanade and the features disagree. Where the features have no
-    match, Lucas-Kanade from the neighbours' flow is kept with a larger sigma; so are matches of the
-    features that Lucas-Kanade lost.
+    match, a track of Lucas-Kanade that started from the flow of neighbouring points is kept, with a
+    sigma of UNSUPPORTED_PX; where Lucas-Kanade has none, the features' match with its own sigma.
     """
     near = MAX_SIGMAS * found.sigma_px
     moved, ok = follow(a, b, uv, found.uv, FROM_FEATURES)
@@ -161,8 +164,8 @@ def finished(a: Gray, b: Gray, uv: Float32, found: Matches) -> Matches:
 def _measured_sigma(a: Gray, b: Gray, uv: Float32, moved: Float32, features_px: Float32) -> Float32:
     """Sigma (N,) px of points uv (N, 2) px of a that Lucas-Kanade found at `moved` (N, 2) in b.
 
-    features_px: (N,) sigma of the features. A smaller window gives another position where a patch
-    spans two depths or has changed.
+    features_px: (N,) sigma of the features. Where a patch spans two depths or has changed, a
+    smaller window gives another position: the difference adds to the sigma.
     """
     if len(uv) == 0:
         return features_px
@@ -173,7 +176,9 @@ def _measured_sigma(a: Gray, b: Gray, uv: Float32, moved: Float32, features_px: 
 
 
 def _normalised(sigma: Float32) -> Float32:
-    """Scale the sigmas (N,) px of a pair's matches: in all, the information of N tracked corners.
+    """Scale the sigmas (N,) px of the matches of two pictures to a fixed mean information.
+
+    That of corners tracked by Lucas-Kanade, 1 / FOLLOWED_PX^2.
 
     Else pairs of pictures that look different would hardly constrain the rig.
     """
@@ -184,7 +189,10 @@ def _normalised(sigma: Float32) -> Float32:
 
 
 def _better(one: Matches, other: Matches) -> Matches:
-    """Best of two matches of each of N points: a measured one, a sure one, the smaller sigma."""
+    """Better of two matches of each of N points: measured before sure before unsure ones.
+
+    Of two of the same rank the one with the smaller sigma.
+    """
     rank = [np.where(f.measured, 0, np.where(f.sure, 1, 2)) for f in (one, other)]
     take = (rank[1] < rank[0]) | ((rank[1] == rank[0]) & (other.sigma_px < one.sigma_px))
     part = Matches(other.uv[take], other.sure[take], other.sigma_px[take], other.measured[take])
@@ -210,7 +218,10 @@ def _found(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Matches:
 
 
 def _rotated_or_zoomed(net: FeatureNet, a: Gray, b: Gray, uv: Float32, found: Matches) -> Matches:
-    """Matches of a in b; with few inliers, the best over rotations and zooms of b."""
+    """Matches of a in b; if few agree, the best of those in rotated and zoomed versions of b.
+
+    uv: (N, 2) px of a. found: their matches in b as it is.
+    """
     best = found
     most = agreeing(uv, best, b.shape[1])
     if most >= ENOUGH_AGREE * len(uv):
@@ -226,9 +237,9 @@ def _rotated_or_zoomed(net: FeatureNet, a: Gray, b: Gray, uv: Float32, found: Ma
 
 
 def _through(found: Matches, H_b_a: Float, b: Gray) -> Matches:
-    """Matches in the warped b mapped back to b; dropped outside of it.
+    """Map matches in a b warped by H_b_a back to b; those outside of it become unsure.
 
-    Sigma is not scaled with the zoom: pairs across the eyes are to keep their weight.
+    Sigma is not scaled with the zoom: matches between the cameras keep their weight.
     """
     uv, inside = seen_at(H_b_a, found.uv, b)
     return Matches(uv, found.sure & inside, found.sigma_px, found.measured & inside)

@@ -33,9 +33,10 @@ MAX_SIGMA = 0.3  # largest sigma of the loop view's position, spacings
 
 @dataclass(frozen=True, slots=True)
 class LoopTracks:
-    """Matches of the loop picture with views of the window; L points.
+    """Matches of L points of the loop picture in views of the window, O observations in all.
 
-    point, view: (O,) and uv: (O, 2) px, in the window. loop_uv: (L, 2) px, in the loop picture.
+    point: (O,) index of the point. view: (O,) batch index. uv: (O, 2) px in that view. loop_uv: (L,
+    2) px in the loop picture.
     """
 
     point: Int
@@ -75,10 +76,10 @@ def with_loop(
 
 
 def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
-    """A window solved again, with the loop view of the `earlier` prediction of the same batch.
+    """Add the loop view to `window`, which was solved again without it.
 
-    The loop view is placed by its landmarks; where these no longer give a pose, it keeps its pose
-    relative to the nearest view.
+    earlier: prediction of the same batch with the loop view. From its landmarks the pose is found
+    again; where they no longer give one, the loop view keeps its pose relative to the nearest view.
     """
     marks, n = earlier.landmarks, len(window.cameras)
     if not earlier.loop_found or marks is None or window.landmarks is None:
@@ -102,7 +103,10 @@ def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
 
 
 def match_loop(images: Sequence[NDArray[np.uint8]], hints: Hints) -> LoopTracks:
-    """Match features of the last picture to the views most similar to it."""
+    """Match SIFT features of the loop picture, the last one, to the views most similar to it.
+
+    Only points that are matched in two views or more are kept.
+    """
     loop = sift.detect(_gray(images[-1]), MAX_FEATURES)
     stretch = images[-1].shape[1] / REFERENCE_WIDTH_PX
     row, view, uv = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros((0, 2), np.float32)]
@@ -159,7 +163,10 @@ def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopP
 def _points(
     cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks, threshold_px: float
 ) -> tuple[Float, NDArray[np.bool_]]:
-    """Points (L, 3), NaN with fewer than two inlier views, and the inlier observations (O,)."""
+    """Points (L, 3), NaN with fewer than two inlier views, and the inlier observations (O,).
+
+    Triangulated, sub-map frame. threshold_px: largest reprojection error of an inlier.
+    """
     T_c_s, n_points = se3.inverse(T_s_c), len(tracks.loop_uv)
     depth = np.ones(len(tracks.uv))
     rays = back_project_each(cameras, tracks.view, tracks.uv, depth)[:, :2]

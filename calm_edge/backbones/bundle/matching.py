@@ -39,11 +39,11 @@ class Matching(Protocol):
         ...
 
     def along(self, source: Gray, target: Gray, uv: Float32) -> Matches:
-        """Match points uv (N, 2) px of a picture to a later one of the same eye."""
+        """Match points uv (N, 2) px of a picture to a later one of the same camera."""
         ...
 
     def homography(self, primary: Gray, assistant: Gray) -> Float | None:
-        """Rough H_a_p (3, 3) px, the rotation and the zoom between the eyes; None if not found."""
+        """Rough H_a_p (3, 3) px, rotation and zoom between the cameras; None if not found."""
         ...
 
     def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Matches:

@@ -31,7 +31,11 @@ POINT_FLOOR_SHARE = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Groups:
-    """Rows sorted by a key, to sum blocks of equal key. keys: (G,) the distinct keys."""
+    """Rows (O,) grouped by equal key, to sum the blocks of each of G groups.
+
+    order: (O,) rows sorted by key. starts: (G,) first position of each group in `order`. keys: (G,)
+    distinct keys, ascending.
+    """
 
     order: Int
     starts: Int
@@ -52,14 +56,16 @@ def grouped(key: Int) -> Groups:
 class Structure:
     """Sparsity of a window's normal equations, constant while it is solved.
 
-    views: rows of each view. cross: (18, O) flat indices into Normal.cross of each observation's
-    pose-point block.
+    C views, M points, O observations. views: slice of each view's observations. by_point: the
+    observations grouped by point; by_point_and_eye: by 2 * point + eye. cross: (18, O) indices,
+    into the flattened Normal.cross, of each observation's block of 6 x 3: its view's pose by its
+    point.
     """
 
     views: tuple[slice, ...]
     by_point: Groups
     by_point_and_eye: Groups
-    rows: Int  # (C, 6 + optics) indices of each view's pose and optics in the reduced system
+    rows: Int  # (C, 6 + 4): of each of C views, the indices in H of its pose and its eye's optics
     cross: Int
 
     @classmethod
@@ -77,11 +83,11 @@ class Structure:
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """Reduced normal equations H (D, D), g (D,) of poses, then kit, with the points eliminated.
+    """Reduced normal equations H (D, D), g (D,) of D unknowns: the poses, then the kit.
 
-    For the back-substitution of the points, with L L^T the inverse of each point's 3x3 block: root
-    (M, 3, 3) is L, cross (D, 3, M) the pose-point blocks times L, gradient (3, M) that of the
-    points times L.
+    The M points are eliminated. For their back-substitution, with L L^T the inverse of a point's
+    own 3 x 3 block: root (M, 3, 3) is L; cross (D, 3, M) the blocks of reduced unknowns by points,
+    times L; gradient (3, M) the gradient by the points, times L.
     """
 
     H: Float
@@ -98,7 +104,7 @@ class Normal:
 
 
 def _scatter(H: Float, rows: np.ndarray, blocks: Float) -> None:
-    """Add blocks (B, k, k) to H at index sets rows (B, k)."""
+    """Add B blocks (B, k, k) to H, each at the k rows and columns in its row of `rows` (B, k)."""
     np.add.at(H, (rows[:, :, None], rows[:, None, :]), blocks)
 
 

@@ -31,7 +31,7 @@ class LearnedPlace:
     def describe(self, image: Bytes) -> Float32:
         """Descriptor (256 + ROWS * COLUMNS * CHANNELS,) of unit length of (H, W, 3) uint8 BGR.
 
-        Contains the global descriptor, then the layout, rows first. Raises BackboneError.
+        Contains the global descriptor, then the layout, row by row. Raises BackboneError.
         """
         of = self._net.of([image])[0]
         height, width = of.coarse.shape[:2]
@@ -41,10 +41,11 @@ class LearnedPlace:
         return np.asarray(both / np.linalg.norm(both), np.float32)
 
     def similarity(self, queries: Float32, places: Float32) -> Float32:
-        """Similarity (Q, P) of (Q, D) and (P, D): weighted mean of the cosines of both parts.
+        """Similarity (Q, P) of Q queries (Q, D) to P places (P, D), both from `describe`.
 
-        The layout's cosine is the largest over SHIFTS. The mean over the places is subtracted
-        first, since it does not distinguish them.
+        Weighted mean of the cosines of the global descriptors and of the layouts. The layouts' is
+        the largest over SHIFTS. The mean over the places is subtracted first, since it does not
+        distinguish them.
         """
         q, p = _parts(queries), _parts(places)
         layout = layout_likeness(q[1], p[1], SHIFTS)
@@ -53,15 +54,20 @@ class LearnedPlace:
 
 
 def _parts(described: Float32) -> tuple[Float32, Float32]:
-    """(N, D) -> global descriptors (N, 1, 1, 256), a layout of one cell, and the layouts
-    (N, rows, columns, channels)."""
+    """Split descriptors (N, D) into global ones (N, 1, 1, 256) and layouts of features.
+
+    Layouts: (N, rows, columns, channels). A global one has the shape of a layout of one cell.
+    """
     n, word = len(described), described.shape[1] - ROWS * COLUMNS * CHANNELS
     layout = described[:, word:].reshape(n, ROWS, COLUMNS, CHANNELS)
     return described[:, :word].reshape(n, 1, 1, word), layout
 
 
 def _overlap(cells: int, samples: int) -> Float32:
-    """Share (cells, samples) of each sample that lies in each of `cells` equal cells."""
+    """Share (cells, samples) of each sample in each cell.
+
+    Samples and cells divide the same length into equal parts.
+    """
     edges = np.arange(cells + 1) * samples / cells
     upto = np.clip(edges[:, None] - np.arange(samples), 0, 1)
     return np.asarray(np.diff(upto, axis=0), np.float32)

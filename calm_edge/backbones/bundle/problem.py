@@ -152,7 +152,10 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
 
 
 def times(rows: Float, matrices: Float, index: Int) -> Float:
-    """Multiply rows (I, 2, O) by matrices[index] of (N, I, J), for each observation: (J, 2, O)."""
+    """Multiply Jacobians (I, 2, O) of O observations, each by its matrix (I, J): (J, 2, O).
+
+    matrices: (N, I, J). index: (O,) which of these each observation takes.
+    """
     chosen = np.ascontiguousarray(matrices.transpose(1, 2, 0)).take(index, axis=2)
     return np.asarray(np.einsum("iko,ijo->jko", rows, chosen))
 
@@ -242,8 +245,9 @@ def tie_residuals(
 def tie_jacobians(state: State, ties: RigTies) -> tuple[Float, Float]:
     """Residuals (A, 6) and derivatives (A, 6, 25) by (before, after, assistant, rig, time offset).
 
-    With P = exp(share xi) T_before the primary at that instant, the error is E = T_p_a^-1 P
-    T_assistant^-1, by the chain rule over P. Jacobians of SE(3) as in Barfoot, "State Estimation
+    With xi the twist from T_before to T_after and `share` the part of it at the exposure, the
+    primary's pose then is P = exp(share xi) T_before. The error, log of T_p_a^-1 P T_assistant^-1,
+    is differentiated by the chain rule over P. Jacobians of SE(3) as in Barfoot, "State Estimation
     for Robotics", 2017, section 7.1.
     """
     rig, late = layout.rig(state.theta), float(state.theta[layout.TIME_OFFSET])

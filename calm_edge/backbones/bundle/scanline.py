@@ -6,7 +6,8 @@ import numpy as np
 
 from calm_edge.types import Bytes, Float32
 
-# Penalties of a step of one plane (P1) and of a larger one (P2); P2 is lower across edges.
+# Cost of a step of depth between two pixels, by one plane (P1 of the publication) and by more (P2);
+# P2 is divided by 1 + their difference of grey levels / EDGE_LEVELS.
 STEP_COST = 0.1
 JUMP_COST = 0.8
 EDGE_LEVELS = 12.0
@@ -15,8 +16,8 @@ EDGE_LEVELS = 12.0
 def aggregate(cost: Float32, gray: Bytes) -> Float32:
     """(D, h, w) costs -> the mean of four semi-global path costs, the same shape.
 
-    gray: (h, w), the picture of the volume. Hirschmueller, PAMI 2008: along a path, with q the
-    pixel before p, and d, k planes,
+    gray: (h, w), the picture of the volume. Hirschmueller, PAMI 2008: C is `cost`; along each path
+    (rightwards, leftwards, down, up), with q the pixel before p, and d, k planes,
     L(p, d) = C(p, d) + min(L(q, d), L(q, d +- 1) + step, min_k L(q, k) + jump) - min_k L(q, k).
     """
     total = np.zeros_like(cost)
@@ -30,7 +31,10 @@ def aggregate(cost: Float32, gray: Bytes) -> Float32:
 
 
 def _both_ways(lines: Float32, jump: Float32) -> Float32:
-    """Sum of the forward and backward path costs along axis 0 of (n, D, m); jump: (n - 1, m)."""
+    """Sum of the forward and backward path costs of m lines of n pixels, at D planes: (n, D, m).
+
+    lines: (n, D, m) costs. jump: (n - 1, m) cost of a jump between successive pixels.
+    """
     n, planes, m = lines.shape
     step = np.float32(STEP_COST)
     out = np.zeros_like(lines)

@@ -27,7 +27,7 @@ BEHIND = 100.0  # residual [sigmas] of a point behind its view: counts as an out
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Solved state, its cost and the whitened residual lengths (O,)."""
+    """Solved state, its robust cost, and the reprojection errors' lengths (O,) in sigmas."""
 
     state: State
     cost: float
@@ -35,7 +35,7 @@ class Solution:
 
 
 def robust_weights(residual: Float, scale: float) -> Float:
-    """Cauchy weights (O,) of whitened residual lengths (O,)."""
+    """Cauchy weights (O,) of residual lengths (O,) in sigmas; at a length of `scale` one half."""
     return np.asarray(1 / (1 + (residual / scale) ** 2))
 
 
@@ -102,7 +102,8 @@ def solve(
 ) -> Solution:
     """Minimise pixels (Cauchy), rig ties and the kit prior from `state`, with view 0 fixed.
 
-    Levenberg-Marquardt with iteratively reweighted least squares. prior: on the kit.
+    Levenberg-Marquardt with iteratively reweighted least squares. prior: on the kit. robust_scale:
+    of the Cauchy kernel [sigmas]. tolerance: relative decrease of the cost at which to stop.
     """
     structure = Structure.of(m, len(state.points))
     damping = 1e-3

@@ -25,17 +25,20 @@ STANDSTILL = 1e-3  # spacings per second, or sigmas per second: too slow to dete
 
 
 def irregular(ties: RigTies) -> bool:
-    """Whether the stamps have a jitter above LEAST_S, and enough ties to correct them."""
+    """Whether the stamps have an rms jitter above LEAST_S, and enough ties to correct it."""
     return len(ties.jitter_s) >= MIN_TIES and _spread(ties) > LEAST_S
 
 
 def freed(ties: RigTies, state: State) -> RigTies:
-    """Soften ties along the path by the jitter, for poses near `state`."""
+    """Ties with the rms jitter as uncertainty of the exposure times, linearised at `state`.
+
+    So the assistant's views may move along the path, as if exposed earlier or later.
+    """
     return _softened(ties, state, _spread(ties)) if irregular(ties) else ties
 
 
 def corrected(ties: RigTies, state: State) -> RigTies:
-    """Correct the instants of ties for host delay, given a `state` solved with `freed` ties."""
+    """Correct the ties' exposure times for host delay, given a `state` solved with `freed` ties."""
     if not irregular(ties):
         return ties
     share, sigma = delay_share(ties, state)
@@ -74,7 +77,10 @@ def _spread(ties: RigTies) -> float:
 
 
 def _unwhitened(ties: RigTies, state: State) -> tuple[Float, Float, Float]:
-    """One over sigma, residuals and derivatives by the time offset, each (A, 6), of stiff ties."""
+    """One over sigma, residuals, and their derivatives by the time offset, each (A, 6).
+
+    Of the ties without softening; residuals in spacings and rad.
+    """
     stiff = replace(ties, along=np.zeros_like(ties.along))
     residual, J = tie_jacobians(state, stiff)
     root = ties.information_root
@@ -84,8 +90,8 @@ def _unwhitened(ties: RigTies, state: State) -> tuple[Float, Float, Float]:
 def _softened(ties: RigTies, state: State, sigma_s: float) -> RigTies:
     """Add an uncertainty sigma_s of the instants to ties.
 
-    Covariance D + sigma^2 d d^T, with d the derivative of the residual by the time offset. Its
-    inverse root is (I - a a^T) D^-1/2, with a along D^-1/2 d.
+    The covariance becomes D + sigma_s^2 d d^T, with D that of the stiff tie, d the derivative of
+    the residual by the time offset. Its inverse root is (I - a a^T) D^-1/2, with a along D^-1/2 d.
     """
     root, _, by_late = _unwhitened(ties, state)
     d = root * by_late

@@ -48,7 +48,10 @@ Rows = tuple[Int, Int, Float32, Float32]
 
 
 def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) -> Float32:
-    """New Shi-Tomasi corners (N, 2), spread over a grid, away from `known` (M, 2)."""
+    """New Shi-Tomasi corners (N, 2) px, spread over a grid, away from `known` (M, 2) px.
+
+    count: number of corners wanted, the known ones included.
+    """
     height, width = gray.shape
     distance = max(5.0, width / 110)
     mask = away_from((height, width), known, distance)
@@ -95,7 +98,7 @@ def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np
 def sift_homography(primary: Gray, assistant: Gray) -> Float | None:
     """Rough H_a_p (3, 3) from primary to assistant pixels, from SIFT matches (Lowe, IJCV 2004).
 
-    It covers rotation and zoom between the eyes; parallax is left to Lucas-Kanade.
+    It covers rotation and zoom between the cameras; parallax is left to Lucas-Kanade.
     """
     sift = cv2.SIFT.create(nfeatures=1500)
     ka, da = sift.detectAndCompute(primary, None)
@@ -157,10 +160,13 @@ def temporal_tracks(
 def _followed(
     source: Gray, target: Gray, uv: Float32, flow: Float32, known: NDArray[np.bool_]
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """Lucas-Kanade, started from a known flow (N, 2), or from that of neighbours if not `known`."""
+    """Track uv (N, 2) px by Lucas-Kanade: positions (N, 2) px and whether found (N,).
+
+    Started from the `flow` (N, 2) px of the previous step where `known`, else from neighbours'.
+    """
     moved, ok = follow(source, target, uv, uv + neighbouring_flow(uv, flow, known), MATCHING)
     if not known.any() and ok.sum() > 20:
-        # the first pair had no guess: try the lost ones again from their neighbours' flow
+        # the first pair of pictures had no guess: try lost points again from their neighbours' flow
         guess = uv + neighbouring_flow(uv, moved - uv, ok)
         again, ok_again = follow(source, target, uv, guess, MATCHING)
         moved, ok = np.where(ok[:, None], moved, again), ok | ok_again
@@ -173,7 +179,7 @@ def across_eyes(
     """Match primary corners uv (N, 2) px to the assistant: (N, 2) px and whether found (N,).
 
     The assistant is first warped by H_a_p to look like the primary, so that patches match in zoom
-    and roll. guess: (N, 2) px of parallax after the warp.
+    and roll. guess: (N, 2) px, expected motion from primary to warped picture, i.e. parallax.
     """
     height, width = primary.shape
     warped = cv2.warpPerspective(
@@ -258,7 +264,10 @@ def _across_from(
     H_a_p: Float,
     points: Float32,
 ) -> tuple[Float32, NDArray[np.bool_]]:
-    """`across_eyes`, started from the parallax of the previous view, which is then updated."""
+    """`across_eyes` from points with track ids `ids`, started from their parallax in earlier views.
+
+    parallax: (2,) px by track id; the result is stored in it.
+    """
     known = np.array([i in parallax for i in ids], bool)
     flow = np.zeros_like(points)
     if known.any():

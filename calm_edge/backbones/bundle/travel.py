@@ -2,9 +2,10 @@
 
 With the direction of travel given in camera axes, the epipolar constraint of neighbouring keyframes
 depends on their rotation alone. Iteratively reweighted least squares solves for all rotations and
-the direction together, from no rotation. What is left of a point's motion, along the direction of
-travel, is the step over the point's distance; two steps that share points therefore have a ratio,
-and all ratios together give signed steps. Standing and reversing are steps like others.
+the direction together, starting from zero rotation. The remaining motion of a point, along the
+direction of travel, gives the step (length travelled between two keyframes) divided by the point's
+distance; two steps that share points therefore have a ratio, and all ratios together give signed
+steps. Standing and reversing are steps like others.
 """
 
 from __future__ import annotations
@@ -26,23 +27,25 @@ FIRST_PX, NARROWING, EPIPOLAR_PX = 20.0, 0.6, 0.7
 # points that move less than this along the direction of travel count as far, with a small weight
 # that fixes the rotation of a car that stands
 FAR_PX, FAR_WEIGHT = 2.0, 0.02
-# points nearer to the direction of travel than this show neither rotation nor step
+# lower bound of the angle between a point and the direction of travel: nearer points hardly move
 NEAREST_RAD = 0.01
-# priors: direction of travel about its start; change of speed between steps over the median speed
+# sigmas of priors: angle between the direction of travel and its first guess; change of speed from
+# one step to the next, as a share of the median speed
 DIRECTION_SIGMA_RAD = 0.3
 SPEED_SIGMA = 0.1
-# Cauchy scale of the ratio of two steps at one point, sigmas
+# Cauchy scale [sigmas] of the equation that one point gives for two consecutive steps
 RATIO_SIGMAS = 1.0
-# a step goes back where this many standard deviations of a fair vote of its points say so
+# a step counts as backwards if more of its points show this than the contrary, by this many
+# standard deviations of a vote by chance (the root of their number)
 REVERSE_SIGMAS = 3.0
 TINY = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Matches of neighbouring keyframes, one row a match.
+    """Matches of P pairs of consecutive keyframes, one row a match.
 
-    a, b: (n, 3) unit rays in the earlier and the later keyframe. pair: (n,) index of the earlier.
+    a, b: (n, 3) unit rays in the earlier and the later keyframe. pair: (n,) index of the pair.
     point: (n,) track. dt: (P,) seconds between the keyframes of each pair. f: focal [px].
     """
 
@@ -72,9 +75,9 @@ def matches(m: Measurements, rays: Float, f: float) -> Matches:
 
 
 def path(m: Matches, start: Float) -> Float:
-    """T_c_s (V, 4, 4) of the primary views, the median step one unit.
+    """T_c_s (V, 4, 4) of the V primary views; the unit is the median step between two of them.
 
-    start: (3,) unit, the direction of travel in camera axes as far as known.
+    start: (3,) unit vector, first guess of the direction of travel, camera axes.
     """
     direction, turns = directed_turns(m, start)
     steps = signed_steps(m, direction, turns)
@@ -85,10 +88,10 @@ def path(m: Matches, start: Float) -> Float:
 
 
 def directed_turns(m: Matches, start: Float) -> tuple[Float, Float]:
-    """Direction of travel (3,), camera axes, and R_a_b of every pair as rotation vectors (P, 3).
+    """Direction of travel (3,), camera axes, and R_a_b of each pair, rotation vectors (P, 3).
 
-    Gauss-Newton on the epipolar residuals. On an arc the chord between two views has the direction
-    of travel half way of the rotation between them.
+    Gauss-Newton on the epipolar residuals. a: earlier, b: later view. On an arc, the chord from a
+    to b points in the direction of travel that the car has half way through the rotation.
     """
     P = len(m.dt)
     direction, turns = start, np.zeros((P, 3))
@@ -125,8 +128,9 @@ def _residuals(
 ) -> tuple[Float, Float, Float, Float, Float]:
     """Motion of each match across and along the direction of travel (n,) [px], and derivatives.
 
-    The derivatives: of the first by the direction's two angles (n, 2) and by the rotation (n, 3),
-    of the second by the rotation (n, 3).
+    After the rotations `turns` (P, 3) are removed. basis: (2, 3) orthogonal to the direction. The
+    derivatives: of the first by the direction's two angles (n, 2) and by the rotation (n, 3), of
+    the second by the rotation (n, 3).
     """
     moved = (se3.so3_exp(turns)[m.pair] @ m.b[..., None])[..., 0]
     half = se3.so3_exp(turns / 2)
@@ -134,7 +138,7 @@ def _residuals(
     normal, sine = _normal(axis, m.a)
     away = np.cross(normal, m.a)
     across, along = m.f * (normal * moved).sum(1), m.f * ((moved - m.a) * away).sum(1)
-    # the plane's normal depends on the direction of travel, rotated by half the turn
+    # the normal depends on the rotation too: the axis is the direction of travel, rotated by half
     in_plane = moved - normal * (across / m.f)[:, None]
     by_axis = m.f * np.cross(m.a, in_plane) / sine[:, None]
     J_d = np.einsum("ni,nij->nj", by_axis, (half @ basis.T)[m.pair])
@@ -143,7 +147,10 @@ def _residuals(
 
 
 def _normal(axis: Float, a: Float) -> tuple[Float, Float]:
-    """Unit normals (n, 3) of the epipolar planes, and the sine of the angle to the axis (n,)."""
+    """Unit normals (n, 3) of the planes of rays a (n, 3) and axis (n, 3), sine of their angle (n,).
+
+    axis: direction of the baseline. The sine is at least NEAREST_RAD.
+    """
     normal = np.cross(axis, a)
     sine = np.maximum(np.linalg.norm(normal, axis=1), NEAREST_RAD)
     return normal / sine[:, None], sine
@@ -154,13 +161,14 @@ def _outer(J: Float) -> Float:
 
 
 def signed_steps(m: Matches, direction: Float, turns: Float) -> Float:
-    """Lengths (P,) of the steps along the direction of travel, negative backwards, median size one.
+    """Lengths (P,) of the steps along the direction of travel, negative backwards; median one.
 
-    A point whose angle to the direction grows from u to v over a step s is at the distance
-    s sin(v) / sin(v - u) before it and s sin(u) / sin(v - u) after it. Both distances of a point
-    between two steps agree: one homogeneous linear equation in the steps. Their weighted
-    least-squares solution is an eigenvector, with the noise of both sides as the metric (Taubin,
-    "Estimation of Planar Curves, Surfaces, and Nonplanar Space Curves", PAMI 1991).
+    A point whose angle to the direction grows from u to v over a step s is at the distance s sin(v)
+    / sin(v - u) before it and s sin(u) / sin(v - u) after it. At a keyframe between two steps the
+    distance after the first equals that before the second: one homogeneous linear equation in the
+    steps. Their weighted least-squares solution is an eigenvector, with the noise of both sides as
+    the metric (Taubin, "Estimation of Planar Curves, Surfaces, and Nonplanar Space Curves", PAMI
+    1991).
     """
     P = len(m.dt)
     moved = (se3.so3_exp(turns)[m.pair] @ m.b[..., None])[..., 0]
@@ -168,7 +176,7 @@ def signed_steps(m: Matches, direction: Float, turns: Float) -> Float:
     normal, sin_u = _normal(axis, m.a)
     grown = ((moved - m.a) * np.cross(normal, m.a)).sum(1)
     sin_v = np.maximum(np.linalg.norm(np.cross(axis, moved), axis=1), NEAREST_RAD)
-    # points grow away from the direction of travel, unless a step goes back
+    # angles between points and the direction of travel grow, unless the step is backwards
     clear = np.abs(grown) > FAR_PX / m.f
     votes = np.bincount(m.pair, np.sign(grown) * clear, P)
     way = np.where(votes < -REVERSE_SIGMAS * np.sqrt(np.bincount(m.pair, clear, P)), -1.0, 1.0)

@@ -21,7 +21,10 @@ WARP_INLIER = 0.03  # inlier threshold, share of the picture's width; includes p
 
 
 def homography(uv: Float32, found: Matches, width: int) -> Float | None:
-    """H_b_a (3, 3) px from the sure ones of N matches by RANSAC; None with too few inliers."""
+    """H_b_a (3, 3) px from the sure ones of N matches by RANSAC; None with too few inliers.
+
+    uv: (N, 2) px of a. found: matches in b. width: of b [px], for the inlier threshold.
+    """
     sure = found.sure.copy()
     sure[sure] = on_epipolar_lines(uv[sure], found.uv[sure], WARP_EPIPOLAR_PX)
     if sure.sum() < MIN_FOR_WARP:
@@ -35,13 +38,13 @@ def homography(uv: Float32, found: Matches, width: int) -> Float | None:
 
 
 def are_alike(H_b_a: Float, a: Gray) -> bool:
-    """Whether patches in the middle of a match those of b without a warp."""
+    """Whether b shows the middle of a at nearly the same zoom and rotation, so needs no warp."""
     zoom, turn = _zoom_and_turn(H_b_a, _middle(a))
     return abs(np.log(zoom)) < SAME_ZOOM and abs(turn) < SAME_TURN_RAD
 
 
 def zoom_of(H_b_a: Float, a: Gray) -> float:
-    """Magnification of the middle of a in b."""
+    """Magnification from a to b in the middle of a: above 1 if b shows the scene larger."""
     return _zoom_and_turn(H_b_a, _middle(a))[0]
 
 
@@ -68,7 +71,7 @@ def warped(b: Gray, H_b_a: Float, a: Gray) -> Gray:
 
 
 def turned(a: Gray, b: Gray, turn_deg: float, zoom: float) -> Float:
-    """H_b_a (3, 3) px of a zoom and a rotation about the middles of both pictures."""
+    """H_b_a (3, 3) px that takes the middle of a to that of b, with a rotation and a zoom."""
     (ha, wa), (hb, wb) = a.shape, b.shape
     centred = np.array([[1, 0, -(wa - 1) / 2], [0, 1, -(ha - 1) / 2], [0, 0, 1]])
     c, s = zoom * np.cos(np.radians(turn_deg)), zoom * np.sin(np.radians(turn_deg))

@@ -48,7 +48,7 @@ def measure(
 ) -> Measurements:
     """Matches of all pictures (H, W, 3) as measurements; raises BackboneError when too few.
 
-    theta: the kit, which guides the search across the eyes when `rig_known`. matching: by a
+    theta: the kit, which guides the matching between the cameras when `rig_known`. matching: by a
     network; None for Lucas-Kanade.
     """
     primary, assistant = split_eyes(hints)
@@ -86,7 +86,7 @@ def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
 
 
 def thinned(m: Measurements, n_points: int) -> Measurements:
-    """The window with its `n_points` most often seen points only."""
+    """Measurements of the `n_points` points that are seen in most views."""
     count = np.bincount(m.point)
     kept = np.sort(np.argsort(-count, kind="stable")[:n_points])
     rows = np.isin(m.point, kept)
@@ -113,7 +113,9 @@ def to_landmarks(state: State, m: Measurements) -> Landmarks:
 def from_prediction(
     prediction: Prediction, hints: Hints, theta: Float
 ) -> tuple[Measurements, State]:
-    """Measurements and initial state from an earlier solution and another kit theta.
+    """Measurements and initial state to solve a window again, from its earlier prediction.
+
+    theta: the kit to start from, instead of the earlier one.
 
     Raises BackboneError.
     """

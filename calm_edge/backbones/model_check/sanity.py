@@ -38,7 +38,10 @@ class Reprojection:
 
 
 def check_numbers(outputs: Outputs, raw: Mapping[str, Tensor]) -> None:
-    """Raise ManifestError if an output is not finite, or below the minimum of its encoding."""
+    """Raise ManifestError if an output is not finite, or below the minimum of its encoding.
+
+    A confidence encoded as expp1, 1 + exp(x), is at least 1; the other encodings have no minimum.
+    """
     for name in outputs.names():
         if not np.isfinite(raw[name]).all():
             raise ManifestError(f"output {name!r} is not finite")

@@ -111,10 +111,11 @@ class PoseOutput:
 
 @dataclass(frozen=True, slots=True)
 class IntrinsicsOutput:
-    """Encoding of the intrinsics. name: output tensor of `pixels` and, unless in the pose, `fov`.
+    """Encoding of the intrinsics. name: output tensor for the encodings `pixels` and `fov`.
 
-    pixel_origin: of `pixels`: (0, 0) is the corner or the centre of the first pixel.
-    principal_point: of `solved` (fitted to rays or points): free, or fixed at the image centre.
+    It is empty for a `fov` that is part of the pose output. pixel_origin: of `pixels`: (0, 0) is
+    the corner or the centre of the first pixel. principal_point: of `solved` (fitted to rays or
+    points): free, or fixed at the image centre.
     """
 
     encoding: Literal["fov", "pixels", "solved"]
@@ -125,7 +126,10 @@ class IntrinsicsOutput:
 
 @dataclass(frozen=True, slots=True)
 class GeometryOutput:
-    """Encoding of depth. rays: output with ray directions of `ray_depth`; empty: rays from K."""
+    """Encoding of depth. rays: output tensor with the ray directions of the encoding `ray_depth`.
+
+    If it is empty, the ray directions follow from the intrinsics.
+    """
 
     name: str
     encoding: Literal["z_depth", "point_map", "ray_depth"]

@@ -75,8 +75,9 @@ def strength(
 def on_picture_grid(maps: Float32, fits: Sequence[Fit], unknown: float) -> Float32:
     """Resample maps (N, h, w) of the input to the area of each image, (N, h', w').
 
-    Nearest neighbour; pixels of the image outside the input get `unknown`. The resolution is that
-    of the map over the largest image.
+    Nearest neighbour; pixels of the image outside the input get `unknown`. h', w': the rows and
+    columns of a map that the image covers, the most of all images; h, w if all images fill the
+    input.
     """
     h, w = maps.shape[1:]
     if all(fit.is_whole for fit in fits):
