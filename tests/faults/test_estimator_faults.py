@@ -43,7 +43,7 @@ def test_a_killed_estimator_loses_no_frame_and_map_computes_the_rest(tmp_path: P
     assert killer.first_to_go == 500 > own
     assert any("estimator died" in line and "recording continues" in line for line in lines)
     assert result.frames == [N, N] and result.unrecorded == 0
-    assert any("map computes it all" in line for line in result.losses())
+    assert any("incomplete; run calm-edge map" in line for line in result.losses())
     recording = Recording(out)
     assert not recording.losses
     assert [recording.count(f"/{e.name.lower()}/image") for e in Eye] == [N, N]
