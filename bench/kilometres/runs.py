@@ -112,7 +112,7 @@ def _localized(
 
 
 def aligned_error(T_w_p: Float, truth: Float, *, with_scale: bool) -> float:
-    """RMS distance [m] of positions after alignment to `truth`; inf for fewer than two poses."""
+    """RMS distance [m] to `truth` after rigid or similarity alignment; inf below two poses."""
     if len(T_w_p) < 2:
         return float("inf")
     p, p_true = T_w_p[:, :3, 3], truth[:, :3, 3]

@@ -68,9 +68,10 @@ def minimise(bank: TestBank, shape: Camera, start: float, *, weighted: bool) -> 
 
 
 def _common(bank: TestBank, shape: Camera, x: float) -> tuple[float, float, Float, float]:
-    """Combined log focal of the groups, its sigma, information (P,) by matrix, model noise.
+    """Estimate one log focal from all groups of the bank.
 
-    x: log focal at which information is computed.
+    Returns it, its sigma, the information (P,) of each F at log focal x, and the standard deviation
+    of the score that is due to model error. shape: gives aspect ratio and principal point.
     """
     model_noise = _model_noise(bank, shape, x)
     information = bank.information(x, model_noise)

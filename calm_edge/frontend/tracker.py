@@ -31,8 +31,8 @@ HOP_NS, CATCH_UP_NS = 390_000_000, 90_000_000
 # while there is no pose that could be delayed.
 CATCH_UP_FRAMES, CATCH_UP_FRAMES_LOST = 2, 3
 INLIER_PX = 3.0
-# Largest |log ratio| of a distance travelled in the new sub-map to that in the old track; if it is
-# larger, the old track is dropped.
+# Largest |log ratio| of the distances between the same frames in the new sub-map and in the old
+# track; if it is larger, the old track is dropped.
 MAX_DISAGREEMENT = 0.2
 
 

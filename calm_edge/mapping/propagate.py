@@ -98,8 +98,9 @@ def spread_back(
     """Backward propagation from sub-map `start`, recursively: rows to add, by sub-map id (VI-B).
 
     shared: sub-map id -> [(other id, pairs (P, 2) of (view, other's view))]. views_of: loads the
-    dense views of a sub-map; called only if there is an anchor to add. Rows added to a sub-map are
-    propagated further from it; an anchor enters each sub-map once, so that the recursion ends.
+    dense views of a sub-map; called only if there is an anchor to add. tolerance: largest relative
+    depth difference at which a view confirms an anchor. Rows added to a sub-map are propagated
+    further from it; an anchor enters each sub-map once, so that the recursion ends.
     """
     added: dict[int, AnchorTable] = {}
     queue = deque([(start, tables[start])])

@@ -77,9 +77,11 @@ class Marginals:
         return X
 
     def _covariance(self, X: Float) -> Float:
-        """Covariance (6, 6) from the errors of all views, scales, bridges, loops and the prior.
+        """Covariance (6, 6) of a relative pose.
 
-        X: (N + 1, 6, 6) from `_sensitivity`.
+        Sum over the errors of all views, sub-map scales, loops, the prior and bridges, the edges
+        that stand for windows without a sub-map. X: (N + 1, 6, 6) from `_sensitivity`, the inverse
+        Hessian times the transposed derivative of the relative pose.
         """
         edges, rows = self._problem.edges, self._rows
         U = rows.by_i @ X[edges.i] + rows.by_j @ X[edges.j] + rows.by_rig @ X[-1]
