@@ -58,6 +58,10 @@ GOOD_START = 1.0
 # gives no evidence on the kit.
 MAX_MEDIAN_PX = 2.0
 MAX_EVIDENCE_PX = 0.8
+# Where nearly all points are far, single steps have all but free lengths at small residuals. No car
+# changes its velocity between keyframes by more than both: spacings / s^2 (good windows stay below
+# 20, wrong ones exceed 60), and the share of the window's median speed (0.5, 1.3).
+MAX_ACCELERATION, MAX_VELOCITY_JUMP = 40.0, 0.7
 
 
 class BundleBackbone:
@@ -202,7 +206,22 @@ def _solve(
         start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
+    if not _drivable(solution.state, m):
+        raise BackboneError("bundle: the velocity jumps between keyframes as no car's does")
     return solution, timed_ties
+
+
+def _drivable(state: State, m: Measurements) -> bool:
+    """Whether the velocity of the primary changes between keyframes as a car's can."""
+    views = np.flatnonzero(m.eye == 0)
+    if len(views) < 3:
+        return True
+    dt = np.diff(m.t[views])
+    velocity = np.diff(se3.inverse(state.T_c_s[views])[:, :3, 3], axis=0) / dt[:, None]
+    jump = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    usual = np.median(np.linalg.norm(velocity, axis=1))
+    hard = jump > MAX_ACCELERATION * (dt[1:] + dt[:-1]) / 2
+    return not np.any(hard & (jump > MAX_VELOCITY_JUMP * usual))
 
 
 def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool) -> State:

@@ -9,6 +9,7 @@ import pytest
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import backbone as bundle
 from calm_edge.backbones.bundle import tracks, window
+from calm_edge.backbones.bundle.problem import Measurements, State
 from calm_edge.config import BackboneConfig
 from calm_edge.evaluation.trajectory import path_length
 from calm_edge.geometry import se3
@@ -268,3 +269,33 @@ def test_the_belief_is_the_prior_times_the_evidence_of_others(solved):
     assert np.linalg.norm(informed.mean[layout.RIG_CENTRE]) == pytest.approx(1, abs=1e-12)
     alone = bundle.kit_belief(Hints(eyes=np.array([0, 1]), t_ns=np.zeros(2, int)))
     assert np.array_equal(alone.mean, layout.prior((None, None)).mean)
+
+
+def moving(positions, dt=0.3):
+    """State and measurements of a primary camera that is at these places, spacings along z."""
+    T_w_c = np.tile(np.eye(4), (len(positions), 1, 1))
+    T_w_c[:, 2, 3] = positions
+    state = State(se3.inverse(T_w_c), np.zeros((0, 4)), layout.prior((None, None)).mean)
+    none, eye = np.zeros(0, int), np.zeros(len(positions), int)
+    t, size = dt * np.arange(len(positions)), np.full((2, 2), 100)
+    m = Measurements(none, none, np.zeros((0, 2)), np.zeros(0), eye, t, size)
+    return state, m
+
+
+@pytest.mark.parametrize(
+    "steps, drivable",
+    [
+        (np.full(8, 5.0), True),
+        (np.r_[0, 0, 0, np.linspace(0.2, 4, 6)], True),
+        (np.linspace(5, 0, 8), True),
+        (np.r_[np.full(4, 5.0), -0.2, np.full(4, -1.0)], False),
+        (np.r_[np.full(4, 6.0), 0.6, np.full(4, 6.0)], False),
+    ],
+    ids=["even", "pulling away", "braking", "thrown back", "one short step"],
+)
+def test_a_velocity_that_no_car_has_is_refused(steps, drivable):
+    assert bundle._drivable(*moving(np.r_[0, np.cumsum(steps)])) == drivable
+
+
+def test_two_keyframes_have_no_change_of_velocity():
+    assert bundle._drivable(*moving(np.array([0.0, 5.0])))
