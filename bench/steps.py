@@ -32,16 +32,18 @@ def _children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def calm_edge(*arguments: str, accept: Sequence[int] = (OK,)) -> tuple[str, Cost]:
+def calm_edge(
+    *arguments: str, accept: Sequence[int] = (OK,), checkout: Path = ROOT
+) -> tuple[str, Cost]:
     """Run a calm-edge command; return its stdout and cost.
 
     accept: exit codes that are no error. For any other one EvaluationError is raised with the last
-    line of output.
+    line of output. checkout: whose code is run.
     """
     start, before = time.monotonic(), _children_s()
     done = subprocess.run(
         [sys.executable, "-m", "calm_edge.cli", *arguments],
-        cwd=ROOT,
+        cwd=checkout,
         capture_output=True,
         text=True,
         check=False,
@@ -53,14 +55,14 @@ def calm_edge(*arguments: str, accept: Sequence[int] = (OK,)) -> tuple[str, Cost
     return done.stdout, Cost(time.monotonic() - start, _children_s() - before)
 
 
-def record(sequence: Path, out: Path, options: Sequence[str] = ()) -> Cost:
+def record(sequence: Path, out: Path, options: Sequence[str] = (), checkout: Path = ROOT) -> Cost:
     """Record a sequence folder in lockstep into `out`, which is replaced.
 
     Exit code 3 is accepted: then the recording is complete, but some frames have no pose.
     """
     shutil.rmtree(out, ignore_errors=True)
     arguments = ("--sequence", str(sequence), "--out", str(out), "--pace", "lockstep", *options)
-    return calm_edge("record", *arguments, accept=(OK, LOSS))[1]
+    return calm_edge("record", *arguments, accept=(OK, LOSS), checkout=checkout)[1]
 
 
 def dense_map(recording: Path, out: Path) -> Cost:
@@ -69,8 +71,9 @@ def dense_map(recording: Path, out: Path) -> Cost:
     return calm_edge("map", str(recording), "--out", str(out), accept=(OK, LOSS))[1]
 
 
-def figures(target: Path, truth: Path) -> dict[str, Any]:
+def figures(target: Path, truth: Path, checkout: Path = ROOT) -> dict[str, Any]:
     """Result of `calm-edge eval --json` for a recording or a map."""
-    result = json.loads(calm_edge("eval", str(target), "--truth", str(truth), "--json")[0])
+    arguments = ("eval", str(target), "--truth", str(truth), "--json")
+    result = json.loads(calm_edge(*arguments, checkout=checkout)[0])
     assert isinstance(result, dict)
     return result

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import subprocess
-import sys
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from bench import steps
 from bench.drives import ROOT
 from bench.lottery.draw import Drawn
 from calm_edge.evaluation import EvaluationError
-from calm_edge.evaluation.trajectory import associate
+from calm_edge.evaluation.trajectory import associate, path_length
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.geometry import se3
 from calm_edge.recording.reader import Recording
@@ -86,16 +84,13 @@ def outcome(drawn: Drawn, checkout: Path) -> Outcome:
 def _measured(drawn: Drawn, checkout: Path, sequence: Path, work: Path) -> Outcome:
     truth = read_truth(sequence)
     turns = se3.so3_log(se3.inverse(truth.T_w_c[:-1])[:, :3, :3] @ truth.T_w_c[1:, :3, :3])
-    path_m = float(np.linalg.norm(np.diff(truth.T_w_c[:, :3, 3], axis=0), axis=1).sum())
+    path_m = path_length(truth.T_w_c[:, :3, 3])
     yaw_deg = float(np.degrees(np.abs(turns[:, 1].sum())))
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
+    recording, options = work / "recording", ("--spacing-m", f"{drawn.spacing_m:g}")
+    work.mkdir(parents=True, exist_ok=True)
     try:
-        record = ["record", "--sequence", str(sequence), "--pace", "lockstep", "--out"]
-        spacing = ["--spacing-m", f"{drawn.spacing_m:g}"]
-        _run(checkout, *record, str(work / "recording"), *spacing)
-        said = _run(checkout, "eval", str(work / "recording"), "--truth", str(sequence), "--json")
-        figures = json.loads(said)
+        steps.record(sequence, recording, options, checkout)
+        figures = steps.figures(recording, sequence, checkout)
         if figures["ate_se3_m"] is None:
             raise EvaluationError("no keyframe was placed")
     except EvaluationError as error:
@@ -105,7 +100,7 @@ def _measured(drawn: Drawn, checkout: Path, sequence: Path, work: Path) -> Outco
     if focals is not None and sigmas is not None and truth.cameras is not None:
         errors = _pair(np.log(f / c.fx) for f, c in zip(focals, truth.cameras, strict=True))
         sigma = _pair(np.inf if s is None else s / 100 for s in sigmas)
-    placed, garbage = _steps(work / "recording", truth.t_ns, truth.T_w_c)
+    placed, garbage = _steps(recording, truth.t_ns, truth.T_w_c)
     return Outcome(
         drawn.name,
         path_m,
@@ -143,13 +138,3 @@ def garbage_share(step: Float, true: Float) -> float:
     moving = true > STANDING_M
     ratio = np.log(np.maximum(step[moving], 1e-9) / true[moving])
     return float((np.abs(ratio - np.median(ratio)) > GARBAGE_LOG).mean())
-
-
-def _run(checkout: Path, *arguments: str) -> str:
-    """Run `calm-edge` from a checkout; return stdout, raise EvaluationError with its last line."""
-    command = [sys.executable, "-m", "calm_edge.cli", *arguments]
-    done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
-    if done.returncode not in (0, 3):
-        lines = (done.stderr or done.stdout).strip().splitlines() or ["no message"]
-        raise EvaluationError(lines[-1])
-    return done.stdout

@@ -24,7 +24,7 @@ def test_the_cost_is_the_processs_own() -> None:
 def test_only_evaluation_sees_the_truth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     called: list[tuple[str, ...]] = []
 
-    def calm_edge(*arguments: str, accept: Any = ()) -> tuple[str, Cost]:
+    def calm_edge(*arguments: str, **_: Any) -> tuple[str, Cost]:
         called.append(arguments)
         return json.dumps({"poses": 3}), Cost(1.0, 1.0)
 

@@ -86,7 +86,7 @@ def test_a_shifted_drive_keeps_true_stamps(tmp_path: Path) -> None:
 def _steps(monkeypatch: pytest.MonkeyPatch, ate: float = 0.0) -> list[tuple[str, ...]]:
     said: list[tuple[str, ...]] = []
 
-    def calm_edge(*arguments: str, accept: Any = ()) -> tuple[str, steps.Cost]:
+    def calm_edge(*arguments: str, **_: Any) -> tuple[str, steps.Cost]:
         said.append(arguments)
         text = json.dumps({"ate_percent": ate}) if arguments[0] == "eval" else ""
         return text, steps.Cost(2.0, 1.0)
@@ -148,7 +148,7 @@ def test_absent_data_is_skipped_and_said(
 
 
 def test_a_failing_step_breaks_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def fails(*_: str, accept: Any = ()) -> tuple[str, steps.Cost]:
+    def fails(*_: str, **__: Any) -> tuple[str, steps.Cost]:
         raise EvaluationError("calm-edge record: exit 1: no")
 
     monkeypatch.setattr(steps, "calm_edge", fails)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from bench import steps
 from bench.lottery import outcome as outcomes
 from bench.lottery.draw import Drawn
 from calm_edge.evaluation import EvaluationError
@@ -29,10 +30,10 @@ def checkout(tmp_path):
 
 
 def test_a_drive_without_a_result_is_wholly_garbage_and_says_why(drawn, checkout, monkeypatch):
-    def run(*_):
+    def run(*_, **__):
         raise EvaluationError("calm-edge: too dark")
 
-    monkeypatch.setattr(outcomes, "_run", run)
+    monkeypatch.setattr(steps, "calm_edge", run)
     found = outcomes.outcome(drawn, checkout)
     assert (found.ate_percent, found.garbage, found.placed) == (None, 1.0, 0.0)
     assert found.failed == "calm-edge: too dark" and found.path_m > 1
@@ -41,11 +42,11 @@ def test_a_drive_without_a_result_is_wholly_garbage_and_says_why(drawn, checkout
 def test_an_outcome_is_computed_once_for_each_state_of_the_code(drawn, checkout, monkeypatch):
     runs = []
 
-    def run(*words):
+    def run(*words, **_):
         runs.append(words)
         raise EvaluationError("nothing")
 
-    monkeypatch.setattr(outcomes, "_run", run)
+    monkeypatch.setattr(steps, "calm_edge", run)
     first = outcomes.outcome(drawn, checkout)
     assert outcomes.outcome(drawn, checkout) == first and len(runs) == 1
     (checkout / "calm_edge" / "a.py").write_text("a = 2\n")
