@@ -133,6 +133,8 @@ class Prediction:
     pixel centres as in cv2.resize. None before `densify`.
     confidence: (N, h, w) of depth in [0, 1], larger is better; None if depth is None.
     focal_log_sigma: (N,) sigma of the log focal length; None if the model does not estimate it.
+    scale_log_sigma: sigma of the log of the window's length, given the spacing between the cameras;
+    None if the model does not estimate it.
     kit: evidence of this batch on the kit, without the prior in the hints; or None.
     assistant_late_s: time offset: how much later than its stamp, on the primary's clock, the
     assistant is exposed. stamps_off_s: (A,) what has to be added to that for each assistant
@@ -152,6 +154,7 @@ class Prediction:
     stamps_off_s: Float | None = None
     loop_found: bool = True
     notices: tuple[str, ...] = ()
+    scale_log_sigma: float | None = None
 
     def without_loop(self) -> Prediction:
         """Prediction of the window alone, without the landmarks triangulated for the loop view."""
@@ -179,6 +182,7 @@ class Submap:
     focal_log_sigma: (2,) sigma of each camera's log focal length when the sub-map was placed.
     assistant_late_ns: time offset, how much later than its stamp the assistant is exposed.
     stamps_off_ns: (A,) additional offset of each assistant view, or None.
+    scale_log_sigma: sigma of the log of the sub-map's length, given the spacing; inf if unknown.
     """
 
     id: int
@@ -195,6 +199,7 @@ class Submap:
     focal_log_sigma: Float
     assistant_late_ns: int = 0
     stamps_off_ns: Int | None = None
+    scale_log_sigma: float = np.inf
 
     @property
     def n_primary(self) -> int:
@@ -223,6 +228,27 @@ class Submap:
     def T_w_c(self) -> Float:
         """Poses camera->world (N, 4, 4) of all views, in batch order."""
         return np.asarray(self.T_w_s @ self.T_s_c)
+
+
+# Above this sigma of the log scale, lengths are not metric.
+METRIC_LOG_SIGMA = 0.10
+
+
+@dataclass(frozen=True, slots=True)
+class Metre:
+    """How well lengths are known, given the true spacing between the cameras.
+
+    log_sigma: sigma of the log scale; inf if unknown. reason: one sentence that says why lengths
+    are not metric; empty if they are.
+    """
+
+    log_sigma: float = np.inf
+    reason: str = ""
+
+    @property
+    def metric(self) -> bool:
+        """Whether lengths are known well enough to be reported."""
+        return self.log_sigma <= METRIC_LOG_SIGMA
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +366,7 @@ class LocalizerUpdate:
     trajectory: keyframes that are new or have moved; all of them if the epoch has changed.
     stage_ms: stage name -> milliseconds. kit: belief after this window. notices: lines for the
     user. loop: loop closure found (IV-D). loop_keyframe: the earlier keyframe that was appended to
-    the batch, for the record of the window.
+    the batch, for the record of the window. metre: of the drive after this window.
     """
 
     submap: Submap
@@ -351,3 +377,4 @@ class LocalizerUpdate:
     notices: tuple[str, ...] = ()
     loop: LoopClosure | None = None
     loop_keyframe: Keyframe | None = None
+    metre: Metre = field(default_factory=Metre)

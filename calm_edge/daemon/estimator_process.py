@@ -69,7 +69,7 @@ class EstimatorWork:
             return self._process(self._received.window(message))
         if isinstance(message, Finish):
             trajectory = self._localizer.finish()
-            return Finished(self._localizer.submaps, trajectory)
+            return Finished(self._localizer.submaps, trajectory, self._localizer.metre)
         if isinstance(message, Expect) and isinstance(self._backbone, ExpectsPictures):
             self._received.add(message.keyframe)
             # an unreadable image is reported later, when its window is processed

@@ -37,4 +37,5 @@ def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[Localiz
                 trajectory.epoch,
             ),
             kit=kit,
+            metre=finished.metre,
         )

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from calm_edge.recording.window_record import FrameKey, WindowRecord
-from calm_edge.types import Float, LocalizerUpdate, PoseSample, Submap, Trajectory
+from calm_edge.types import Float, LocalizerUpdate, Metre, PoseSample, Submap, Trajectory
 from device.frame import Eye, Frame
 
 
@@ -197,10 +197,14 @@ class Finish:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """Answer to Finish: all sub-maps with their final poses. trajectory: None without a sub-map."""
+    """Answer to Finish: all sub-maps with their final poses, and the metre of the drive.
+
+    trajectory: None without a sub-map.
+    """
 
     submaps: tuple[Submap, ...]
     trajectory: Trajectory | None
+    metre: Metre
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from calm_edge.config import Config
 from calm_edge.estimator import scale, window_submap
 from calm_edge.estimator.atlas import Atlas, SkippedWindow
 from calm_edge.estimator.kit_memory import KitMemory
+from calm_edge.estimator.metre import DriveMetre
 from calm_edge.estimator.rectifier import Rectifier
 from calm_edge.estimator.replacement import Replacement
 from calm_edge.geometry import se3
@@ -36,6 +37,7 @@ from calm_edge.types import (
     Int,
     LocalizerUpdate,
     LoopClosure,
+    Metre,
     Prediction,
     Submap,
     SubmapWindow,
@@ -77,6 +79,7 @@ class Localizer:
             self._loops = PlaceLoops(config.loops, descriptor)
         self._optimiser = optimiser or Immediate()
         self._atlas = Atlas(config)
+        self._metre = DriveMetre(config.scale.spacing)
         self._optimised = False
         self._stale = False
         self._n_replaced = 0
@@ -92,6 +95,11 @@ class Localizer:
     def skipped(self) -> tuple[SkippedWindow, ...]:
         """Windows that were not reconstructed; the n_overlap of the following sub-map is 0."""
         return self._atlas.skipped
+
+    @property
+    def metre(self) -> Metre:
+        """How well the drive's lengths are known so far, given the spacing."""
+        return self._metre.of(self._atlas.submaps)
 
     @property
     def intrinsics(self) -> GlobalIntrinsics | None:
@@ -154,6 +162,7 @@ class Localizer:
             notices=notices,
             loop=closed,
             loop_keyframe=window.loop_keyframe if closed is not None else None,
+            metre=self.metre,
         )
 
     def leave_out(self, submap_id: int, t_ns: Int) -> None:

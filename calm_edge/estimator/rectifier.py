@@ -87,6 +87,8 @@ class Rectifier:
         corrected = self._corrected(raw, calibration)
         if self._config.scale.rectify or self._first is None or self._first[0] == submap.id:
             scaled = scale.rectify(corrected, self._config.scale.spacing)
+            if self._clock is not None:
+                scaled = replace(scaled, scale_log_sigma=scale.scatter(scaled))
             if not self._config.scale.rectify:
                 self._first = submap.id, scaled.scale
             return scaled

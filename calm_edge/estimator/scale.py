@@ -77,11 +77,27 @@ def rectified(T: Float, scale: float) -> Float:
 
 def rectify(submap: Submap, spacing_world: float) -> Submap:
     """Convert a sub-map from raw (scale 1) to world units by its spacing; raises ScaleError."""
+    world_units = factor(spacing(_samples(submap)), spacing_world)
+    return replace(submap, scale=world_units, T_s_c=rectified(submap.T_s_c, world_units))
+
+
+def scatter(submap: Submap) -> float:
+    """Sigma of the log scale of a sub-map from the scatter of its rig samples; inf for one sample.
+
+    For backbones that report no sigma. It holds only if their errors differ from view to view: an
+    error that all views share does not scatter.
+    """
+    length = np.linalg.norm(_samples(submap)[:, :3, 3], axis=-1)
+    if len(length) < 2:
+        return float(np.inf)
+    return float(length.std(ddof=1) / length.mean() / np.sqrt(len(length)))
+
+
+def _samples(submap: Submap) -> Float:
+    """Rig samples (V, 4, 4) of a sub-map; raises ScaleError."""
     n, m = submap.n_primary, len(submap.assistant_ids)
     t_ns, T = submap.exposed_ns, submap.T_s_c
-    T_p_a_raw = rig_samples(t_ns[:n], T[:n], t_ns[n : n + m], T[n : n + m])
-    world_units = factor(spacing(T_p_a_raw), spacing_world)
-    return replace(submap, scale=world_units, T_s_c=rectified(T, world_units))
+    return rig_samples(t_ns[:n], T[:n], t_ns[n : n + m], T[n : n + m])
 
 
 def placement(T_w_f: Float, T_s_f: Float, average: bool = False) -> Float:

@@ -50,8 +50,9 @@ def sizes(window: SubmapWindow, images: list[Bytes]) -> Int | None:
 
 
 def _raw_fields(prediction: Prediction, n_primary: int) -> dict[str, Any]:
-    """Fields of a sub-map that come from the prediction; an unknown focal sigma is inf."""
+    """Fields of a sub-map that come from the prediction; an unknown sigma is inf."""
     sigma, off_s = prediction.focal_log_sigma, prediction.stamps_off_s
+    scale_sigma = prediction.scale_log_sigma
     focal = np.full(len(Eye), np.inf)
     if sigma is not None and len(sigma) > n_primary:
         focal = sigma[[0, n_primary]]
@@ -59,6 +60,7 @@ def _raw_fields(prediction: Prediction, n_primary: int) -> dict[str, Any]:
         "T_s_c_raw": prediction.T_s_c,
         "cameras_raw": prediction.cameras,
         "focal_log_sigma": focal,
+        "scale_log_sigma": np.inf if scale_sigma is None else scale_sigma,
         "assistant_late_ns": round(prediction.assistant_late_s * 1e9),
         "stamps_off_ns": None if off_s is None else np.round(off_s * 1e9).astype(np.int64),
     }

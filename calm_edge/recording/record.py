@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import types
 from enum import Enum
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -80,6 +81,8 @@ def flatten(value: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
             header[name] = item.item()
         elif isinstance(item, tuple):
             header[name] = [_plain(v) for v in item]
+        elif isinstance(item, float) and not math.isfinite(item):
+            header[name] = str(item)  # JSON has no infinity
         elif isinstance(item, dict):
             header[name] = {str(k): float(v) for k, v in item.items()}
         else:

@@ -112,3 +112,19 @@ def test_placement_is_by_the_first_common_frame():
     assert np.linalg.norm(se3.log(se3.inverse(T_w_s) @ average)[3:]) == pytest.approx(
         0.04 / 3, 0.01
     )
+
+
+def test_scatter_of_the_samples_is_the_sigma_of_their_mean():
+    rng, sigma, errors, claimed = np.random.default_rng(3), 0.02, [], []
+    for _ in range(200):
+        T_s_a = T_S_P @ T_P_A
+        T_s_a[:, :3, 3] += T_S_P[:, :3, :3] @ T_P_A[:3, 3] * rng.normal(0, sigma, (N, 1))
+        T = np.concatenate([T_S_P, T_s_a])
+        ids, cameras = tuple(range(N)), (CAMERA,) * len(T)
+        raw = Submap(
+            0, ids, ids, 0, np.tile(T_P_NS, 2), T, cameras, T, cameras, 1.0, np.eye(4), np.ones(2)
+        )
+        errors.append(np.log(scale.rectify(raw, SPACING).scale))
+        claimed.append(scale.scatter(raw))
+    assert np.std(errors) == pytest.approx(sigma / np.sqrt(N), rel=0.15)
+    assert np.mean(claimed) == pytest.approx(np.std(errors), rel=0.15)

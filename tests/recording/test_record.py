@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from calm_edge.recording import RecordingError, record
-from calm_edge.types import LocalizerUpdate, PoseSample
+from calm_edge.types import LocalizerUpdate, PoseSample, Submap
 from tests.recording import samples
 
 
@@ -49,6 +50,13 @@ def test_absent_optional_and_empty_values_round_trip() -> None:
     bare = dataclasses.replace(update, prediction=prediction, kit=None, stage_ms={})
     again = record.unflatten(LocalizerUpdate, *record.flatten(bare))
     assert samples.same(bare, again)
+
+
+def test_infinity_is_written_as_text_because_json_has_none() -> None:
+    submap = dataclasses.replace(samples.update().submap, scale_log_sigma=np.inf)
+    header, arrays = record.flatten(submap)
+    text = json.dumps(header, allow_nan=False)
+    assert samples.same(submap, record.unflatten(Submap, json.loads(text), arrays))
 
 
 def test_fields_of_an_earlier_version_are_ignored() -> None:

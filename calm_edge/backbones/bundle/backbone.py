@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle import loop_view, stamps, window
+from calm_edge.backbones.bundle import loop_view, posterior, stamps, window
 from calm_edge.backbones.bundle.initialise import chained, driven, initial_state, triangulated
 from calm_edge.backbones.bundle.matching import Matching
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
@@ -280,4 +280,7 @@ def _prediction(
         kit=evidence,
         assistant_late_s=float(state.theta[layout.TIME_OFFSET]),
         stamps_off_s=ties.late_s if ties.late_s.any() else None,
+        scale_log_sigma=posterior.scale_log_sigma(
+            solution, m, ties, belief, ROBUST_SCALES[-1], TEMPERING
+        ),
     )

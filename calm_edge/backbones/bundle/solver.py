@@ -66,11 +66,11 @@ def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, 
     k = slice(len(g) - layout.SIZE, len(g))
     H[k, k] += prior.information
     g[k] += prior.information @ (state.theta - prior.mean)
-    _add_spacing(H, state.theta, layout.SPACING_SIGMA)
+    fix_spacing(H, state.theta, layout.SPACING_SIGMA)
     return H, g
 
 
-def _add_spacing(H: Float, theta: Float, sigma: float) -> None:
+def fix_spacing(H: Float, theta: Float, sigma: float) -> None:
     """Fix the gauge |t_p_a| = 1 by a stiff prior along t_p_a; `_step` rescales to exactly 1."""
     row = np.zeros(layout.SIZE)
     row[layout.RIG_CENTRE] = theta[layout.RIG_CENTRE] / sigma
@@ -155,7 +155,7 @@ def kit_evidence(
     pose = slice(6, n)
     H, g = normal.H, normal.g
     # makes the information regular along t_p_a, whose length is the unit
-    _add_spacing(H, state.theta, layout.EVIDENCE_SPACING_SIGMA)
+    fix_spacing(H, state.theta, layout.EVIDENCE_SPACING_SIGMA)
     solved = np.linalg.solve(H[pose, pose] + 1e-9 * np.eye(n - 6), np.c_[H[pose, n:], g[pose]])
     information = H[n:, n:] - H[n:, pose] @ solved[:, :-1]
     gradient = g[n:] - H[n:, pose] @ solved[:, -1]

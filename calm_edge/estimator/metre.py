@@ -1,0 +1,57 @@
+"""How well the lengths of a drive are known, given the spacing between the cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calm_edge.types import METRIC_LOG_SIGMA, Metre, Submap
+
+# A car that has moved less than this many spacings in all windows stood still.
+STANDSTILL_SPACINGS = 1.0
+# Largest sigma of the log scale that a sub-map counts with: then its length is no measurement.
+UNKNOWN = 1.0
+
+NO_WINDOW = "no window was solved"
+STOOD = "the car stood still"
+NO_PARALLAX = "the cameras show no parallax: nothing is near enough, or both see the same"
+
+
+class DriveMetre:
+    """Metre of a drive from its sub-maps, and objections to it from elsewhere.
+
+    spacing: between the cameras, world units.
+    """
+
+    def __init__(self, spacing: float) -> None:
+        self._spacing = spacing
+        self._objections: dict[str, str] = {}
+
+    def object_to(self, cause: str, reason: str | None) -> None:
+        """Declare lengths unknown for `reason`, one sentence for the user; None withdraws it.
+
+        cause: which test objects; each has one reason at a time.
+        """
+        self._objections.pop(cause, None)
+        if reason is not None:
+            self._objections[cause] = reason
+
+    def of(self, submaps: Sequence[Submap]) -> Metre:
+        """Metre of all sub-maps together."""
+        if self._objections:
+            return Metre(np.inf, next(iter(self._objections.values())))
+        if not submaps:
+            return Metre(np.inf, NO_WINDOW)
+        length = np.array([_length(submap) for submap in submaps])
+        sigma = np.minimum([submap.scale_log_sigma for submap in submaps], UNKNOWN)
+        if length.sum() < STANDSTILL_SPACINGS * self._spacing:
+            return Metre(np.inf, STOOD)
+        log_sigma = float(length @ sigma / length.sum())
+        return Metre(log_sigma, "" if log_sigma <= METRIC_LOG_SIGMA else NO_PARALLAX)
+
+
+def _length(submap: Submap) -> float:
+    """Length of the primary's path, world units."""
+    steps = np.diff(submap.T_s_c[: submap.n_primary, :3, 3], axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum())
