@@ -32,6 +32,7 @@ COMMANDS = {
     "cost.search": ("bench.cost.focal_search", "focal errors of the intrinsic search over sigma"),
     "consistency": ("bench.consistency", "pose errors of the joint graph over their covariances"),
     "lottery": ("bench.lottery.command", "drives drawn by lot: steps, scale, focal and sigmas"),
+    "honesty": ("bench.honesty", "errors over the sigmas claimed for them"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }

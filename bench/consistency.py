@@ -15,16 +15,13 @@ import numpy as np
 from scipy import stats
 
 from bench.cost import circuit
+from bench.graph_covariance import optimised
 from bench.scripted import ScriptedBackbone, ScriptedErrors
 from bench.tables import OUT, Table, publish
 from calm_edge.config import Config, merge
-from calm_edge.estimator.atlas import Atlas
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.geometry import se3
 from calm_edge.posegraph.marginals import Marginals
-from calm_edge.posegraph.noise import assumed_noise, measured_noise
-from calm_edge.posegraph.optimiser import Immediate, Snapshot
-from calm_edge.posegraph.problem import State
 from calm_edge.types import Float
 
 TRANSLATION_SIGMA_M, ROTATION_SIGMA_RAD, SCALE_LOG_SIGMA = 0.01, 0.001, 0.2
@@ -38,16 +35,6 @@ COLUMNS = (
     "error / sigma rms",
     "consistent",
 )
-
-
-class _Kept(Immediate):
-    """Optimiser that stores the graph it has solved, for its covariances."""
-
-    snapshot: Snapshot
-
-    def request(self, snapshot: Snapshot) -> None:
-        self.snapshot = snapshot
-        super().request(snapshot)
 
 
 def pose_nees(T: Float, T_truth: Float, covariance: Float) -> Float:
@@ -87,15 +74,10 @@ def solved(seed: int, n_submaps: int) -> tuple[Float, Float, Marginals]:
     for window in circuit.windows(n_submaps, config.frontend):
         localizer.process(window)
     localizer.finish()
-    atlas, optimiser = Atlas(config), _Kept()
-    for submap in localizer.submaps:
-        atlas.add(submap)
-    atlas.request_optimum(optimiser)
-    atlas.settle(optimiser)
-    problem = optimiser.snapshot.problem
-    state = State(atlas.trajectory().T_w_c, atlas.T_p_a)
-    noise = measured_noise(problem) or assumed_noise(problem)
-    return state.T_w_p, scene.T_w_p, Marginals(problem, state, noise)
+    found = optimised(localizer.submaps, config)
+    assert found is not None
+    trajectory, marginals = found
+    return trajectory.T_w_c, scene.T_w_p, marginals
 
 
 def rows(seeds: int, n_submaps: int) -> tuple[tuple[float | str, ...], ...]:

@@ -52,21 +52,38 @@ def shifted_by_one(source: Path, out: Path) -> Path:
     frame. So frame k of cam1 (the assistant) is frame k + 1 of the source, with the stamp it had
     there. All stamps stay true; only pairing the frames of both eyes by their index is wrong.
     """
-    folder = out / "sequence"
+    return _linked(source, out / "sequence", slice(None, -1), slice(1, None))
+
+
+def _linked(source: Path, folder: Path, primary: slice, assistant: slice) -> Path:
+    """Make a sequence folder of links to some frames of each eye of `source`, with their stamps."""
     shutil.rmtree(folder, ignore_errors=True)
-    for eye, cut in ((0, slice(None, -1)), (1, slice(1, None))):
+    for eye, cut in enumerate((primary, assistant)):
         (folder / f"cam{eye}").mkdir(parents=True)
         images = sorted(p for p in (source / f"cam{eye}").iterdir() if p.is_file())
         for k, image in enumerate(images[cut]):
             (folder / f"cam{eye}" / f"{k:06d}{image.suffix}").symlink_to(image.resolve())
         lines = (source / f"times{eye}.txt").read_text().split()[cut]
         (folder / f"times{eye}.txt").write_text("\n".join(lines) + "\n")
-    poses = (source / "poses0.txt").read_text().splitlines()[:-1]
-    (folder / "poses0.txt").write_text("\n".join(poses) + "\n")
+    if (source / "poses0.txt").is_file():
+        poses = (source / "poses0.txt").read_text().splitlines()[primary]
+        (folder / "poses0.txt").write_text("\n".join(poses) + "\n")
     for name in ("calib.txt", "cloud.npy"):
         if (source / name).is_file():
             (folder / name).symlink_to((source / name).resolve())
     return folder
+
+
+def excerpt(source: Path, first: int, last: int) -> Prepare:
+    """Prepare function of the pairs `first` to `last`, inclusive, of a sequence folder."""
+
+    def prepare(out: Path) -> Path | str:
+        if not (source / "cam1").is_dir():
+            return f"{source} is not here"
+        cut = slice(first, last + 1)
+        return _linked(source, out / "sequence", cut, cut)
+
+    return prepare
 
 
 def late_assistant(source: Path) -> Prepare:

@@ -32,6 +32,17 @@ def _children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
+def process(*arguments: str, checkout: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    """Run a calm-edge command, whatever its exit code. checkout: whose code is run."""
+    return subprocess.run(
+        [sys.executable, "-m", "calm_edge.cli", *arguments],
+        cwd=checkout,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
 def calm_edge(
     *arguments: str, accept: Sequence[int] = (OK,), checkout: Path = ROOT
 ) -> tuple[str, Cost]:
@@ -41,13 +52,7 @@ def calm_edge(
     line of output. checkout: whose code is run.
     """
     start, before = time.monotonic(), _children_s()
-    done = subprocess.run(
-        [sys.executable, "-m", "calm_edge.cli", *arguments],
-        cwd=checkout,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = process(*arguments, checkout=checkout)
     if done.returncode not in accept:
         raise EvaluationError(
             f"calm-edge {arguments[0]}: exit {done.returncode}: {last_line(done)}"

@@ -4,11 +4,11 @@ from bench.lottery import draw as lottery
 
 
 def options(monkeypatch, seed, number):
-    """Name, spacing and the simulator's options of a drive."""
+    """Name, options of `record` and of the simulator, of a drive."""
     asked = []
     monkeypatch.setattr(lottery, "simulated", lambda name, *words: asked.extend((name, *words)))
     drawn = lottery.draw(seed, number)
-    return drawn.name, drawn.spacing_m, tuple(asked)
+    return drawn.name, drawn.options, tuple(asked)
 
 
 def test_a_drive_depends_on_seed_and_number_alone(monkeypatch):
@@ -20,9 +20,10 @@ def test_a_drive_depends_on_seed_and_number_alone(monkeypatch):
 
 def test_drives_stay_on_their_track_and_within_the_rigs_drawn(monkeypatch):
     for k in range(50):
-        _, spacing_m, words = options(monkeypatch, 1, k)
+        _, (option, spacing), words = options(monkeypatch, 1, k)
         track = words[words.index("--track") + 1]
         start_m = float(words[words.index("--skip-s") + 1])
         assert 0 <= start_m < lottery.TRACKS[track] - 150
-        assert lottery.SPACING_M[0] <= spacing_m <= lottery.SPACING_M[1]
-        assert float(words[words.index("--baseline") + 1]) == spacing_m
+        assert option == "--spacing-m"
+        assert lottery.SPACING_M[0] <= float(spacing) <= lottery.SPACING_M[1]
+        assert words[words.index("--baseline") + 1] == spacing

@@ -1,0 +1,144 @@
+"""Errors of relative poses over stretches of a drive, with the sigmas that the product claims.
+
+A stretch begins where the one before ends, so that the errors of different ones are independent
+but for what is common to the drive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench.graph_covariance import optimised
+from calm_edge.config import Config
+from calm_edge.evaluation.trajectory import associate
+from calm_edge.evaluation.truth import Truth
+from calm_edge.geometry import se3
+from calm_edge.offline.submaps import Drive
+from calm_edge.types import Float, Int, PoseSample, PoseStatus
+
+SPAN_S = 1.0
+DISTANCE_M = 100.0
+# A stretch longer than its nominal length by more than this factor is not used: poses are missing.
+LONGEST = 1.25
+
+
+@dataclass(frozen=True, slots=True)
+class Stretches:
+    """Errors of the relative poses over B stretches.
+
+    error, sigma: (B, 6) of (translation, rotation), metres and rad, axes of the later pose. sigma
+    is NaN where none is claimed. length_m: (B,) true distance between the ends.
+    """
+
+    error: Float
+    sigma: Float
+    length_m: Float
+
+    @classmethod
+    def none(cls) -> Stretches:
+        return cls(np.zeros((0, 6)), np.zeros((0, 6)), np.zeros(0))
+
+    @classmethod
+    def of_json(cls, value: dict[str, Any]) -> Stretches:
+        n = len(value["length_m"])
+        table = {key: np.array(value[key], np.float64) for key in cls.__slots__}
+        return cls(table["error"].reshape(n, 6), table["sigma"].reshape(n, 6), table["length_m"])
+
+    def to_json(self) -> dict[str, Any]:
+        return {key: getattr(self, key).tolist() for key in self.__slots__}
+
+
+def ends(along: Float, length: float, part: Int) -> tuple[Int, Int]:
+    """First and last index (B,), (B,) of consecutive stretches of at least `length`.
+
+    along: (N,) time or distance, ascending. part: (N,) number of the part a pose belongs to; no
+    stretch crosses from one part to another, nor a gap that makes it LONGEST times too long.
+    """
+    first, last = [], []
+    i = 0
+    while i < len(along):
+        j = int(np.searchsorted(along, along[i] + length * (1 - 1e-6)))
+        if j >= len(along):
+            break
+        inside = part[j] == part[i] and along[j] - along[i] <= LONGEST * length
+        if inside:
+            first.append(i)
+            last.append(j)
+        i = j if inside else i + 1
+    return np.array(first, np.int64), np.array(last, np.int64)
+
+
+def errors(T: Float, T_truth: Float, i: Int, j: Int) -> Float:
+    """Twists (B, 6) from the true to the estimated motion from poses i to poses j."""
+    moved = se3.inverse(T[i]) @ T[j]
+    true = se3.inverse(T_truth[i]) @ T_truth[j]
+    return np.asarray(se3.log(se3.inverse(true) @ moved))
+
+
+def along_track(t_ns: Int, T_truth: Float) -> dict[str, tuple[Float, float]]:
+    """What stretches are measured along: time [s] and true path [m], each with its length."""
+    steps = np.linalg.norm(np.diff(T_truth[:, :3, 3], axis=0), axis=1)
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    return {"1 s": ((t_ns - t_ns[0]) / 1e9, SPAN_S), "100 m": (path, DISTANCE_M)}
+
+
+def of_live(samples: Sequence[PoseSample], truth: Truth) -> dict[str, Stretches]:
+    """Stretches of the poses as published; a pose's covariance is the one published with it.
+
+    The errors of the two ends count as independent.
+    """
+    live = [s for s in samples if s.status is not PoseStatus.LOST]
+    a, b = associate(np.array([s.t_ns for s in live], np.int64), truth.t_ns)
+    if not len(a):
+        return {}
+    T = np.stack([live[k].T_w_c for k in a])
+    covariance = np.stack([live[k].covariance for k in a])
+    epoch = np.array([live[k].epoch for k in a], np.int64)
+    t_ns, T_truth = truth.t_ns[b], truth.T_w_c[b]
+    out = {}
+    for name, (along, length) in along_track(t_ns, T_truth).items():
+        i, j = ends(along, length, epoch)
+        turn = se3.adjoint(se3.inverse(T[j]) @ T[i])
+        total = covariance[j] + turn @ covariance[i] @ np.swapaxes(turn, -1, -2)
+        out[name] = _stretches(T, T_truth, i, j, total)
+    return out
+
+
+def of_final(
+    drive: Drive, config: Config, truth: Truth, scale_sigma: float | None
+) -> dict[str, Stretches]:
+    """Stretches of the final trajectory, with the covariances of the joint graph.
+
+    scale_sigma: of the log scale of the whole drive, which the graph does not know; without it the
+    sigmas of translations are NaN.
+    """
+    loops = [update.loop for update in drive.updates if update.loop is not None]
+    found = optimised([update.submap for update in drive.updates], config, loops)
+    if found is None:
+        return {}
+    trajectory, marginals = found
+    a, b = associate(trajectory.t_ns, truth.t_ns)
+    if not len(a):
+        return {}
+    T, t_ns, T_truth = trajectory.T_w_c[a], truth.t_ns[b], truth.T_w_c[b]
+    out = {}
+    for name, (along, length) in along_track(t_ns, T_truth).items():
+        i, j = ends(along, length, np.zeros(len(along), np.int64))
+        moved = (se3.inverse(T[j]) @ T[i])[:, :3, 3]
+        total = np.zeros((len(i), 6, 6))
+        for k, (origin, end) in enumerate(zip(a[i].tolist(), a[j].tolist(), strict=True)):
+            total[k] = marginals.covariances(np.array([end]), origin)[0]
+        sigma = np.nan if scale_sigma is None else scale_sigma
+        total[:, :3, :3] += sigma**2 * moved[:, :, None] * moved[:, None]
+        out[name] = _stretches(T, T_truth, i, j, total)
+    return out
+
+
+def _stretches(T: Float, T_truth: Float, i: Int, j: Int, covariance: Float) -> Stretches:
+    length = np.linalg.norm(T_truth[j, :3, 3] - T_truth[i, :3, 3], axis=-1)
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    return Stretches(errors(T, T_truth, i, j), np.sqrt(variance), length)

@@ -1,0 +1,75 @@
+"""Relative poses over stretches of a drive, and the sigmas claimed for them."""
+
+import numpy as np
+import pytest
+
+from bench import relative_poses
+from bench.relative_poses import Stretches, ends
+from calm_edge.evaluation.truth import Truth
+from calm_edge.geometry import se3
+from calm_edge.types import PoseSample, PoseStatus
+from tests.evaluation.worlds import curve, stamps
+
+
+def test_a_stretch_begins_where_the_one_before_ends():
+    along = np.arange(0, 3.5, 0.1)
+    i, j = ends(along, 1.0, np.zeros(35, int))
+    assert (i.tolist(), j.tolist()) == ([0, 10, 20], [10, 20, 30])
+
+
+def test_no_stretch_crosses_a_gap_or_an_epoch():
+    along = np.concatenate([np.arange(0, 1.55, 0.1), np.arange(3.0, 5.55, 0.1)])
+    part = (along > 4.05).astype(int)
+    i, j = ends(along, 1.0, part)
+    assert len(i) == 3
+    assert (part[i] == part[j]).all()
+    np.testing.assert_allclose(along[j] - along[i], 1.0)
+
+
+def test_a_drive_shorter_than_a_stretch_has_none():
+    i, j = ends(np.arange(5.0), 100.0, np.zeros(5, int))
+    assert len(i) == len(j) == 0
+
+
+def _samples(T, t_ns, sigma, status=PoseStatus.LIVE):
+    covariance = np.diag(np.square(sigma))
+    return [
+        PoseSample(int(t), pose, np.zeros(3), covariance, 0, status)
+        for t, pose in zip(t_ns, T, strict=True)
+    ]
+
+
+def test_independent_errors_of_live_poses_have_normalised_errors_of_one():
+    rng = np.random.default_rng(0)
+    n = 2400
+    T_truth, t_ns = curve(n), stamps(n)
+    sigma = np.array([0.02, 0.01, 0.05, 0.001, 0.002, 0.001])
+    T = T_truth @ se3.exp(rng.normal(size=(n, 6)) * sigma)
+    found = relative_poses.of_live(_samples(T, t_ns, sigma), Truth(t_ns, T_truth))["1 s"]
+    assert len(found.error) == 239
+    ratio = found.error / found.sigma
+    np.testing.assert_allclose(np.sqrt((ratio**2).mean(0)), 1.0, atol=0.15)
+
+
+def test_lost_poses_are_no_poses():
+    T, t_ns = curve(30), stamps(30)
+    lost = _samples(T, t_ns, np.ones(6), PoseStatus.LOST)
+    assert relative_poses.of_live(lost, Truth(t_ns, T)) == {}
+
+
+def test_stretches_survive_json():
+    table = Stretches(np.arange(12.0).reshape(2, 6), np.full((2, 6), np.nan), np.ones(2))
+    again = Stretches.of_json(table.to_json())
+    np.testing.assert_array_equal(again.error, table.error)
+    np.testing.assert_array_equal(again.sigma, table.sigma)
+    assert Stretches.of_json(Stretches.none().to_json()).error.shape == (0, 6)
+
+
+@pytest.mark.parametrize("length", [1.0, 50.0])
+def test_the_error_is_from_the_true_to_the_estimated_motion(length):
+    T_truth = np.tile(np.eye(4), (2, 1, 1))
+    T_truth[1, 2, 3] = length
+    T = T_truth.copy()
+    T[1, 2, 3] *= 1.01
+    error = relative_poses.errors(T, T_truth, np.array([0]), np.array([1]))
+    np.testing.assert_allclose(error, [[0, 0, 0.01 * length, 0, 0, 0]], atol=1e-9)
