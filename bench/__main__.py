@@ -33,6 +33,8 @@ COMMANDS = {
     "consistency": ("bench.consistency", "pose errors of the joint graph over their covariances"),
     "lottery": ("bench.lottery.command", "drives drawn by lot: steps, scale, focal and sigmas"),
     "honesty": ("bench.honesty", "errors over the sigmas claimed for them"),
+    "spoilt": ("bench.spoilt.command", "drives that mislead: the right metre, or none"),
+    "accuracy": ("bench.accuracy.command", "four conditions on three tracks, and real clips"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import keyframe_steps, relative_poses, steps
+from bench import claimed, keyframe_steps, relative_poses, steps
 from bench.drives import ROOT, Prepare
 from bench.relative_poses import Stretches
 from calm_edge.evaluation import EvaluationError
@@ -26,8 +26,6 @@ from calm_edge.recording.reader import Recording
 from calm_edge.types import CalmEdgeError, Float
 
 FOLDER = ROOT / "build" / "outcomes"
-# Key of `eval --json`: sigma of the drive's log scale, the metre.
-SCALE_SIGMA_KEY = "metre_sigma_percent"
 Pair = tuple[float, float]
 
 
@@ -127,17 +125,23 @@ def progress(one: Outcome) -> str:
     return f"{one.drive}: ATE {one.ate_percent:.2f} %, garbage {100 * one.garbage:.1f} %"
 
 
+def recording_of(drive: Trial, checkout: Path) -> Path:
+    """Folder in which the recording of a drive is kept."""
+    return FOLDER / code_key(checkout) / drive.name / "recording"
+
+
 def outcome(drive: Trial, checkout: Path) -> Outcome:
     """Outcome of a drive, computed once for each code_key; raises EvaluationError."""
-    kept = FOLDER / code_key(checkout) / f"{drive.name}.json"
+    recording = recording_of(drive, checkout)
+    work = recording.parent
+    kept = work.with_suffix(".json")
     if kept.is_file():
         return Outcome.of_json(json.loads(kept.read_text()))
-    work = kept.parent / drive.name
     work.mkdir(parents=True, exist_ok=True)
     sequence = drive.prepare(work)
     if isinstance(sequence, str):
         raise EvaluationError(f"{drive.name}: {sequence}")
-    found = _measured(drive, checkout, sequence, work / "recording")
+    found = _measured(drive, checkout, sequence, recording)
     part = kept.with_suffix(".part")
     part.write_text(json.dumps(found.to_json()))
     part.rename(kept)
@@ -163,7 +167,7 @@ def _measured(drive: Trial, checkout: Path, sequence: Path, recording: Path) -> 
         judged = keyframe_steps.judged(recording, truth)
     except CalmEdgeError as error:
         return Outcome(drive.name, path_m, yaw_deg, failed=str(error))
-    scale_sigma = claimed_scale_sigma(figures)
+    scale_sigma = claimed.scale_sigma(list(Recording(recording).updates()))
     focal_error, focal_sigma = _focals(figures, truth)
     live, final = _relative(recording, truth, scale_sigma)
     return Outcome(
@@ -181,14 +185,6 @@ def _measured(drive: Trial, checkout: Path, sequence: Path, recording: Path) -> 
         live,
         final,
     )
-
-
-def claimed_scale_sigma(figures: Mapping[str, Any]) -> float | None:
-    """Sigma of the log scale in a result of `eval --json`: inf for null, None without the key."""
-    if SCALE_SIGMA_KEY not in figures:
-        return None
-    percent = figures[SCALE_SIGMA_KEY]
-    return math.inf if percent is None else percent / 100
 
 
 def _focals(figures: Mapping[str, Any], truth: Truth) -> tuple[Pair | None, Pair | None]:

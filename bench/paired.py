@@ -94,6 +94,11 @@ def compare(errors: Errors, reference: Errors, samples: int = SAMPLES) -> Paired
     return PairedRatio(ratio, float(low), float(high), len(logs), pairs, failed, reference_failed)
 
 
+def geometric_mean(errors: Errors) -> PairedRatio:
+    """Geometric mean of errors, equal weight per drive, with its interval, see `compare`."""
+    return compare(errors, dict.fromkeys(errors, 1.0))
+
+
 def _finished(key: tuple[str, int], error: float | None) -> float | None:
     if error is None or math.isnan(error):
         return None

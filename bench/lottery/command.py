@@ -57,18 +57,19 @@ def run(options: argparse.Namespace) -> int:
     missed = 0
     for name, checkout in versions(options):
         found = outcomes((draw(options.seed, k) for k in range(options.n)), checkout)
-        missed = publish(_table(f"lottery_{name}", options.command, found), options.out)
+        missed = publish(_table(name, options.command, found), options.out)
     return missed
 
 
-def _table(name: str, command: str, found: list[Outcome]) -> Table:
+def _table(version: str, command: str, found: list[Outcome]) -> Table:
     rows = tuple(_row(one) for one in found)
     without = sum(one.ate_percent is None for one in found)
     note = (
         f"{len(found)} drives, {without} without a result: wholly garbage, of an infinite ATE; "
         "garbage is counted among the steps between keyframes of one sub-map"
     )
-    return Table(name, f"Lottery, {name}", command, COLUMNS, rows, requirements(found), (note,))
+    title, checks = f"Lottery, {version}", requirements(found)
+    return Table(f"lottery_{version}", title, command, COLUMNS, rows, checks, (note,))
 
 
 def _row(one: Outcome) -> tuple[Any, ...]:

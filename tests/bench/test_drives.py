@@ -84,3 +84,19 @@ def test_pictures_are_those_a_sequence_plays(tmp_path: Path) -> None:
     for name in ("b.PNG", "a.jpg", "notes.txt", "c.jpeg"):
         (tmp_path / "cam0" / name).touch()
     assert [p.name for p in drives.pictures(tmp_path, 0)] == ["a.jpg", "b.PNG", "c.jpeg"]
+
+
+def test_an_excerpt_keeps_stamps_and_poses(tmp_path: Path) -> None:
+    source = tmp_path / "drive"
+    for eye in (0, 1):
+        (source / f"cam{eye}").mkdir(parents=True)
+        for k in range(5):
+            (source / f"cam{eye}" / f"{k:06d}.jpg").write_bytes(b"%d %d" % (eye, k))
+        (source / f"times{eye}.txt").write_text("".join(f"{k / 10}\n" for k in range(5)))
+    (source / "poses0.txt").write_text("".join(f"pose {k}\n" for k in range(5)))
+    folder = drives.excerpt(source, 1, 3)(tmp_path / "out")
+    assert isinstance(folder, Path)
+    assert (folder / "cam1" / "000000.jpg").read_bytes() == b"1 1"
+    assert (folder / "times0.txt").read_text().split() == ["0.1", "0.2", "0.3"]
+    assert (folder / "poses0.txt").read_text().splitlines() == ["pose 1", "pose 2", "pose 3"]
+    assert "is not here" in str(drives.excerpt(tmp_path / "gone", 1, 3)(tmp_path / "out"))

@@ -80,18 +80,6 @@ def test_an_outcome_survives_its_file():
     assert again.scale_error == pytest.approx(-math.log(0.99))
 
 
-@pytest.mark.parametrize(
-    ("figures", "sigma"),
-    [
-        ({}, None),
-        ({outcomes.SCALE_SIGMA_KEY: None}, math.inf),
-        ({outcomes.SCALE_SIGMA_KEY: 2.0}, 0.02),
-    ],
-)
-def test_an_unknown_sigma_of_the_scale_is_not_one_that_is_not_reported(figures, sigma):
-    assert outcomes.claimed_scale_sigma(figures) == sigma
-
-
 def test_turns_to_both_sides_do_not_cancel():
     heading = np.radians([0, 10, 20, 10, 0, 0])
     T = np.tile(np.eye(4), (6, 1, 1))

@@ -104,3 +104,10 @@ def test_a_row_fits_its_columns() -> None:
     row = paired.compare(*errors(7)).row("ours / Sim(3)")
     assert len(row) == len(paired.COLUMNS)
     assert row[0] == "ours / Sim(3)" and row[-1] in ("better", "worse", "tie")
+
+
+def test_a_geometric_mean_weighs_drives_equally_and_counts_failures() -> None:
+    several = {("a", 0): 1.0, ("a", 1): 1.0, ("b", 0): 0.01, ("c", 0): None}
+    found = paired.geometric_mean(several)
+    assert found.ratio == pytest.approx(0.1)
+    assert (found.drives, found.pairs, found.failed) == (2, 3, 1)

@@ -1,0 +1,1 @@
+"""Accuracy of `record` under four conditions on three tracks, and on real clips."""

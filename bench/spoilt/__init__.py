@@ -1,0 +1,1 @@
+"""Recordings that no metre can come of, or that mislead: what `record` makes of them."""

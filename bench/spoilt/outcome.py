@@ -1,0 +1,123 @@
+"""What `record` makes of a spoilt drive; kept in a file by the state of the code."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench import steps
+from bench.claimed import scale_sigma
+from bench.outcome import FOLDER, code_key
+from bench.process import last_line
+from bench.spoilt.cases import Base, Case, true_path_m
+from bench.spoilt.serial_line import SerialLine
+from calm_edge.commands.console import LOSS, OK
+from calm_edge.evaluation.trajectory import path_length
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.schema import HEALTH
+from calm_edge.trajectories import folded
+from calm_edge.types import PoseStatus
+
+# A path is right within this many sigmas, and without a sigma within this share.
+SIGMAS, WITHOUT_SIGMA = 3.0, 0.05
+# A parked car's path may be as long as this, m.
+STANDING_M = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Spoilt:
+    """What came of a spoilt drive.
+
+    exit_code, said: of `record`, and its last line. path_m, true_m: estimated and true length of
+    the path between the first and the last keyframe with a pose. scale_sigma: claimed sigma of the
+    log scale, inf if unknown; None if not reported. states: of the daemon, in order of appearance.
+    live, lost: numbers of poses. odometry: number of messages on the serial line. quality: largest
+    of these; None without any. truth_log_sigma: of true_m.
+    """
+
+    drive: str
+    case: str
+    exit_code: int
+    said: str
+    path_m: float
+    true_m: float
+    scale_sigma: float | None
+    states: tuple[str, ...]
+    live: int
+    lost: int
+    odometry: int
+    quality: int | None
+    truth_log_sigma: float = 0.0
+
+    @property
+    def claims(self) -> bool:
+        """Whether lengths are given as metres: by the exit code, or to the autopilot."""
+        return self.exit_code == OK or self.odometry > 0
+
+    @property
+    def right(self) -> bool:
+        """Whether the path is right within its sigma, or no metre is claimed and no crash."""
+        if not self.claims:
+            return self.exit_code == LOSS
+        if self.true_m == 0:
+            return self.path_m <= STANDING_M
+        if self.scale_sigma is None:
+            allowed = WITHOUT_SIGMA
+        else:
+            allowed = SIGMAS * math.hypot(self.scale_sigma, self.truth_log_sigma)
+        return self.path_m > 0 and abs(math.log(self.path_m / self.true_m)) <= allowed
+
+
+def spoilt(base: Base, case: Case, checkout: Path) -> Spoilt:
+    """Record a spoilt drive once for each state of the code; raises EvaluationError."""
+    name = f"spoilt_{base.name}_{case.name}"
+    kept = FOLDER / code_key(checkout) / f"{name}.json"
+    if kept.is_file():
+        values: dict[str, Any] = json.loads(kept.read_text())
+        return Spoilt(**values | {"states": tuple(values["states"])})
+    work = kept.parent / name
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
+    case.make(base, work / "sequence")
+    found = _recorded(base, case, checkout, work)
+    kept.write_text(json.dumps(asdict(found)))
+    return found
+
+
+def _recorded(base: Base, case: Case, checkout: Path, work: Path) -> Spoilt:
+    recording = work / "recording"
+    with SerialLine() as line:
+        done = steps.process(
+            "record",
+            *("--sequence", str(work / "sequence"), "--out", str(recording)),
+            *("--pace", "lockstep", "--spacing-m", f"{base.spacing_m:g}"),
+            *("--set", f"pose_output.port={line.port}"),
+            checkout=checkout,
+        )
+    source = Recording(recording)
+    updates = list(source.updates())
+    trajectory = folded(update.trajectory for update in updates)
+    t_ns = np.zeros(0, np.int64) if trajectory is None else trajectory.t_ns
+    lost = [sample.status is PoseStatus.LOST for sample in source.poses()]
+    qualities = line.qualities()
+    return Spoilt(
+        base.name,
+        case.name,
+        done.returncode,
+        last_line(done),
+        0.0 if trajectory is None else path_length(trajectory.T_w_c[:, :3, 3]),
+        true_path_m(base, case, t_ns),
+        scale_sigma(updates),
+        tuple(dict.fromkeys(str(m.get("state")) for m in source.json_messages(HEALTH))),
+        lost.count(False),
+        lost.count(True),
+        len(qualities),
+        max(qualities, default=None),
+        base.truth_log_sigma,
+    )
