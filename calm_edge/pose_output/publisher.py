@@ -68,8 +68,9 @@ class PosePublisher:
     lost. now_ns: clock of the samples' stamps, used to answer TIMESYNC. `receive` may be called in
     another thread.
 
-    No ODOMETRY is sent while the pose is lost: an old pose must not look new, and NaN would persist
-    in some receivers (ArduPilot aligns the pose after a reset to the last one received).
+    No ODOMETRY is sent while the pose is lost, nor for a first pose without velocity: an old pose
+    must not look new, and NaN would persist in some receivers (ArduPilot aligns the pose after a
+    reset to the last one received).
     """
 
     def __init__(
@@ -130,6 +131,8 @@ class PosePublisher:
             return
         newest, status = self._newest, self._status(self._newest, now_ns)
         if status is PoseStatus.LOST or newest.t_ns <= self._sent_t_ns:
+            return
+        if not np.isfinite([newest.velocity_c, newest.turn_rate_c]).all():
             return
         self._sent_t_ns = newest.t_ns
         self._next_pose_ns = _following(self._next_pose_ns, self._period_ns, now_ns)

@@ -68,8 +68,8 @@ def odometry(sample: PoseSample) -> Odometry:
         frame_id=WORLD_FRAME,
         body_frame_id=camera_frame(Eye.PRIMARY),
         pose=poses(sample.T_w_c[None])[0],
-        pose_covariance=sample.covariance.ravel().tolist(),
         # Odometry marks an unknown covariance by zeros
+        pose_covariance=np.nan_to_num(sample.covariance).ravel().tolist(),
         velocity_covariance=np.nan_to_num(sample.twist_covariance).ravel().tolist(),
     )
     v, w = message.linear_velocity, message.angular_velocity

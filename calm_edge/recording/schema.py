@@ -3,7 +3,7 @@
 | topic | schema | log_time |
 |---|---|---|
 | /primary/image, /assistant/image | foxglove.CompressedImage | Frame.t_ns |
-| /pose/live | foxglove.Odometry | PoseSample.t_ns |
+| /pose/live | foxglove.Odometry, none while the pose is lost | PoseSample.t_ns |
 | /pose/sample | calm_edge.PoseSample: the same pose, exact | PoseSample.t_ns |
 | /pose/keyframes | foxglove.PosesInFrame | newest keyframe of the sub-map |
 | /tf | foxglove.FrameTransform: `primary` in `world` | PoseSample.t_ns |
@@ -119,14 +119,20 @@ def read_frame(eye: Eye, sequence: int, log_time: int, data: bytes) -> Frame:
 
 
 def pose_messages(sample: PoseSample) -> list[LogMessage]:
-    """Encode a live pose: exactly, and as odometry and transform for Foxglove."""
+    """Encode a live pose: exactly, and as odometry and transform for Foxglove.
+
+    For a lost pose there is no transform, and without a velocity no odometry: neither has a value
+    for what is unknown.
+    """
     t_ns = sample.t_ns
+    messages = [LogMessage(POSE_SAMPLE, t_ns, record.encode("PoseSample", *record.flatten(sample)))]
+    if not np.isfinite(sample.T_w_c).all():
+        return messages
+    if np.isfinite([sample.velocity_c, sample.turn_rate_c]).all():
+        messages.append(_message(POSE_LIVE, t_ns, foxglove.odometry(sample)))
     primary = foxglove.camera_frame(Eye.PRIMARY)
-    return [
-        LogMessage(POSE_SAMPLE, t_ns, record.encode("PoseSample", *record.flatten(sample))),
-        _message(POSE_LIVE, t_ns, foxglove.odometry(sample)),
-        _message(TF, t_ns, foxglove.frame_transform(primary, sample.T_w_c, t_ns)),
-    ]
+    messages.append(_message(TF, t_ns, foxglove.frame_transform(primary, sample.T_w_c, t_ns)))
+    return messages
 
 
 def read_pose(data: bytes) -> PoseSample:

@@ -155,6 +155,13 @@ def test_no_odometry_is_sent_while_lost_and_none_holds_nan() -> None:
     assert at_ms == [0, 100, 200, 900, 1000, 1100]
 
 
+def test_a_pose_without_velocity_is_not_sent() -> None:
+    bench = Bench()
+    assert bench.at(0, sample(0, velocity_c=np.full(3, np.nan))) == []
+    assert bench.at(100, sample(100, turn_rate_c=np.full(3, np.nan))) == []
+    assert len(bench.at(200, sample(200))) == 1
+
+
 def test_a_pose_is_not_sent_twice() -> None:
     bench = Bench()
     given = sample(0)

@@ -51,6 +51,7 @@ def pose(i: int = 0) -> PoseSample:
         np.cov(rng.normal(size=(6, 20))),
         i,
         list(PoseStatus)[i % 3],
+        turn_rate_c=rng.normal(size=3),
     )
 
 

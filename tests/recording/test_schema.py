@@ -8,10 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from calm_edge.recording import RecordingError, schema
+from calm_edge.types import PoseStatus
 from device.frame import Eye, Frame
 from tests.recording import samples
 
@@ -40,6 +42,22 @@ def test_pose_and_update_round_trip() -> None:
         assert samples.same(schema.read_pose(message.data), samples.pose(i))
     message = schema.update_messages(samples.update(), log_depth=True)[0]
     assert samples.same(schema.read_update(message.data, unasked), samples.update())
+
+
+def test_what_is_unknown_of_a_pose_is_not_published() -> None:
+    def topics(**changes: object) -> list[str]:
+        sample = dataclasses.replace(samples.pose(), **changes)
+        return [message.topic for message in schema.pose_messages(sample)]
+
+    nan = np.full(3, np.nan)
+    lost = {"T_w_c": np.full((4, 4), np.nan), "velocity_c": nan, "turn_rate_c": nan}
+    assert topics() == [schema.POSE_SAMPLE, schema.POSE_LIVE, schema.TF]
+    assert topics(**lost, status=PoseStatus.LOST) == [schema.POSE_SAMPLE]
+    assert topics(velocity_c=nan) == topics(turn_rate_c=nan) == [schema.POSE_SAMPLE, schema.TF]
+    unknown = dataclasses.replace(samples.pose(), covariance=np.full((6, 6), np.nan))
+    sent = Odometry()
+    sent.ParseFromString(schema.pose_messages(unknown)[1].data)
+    assert not any(sent.pose_covariance)
 
 
 def test_depth_is_left_out_unless_requested() -> None:
