@@ -1,8 +1,8 @@
 """Detect that a kit has changed since an earlier drive, by chi-square tests on two beliefs.
 
 An untouched kit drifts between two drives by temperature, refocusing and vibration. `faded` adds
-that drift to an earlier drive's covariance; a larger difference is a change (`changes`), such as
-a turned mount or another lens.
+that drift to an earlier drive's covariance; a larger difference is a change (`changes`): another
+lens, a moved mount, or cameras that are swapped (`described`).
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
+from calm_edge.geometry import se3
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
+from calm_edge.kit.swap import swapped
 from calm_edge.types import Float, KitBelief
 
 # p-value below which a part counts as changed, which is the rate of false alarms per part
@@ -57,31 +59,40 @@ def faded(belief: KitBelief) -> KitBelief:
     return KitBelief(mean=belief.mean, information=kept / sigma[:, None] / sigma)
 
 
+def described(remembered: KitBelief, evidence: KitBelief) -> tuple[str, ...]:
+    """Describe what has changed, one line a part; empty if nothing has.
+
+    remembered, evidence: as of `changes`. The cameras count as swapped if the direction of the
+    assistant contradicts the memory, and nothing contradicts that of a swapped pair.
+    """
+    compared = changes(remembered, evidence)
+    place = compared[-1]
+    if place.noticed and not any(c.noticed for c in changes(swapped(remembered), evidence)):
+        return ("the cameras are swapped",)
+    return tuple(change.text for change in compared if change.noticed)
+
+
 def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
-    """Test the focal of each eye, the assistant's rotation and its position separately.
+    """Test the focal of each eye, the assistant's rotation and its direction separately.
 
     remembered: of earlier drives, faded. evidence: of this drive alone. Both are multiplied by the
     prior (kit/layout) on principal points and distortion: without it a short drive leaves the focal
     undetermined. Raises ValueError if a belief has not layout.SIZE entries.
     """
-    bounds = _bounds()
-    remembered, evidence = (_bounded(belief, bounds) for belief in (remembered, evidence))
+    remembered, evidence = (bounded(belief) for belief in (remembered, evidence))
     axes = np.eye(layout.SIZE)
     out = []
     for eye, index in zip(("primary", "assistant"), layout.LOG_FOCAL, strict=True):
         moved, change = _part(remembered, evidence, axes[:, [index]], layout.LOG_FOCAL_SIGMA)
         percent = 100 * np.expm1(moved.sum())
-        out.append(_change(f"focal of the {eye} camera {percent:+.1f} %", change))
-    rotation, place = axes[:, layout.RIG_ROTATION], axes[:, layout.RIG_CENTRE]
+        out.append(_change(f"another lens on the {eye} camera, focal {percent:+.1f} %", change))
+    rotation = axes[:, layout.RIG_ROTATION]
     moved, change = _part(remembered, evidence, rotation, layout.RIG_ROTATION_SIGMA_RAD)
     turned = np.degrees(np.linalg.norm(moved))
-    out.append(_change(f"assistant turned by {turned:.1f} deg", change))
-    # the spacing is the unit of all lengths: only the direction of the assistant can change
-    direction = remembered.mean[layout.RIG_CENTRE]
-    sideways = np.linalg.svd(direction[None])[2][1:].T
-    moved, change = _part(remembered, evidence, place @ sideways, layout.RIG_DIRECTION_SIGMA)
-    swung = np.degrees(np.arctan2(np.linalg.norm(moved), np.linalg.norm(direction)))
-    out.append(_change(f"assistant moved by {swung:.1f} deg around the primary", change))
+    out.append(_change(f"the assistant has moved, turned by {turned:.1f} deg", change))
+    moved, change = _direction(remembered, evidence)
+    swung = np.degrees(np.linalg.norm(moved))
+    out.append(_change(f"the assistant has moved by {swung:.1f} deg around the primary", change))
     return tuple(out)
 
 
@@ -90,18 +101,14 @@ def _check(belief: KitBelief) -> None:
         raise ValueError(f"a kit belief has {layout.SIZE} entries, not {len(belief.mean)}")
 
 
-def _bounds() -> KitBelief:
-    """Return the prior of a kit without information on the parts that are tested."""
+def bounded(belief: KitBelief) -> KitBelief:
+    """Multiply by the prior on the parts that are not tested; ValueError for another size."""
+    _check(belief)
     prior = layout.prior((None, None))
     information = np.diag(prior.information).copy()
     information[layout.LOG_FOCAL] = 0
     information[layout.RIG] = 0
-    return KitBelief(mean=prior.mean, information=np.diag(information))
-
-
-def _bounded(belief: KitBelief, bounds: KitBelief) -> KitBelief:
-    _check(belief)
-    joint = product([belief, bounds])
+    joint = product([belief, KitBelief(mean=prior.mean, information=np.diag(information))])
     assert joint is not None
     return joint
 
@@ -115,23 +122,63 @@ def _change(text: str, part: tuple[float, int]) -> Change:
 def _part(
     remembered: KitBelief, evidence: KitBelief, axes: Float, prior_sigma: float
 ) -> tuple[Float, tuple[float, int]]:
-    """Return the observed difference (k,) along k orthonormal `axes` (D, k), and (distance2, rank).
+    """`_compared` along k orthonormal `axes` (D, k). prior_sigma: sigma of these in the prior."""
+    A, B = (marginal(belief.information, axes) for belief in (remembered, evidence))
+    return _compared(axes.T @ (evidence.mean - remembered.mean), A, B, prior_sigma)
+
+
+def _direction(remembered: KitBelief, evidence: KitBelief) -> tuple[Float, tuple[float, int]]:
+    """Compare the directions of the assistant on the unit sphere, see `_compared`.
+
+    The spacing is the unit of all lengths, so only the direction can change. The difference is the
+    arc between the two, in the tangent plane of the remembered one; the evidence's information is
+    carried there along the arc, so that the test also holds for large angles.
+    """
+    place = np.eye(layout.SIZE)[:, layout.RIG_CENTRE]
+    length = [float(np.linalg.norm(b.mean[layout.RIG_CENTRE])) for b in (remembered, evidence)]
+    if min(length) == 0:
+        return np.zeros(2), (0.0, 0)
+    before, after = (
+        belief.mean[layout.RIG_CENTRE] / norm
+        for belief, norm in zip((remembered, evidence), length, strict=True)
+    )
+    tangent = np.linalg.svd(before[None])[2][1:].T
+    normal = np.cross(before, after)
+    sine = float(np.linalg.norm(normal))
+    # opposite directions: any great circle joins them
+    normal = normal / sine if sine > _ROUNDING else tangent[:, 0]
+    angle = float(np.arctan2(sine, before @ after))
+    carried = se3.so3_exp(angle * normal) @ tangent
+    A, B = (
+        marginal(belief.information, place @ basis) * norm**2
+        for belief, basis, norm in zip(
+            (remembered, evidence), (tangent, carried), length, strict=True
+        )
+    )
+    arc = angle * np.cross(normal, before)
+    return _compared(tangent.T @ arc, A, B, layout.RIG_DIRECTION_SIGMA)
+
+
+def _compared(
+    difference: Float, A: Float, B: Float, prior_sigma: float
+) -> tuple[Float, tuple[float, int]]:
+    """Return the observed part of a difference (k,), and (distance2, rank).
 
     The information of a difference is the parallel sum A (A + B)^+ B of the marginal informations A
-    and B of the two beliefs, zero along directions undetermined in either (Anderson and Duffin,
-    Series and Parallel Addition of Matrices, 1969). prior_sigma: sigma of these terms in the prior,
-    relative to which a direction counts as observed.
+    and B (k, k) of the two beliefs, zero along directions undetermined in either (Anderson and
+    Duffin, Series and Parallel Addition of Matrices, 1969). prior_sigma: sigma of these terms in
+    the prior, relative to which a direction counts as observed.
     """
-    A, B = (_marginal(b.information, axes) * prior_sigma**2 for b in (remembered, evidence))
+    A, B = A * prior_sigma**2, B * prior_sigma**2
     information = A @ np.linalg.pinv(A + B, rcond=_ROUNDING, hermitian=True) @ B
     values, vectors = np.linalg.eigh((information + information.T) / 2)
     observed = values > _OBSERVED_SHARE**-2
-    along = vectors[:, observed].T @ (axes.T @ (evidence.mean - remembered.mean)) / prior_sigma
+    along = vectors[:, observed].T @ difference / prior_sigma
     distance2 = float((values[observed] * along**2).sum())
     return np.asarray(vectors[:, observed] @ along * prior_sigma), (distance2, int(observed.sum()))
 
 
-def _marginal(information: Float, axes: Float) -> Float:
+def marginal(information: Float, axes: Float) -> Float:
     """Information (k, k) on `axes` (D, k), the rest marginalised out by its Schur complement."""
     others = np.linalg.svd(axes)[0][:, axes.shape[1] :]
     diagonal = np.diag(others.T @ information @ others)

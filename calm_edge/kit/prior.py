@@ -8,6 +8,7 @@ from pathlib import Path
 from calm_edge.config import Config
 from calm_edge.kit import change, file
 from calm_edge.kit.belief import product
+from calm_edge.kit.observed import observed_part
 from calm_edge.types import Int, KitBelief
 
 log = logging.getLogger(__name__)
@@ -53,23 +54,25 @@ class KitPrior:
         """
         if self._remembered is None or evidence is None:
             return ()
-        compared = change.changes(self._remembered, evidence)
-        moved = [change for change in compared if change.noticed]
+        texts = change.described(self._remembered, evidence)
         self._compared += 1
-        if moved:
+        if texts:
             self._remembered = None
         return tuple(
-            f"the kit has changed since its last drive: {change.text}; it is learned again"
-            for change in moved
+            f"the kit has changed since its last drive: {text}; it is learned again"
+            for text in texts
         )
 
     def save(self, evidence: KitBelief | None) -> None:
-        """Write the belief of all drives for the next one; failures are logged.
+        """Write what all drives have observed, for the next one; failures are logged.
 
         A file that cannot be parsed is never overwritten.
         """
-        known = product([self._remembered, evidence])
-        if self._path is None or self._sizes is None or known is None:
+        belief = product([self._remembered, evidence])
+        if self._path is None or self._sizes is None or belief is None:
+            return
+        known = observed_part(belief)
+        if known is None:
             return
         try:
             # the file may have been replaced since the drive began

@@ -3,8 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calm_edge.geometry import se3
 from calm_edge.kit import change, layout
 from calm_edge.kit.belief import product
+from calm_edge.kit.swap import swapped
 from calm_edge.types import KitBelief
 
 D = layout.SIZE
@@ -71,8 +73,8 @@ def test_a_turned_mount_is_noticed_and_described():
     caught = [change.changes(*drives(seed, bump)) for seed in range(50)]
     assert all(four[ROTATION].noticed for four in caught)
     assert not any(part.noticed for four in caught for part in four[FOCALS])
-    degrees = [float(four[ROTATION].text.split()[3]) for four in caught]
-    assert caught[0][ROTATION].text.startswith("assistant turned by ")
+    degrees = [float(four[ROTATION].text.split()[-2]) for four in caught]
+    assert caught[0][ROTATION].text.startswith("the assistant has moved, turned by ")
     assert np.mean(degrees) == pytest.approx(3.0, abs=0.3)
 
 
@@ -82,8 +84,8 @@ def test_another_lens_is_noticed_for_its_eye_only():
     caught = [change.changes(*drives(seed, bump)) for seed in range(50)]
     assert sum(four[1].noticed for four in caught) >= 48
     assert not any(four[0].noticed or four[ROTATION].noticed for four in caught)
-    percent = [float(four[1].text.split()[5]) for four in caught]
-    assert caught[0][1].text.startswith("focal of the assistant camera +")
+    percent = [float(four[1].text.split()[-2]) for four in caught]
+    assert caught[0][1].text.startswith("another lens on the assistant camera, focal +")
     assert np.mean(percent) == pytest.approx(12, abs=1.5)
 
 
@@ -95,6 +97,48 @@ def test_a_moved_assistant_is_noticed_but_not_a_change_of_distance():
         moved[layout.RIG_CENTRE] = bump
         caught = [change.changes(*drives(seed, moved))[PLACE].noticed for seed in range(30)]
         assert np.mean(caught) > 0.9 if expected else not any(caught)
+
+
+def swung(axis, degrees):
+    """The change of the rig when the assistant swings around the primary."""
+    bump = np.zeros(D)
+    centre = true_kit()[layout.RIG_CENTRE]
+    axis = np.cross(centre, axis)
+    turn = se3.so3_exp(np.radians(degrees) * axis / np.linalg.norm(axis))
+    bump[layout.RIG_CENTRE] = turn @ centre - centre
+    return bump
+
+
+@pytest.mark.parametrize("degrees", [12, 90, 178, 180])
+@pytest.mark.parametrize("axis", [(0, 0, 1.0), (0, 1.0, 0), (0, 1.0, 1.0)])
+def test_a_direction_is_compared_on_the_sphere(axis, degrees):
+    caught = [change.changes(*drives(seed, swung(axis, degrees)))[PLACE] for seed in range(20)]
+    assert all(part.noticed for part in caught)
+    angles = [float(part.text.split()[-5]) for part in caught]
+    assert np.median(angles) == pytest.approx(degrees, abs=2.5)
+
+
+def test_swapped_cameras_are_named_and_nothing_else():
+    for seed in range(50):
+        remembered, evidence = drives(seed)
+        assert change.described(remembered, swapped(evidence)) == ("the cameras are swapped",)
+
+
+def test_an_assistant_on_the_other_side_is_not_called_swapped():
+    # its rotation to the primary is the remembered one, not the inverse
+    bump = swung((0, 0, 1.0), 180)
+    for seed in range(20):
+        lines = change.described(*drives(seed, bump))
+        assert len(lines) == 1 and lines[0].startswith("the assistant has moved by 1")
+    bump = np.zeros(D)
+    bump[ASSISTANT] = 0.2
+    remembered, evidence = drives(1, bump)
+    assert "the cameras are swapped" not in change.described(remembered, swapped(evidence))
+
+
+def test_an_untouched_kit_is_rarely_called_changed():
+    changed = [change.described(*drives(seed)) for seed in range(300)]
+    assert sum(bool(lines) for lines in changed) <= 4
 
 
 def test_directions_unobserved_in_either_drive_are_not_tested():
@@ -115,7 +159,7 @@ def test_a_partly_observed_rotation_is_tested_in_its_observed_part():
     bump[TURN[:2]] = 0.05, 0.5
     rotation = change.changes(*drives(5, bump, unknown=(TURN[1],)))[ROTATION]
     assert rotation.observed == 2 and rotation.noticed
-    assert float(rotation.text.split()[3]) == pytest.approx(np.degrees(0.05), abs=1.0)
+    assert float(rotation.text.split()[-2]) == pytest.approx(np.degrees(0.05), abs=1.0)
 
 
 def test_the_distance_is_the_mahalanobis_distance_of_the_marginals():

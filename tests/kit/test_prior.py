@@ -46,8 +46,20 @@ def test_a_turned_mount_is_reported_and_the_belief_dropped(tmp_path):
     second = KitPrior(config(tmp_path / "kit.json"))
     second.open(SIZES)
     notices = second.contradicted(evidence(np.radians(4.0)))
-    assert any("assistant turned by 4.0 deg" in line for line in notices)
+    assert any("the assistant has moved, turned by 4.0 deg" in line for line in notices)
     assert second.belief is None and second.contradicted(evidence()) == ()
+
+
+def test_a_drive_that_observed_nothing_leaves_the_file_alone(tmp_path):
+    for known, kept in (
+        (evidence(), True),
+        (KitBelief(evidence().mean, np.eye(layout.SIZE)), False),
+    ):
+        path = tmp_path / f"{kept}.json"
+        prior = KitPrior(config(path))
+        prior.open(SIZES)
+        prior.save(known)
+        assert path.exists() == kept
 
 
 def test_without_a_file_nothing_is_stored(tmp_path):
