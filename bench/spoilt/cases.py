@@ -108,6 +108,15 @@ def parked_bonnet(base: Base, out: Path) -> None:
     shutil.rmtree(dark)
 
 
+def parked_night(base: Base, out: Path) -> None:
+    """A parked car at night: the first pair over and over, nearly black, under fresh noise."""
+    parked = out.parent / f"{out.name}.parked"
+    shutil.rmtree(parked, ignore_errors=True)
+    spoil(base.folder, parked, "parked")
+    spoil(parked, out, "dark")
+    shutil.rmtree(parked)
+
+
 def _times(folder: Path, eye: int) -> list[str]:
     return (folder / f"times{eye}.txt").read_text().split()
 
@@ -124,6 +133,7 @@ CASES = (
     _tool("offset04"),
     _tool("clock_1percent"),
     Case("parked_bonnet", parked_bonnet, moves=False),
+    Case("parked_night", parked_night, moves=False),
     _tool("truck_while_parked", moves=False),
 )
 

@@ -20,7 +20,6 @@ from bench.spoilt.serial_line import SerialLine
 from calm_edge.commands.console import LOSS, OK
 from calm_edge.evaluation.trajectory import path_length
 from calm_edge.recording.reader import Recording
-from calm_edge.recording.schema import HEALTH
 from calm_edge.trajectories import folded
 from calm_edge.types import PoseStatus
 
@@ -36,7 +35,8 @@ class Spoilt:
 
     exit_code, said: of `record`, and its last line. path_m, true_m: estimated and true length of
     the path between the first and the last keyframe with a pose. scale_sigma: claimed sigma of the
-    log scale, inf if unknown; None if not reported. states: of the daemon, in order of appearance.
+    log scale, inf if unknown; None if not reported. states: of the daemon, as sent to the
+    autopilot, in order of appearance.
     live, lost: numbers of poses. odometry: number of messages on the serial line. quality: largest
     of these; None without any. truth_log_sigma: of true_m.
     """
@@ -114,7 +114,7 @@ def _recorded(base: Base, case: Case, checkout: Path, work: Path) -> Spoilt:
         0.0 if trajectory is None else path_length(trajectory.T_w_c[:, :3, 3]),
         true_path_m(base, case, t_ns),
         scale_sigma(updates),
-        tuple(dict.fromkeys(str(m.get("state")) for m in source.json_messages(HEALTH))),
+        line.states(),
         lost.count(False),
         lost.count(True),
         len(qualities),

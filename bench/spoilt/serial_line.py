@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 import threading
 from types import TracebackType
 from typing import Self
 
-from calm_edge.pose_output.mavlink import Message, Odometry
+from calm_edge.pose_output.mavlink import Message, Odometry, StatusText
 from calm_edge.pose_output.mavlink_parser import MavlinkParser
 
 
@@ -52,3 +53,10 @@ class SerialLine:
     def qualities(self) -> list[int]:
         """Quality of each ODOMETRY heard, in percent; -1: failed."""
         return [struct.unpack(Odometry.FORMAT, p)[-1] for p in self.payloads(Odometry)]
+
+    def states(self) -> tuple[str, ...]:
+        """States of the daemon in order of appearance, from the status texts heard."""
+        fields = [struct.unpack(StatusText.FORMAT, p) for p in self.payloads(StatusText)]
+        texts = [text.rstrip(b"\0").decode("utf-8", "replace") for _, text, *_ in fields]
+        found = [re.match(r"calm-edge (\w+)", text) for text in texts]
+        return tuple(dict.fromkeys(match[1] for match in found if match))

@@ -53,6 +53,19 @@ def test_a_parked_bonnet_is_dark_below(base, tmp_path, monkeypatch):
     assert cv2.imread(str(base.folder / "cam0" / "000000.jpg"))[33:].mean() > 100
 
 
+def test_a_parked_night_is_the_dark_copy_of_a_parked_car(base, tmp_path, monkeypatch):
+    made = []
+
+    def tool(source, out, case):
+        made.append((source, case))
+        out.mkdir()
+
+    monkeypatch.setattr(cases, "spoil", tool)
+    cases.parked_night(base, tmp_path / "out")
+    assert made == [(base.folder, "parked"), (tmp_path / "out.parked", "dark")]
+    assert (tmp_path / "out").is_dir() and not (tmp_path / "out.parked").exists()
+
+
 def test_the_true_path_is_that_between_the_keyframes(base):
     moves, stands = Case("a", cases.one_camera), Case("b", cases.one_camera, moves=False)
     t_ns = SequenceFolder(base.folder).t_ns(Eye.PRIMARY)

@@ -1,8 +1,17 @@
 """Everything sent on the serial line is heard."""
 
 from bench.spoilt.serial_line import SerialLine
-from calm_edge.pose_output.mavlink import Encoder, Heartbeat, Odometry, SystemState
+from calm_edge.pose_output.mavlink import (
+    Encoder,
+    Heartbeat,
+    Odometry,
+    Severity,
+    SystemState,
+    status_texts,
+)
 from device.serial_port import SerialPort
+
+TEXTS = ("calm-edge starting: no pose yet", "calm-edge running", "calm-edge lost: " + "x" * 80)
 
 
 def _odometry(quality):
@@ -21,9 +30,13 @@ def test_every_message_is_counted():
         for quality in qualities:
             port.write(encoder.encode(_odometry(quality)))
             port.write(encoder.encode(Heartbeat(SystemState.ACTIVE)))
+        for text in TEXTS:
+            for message in status_texts(Severity.INFO, text, 1):
+                port.write(encoder.encode(message))
         port.stop()
     assert line.qualities() == qualities
     assert len(line.payloads(Heartbeat)) == len(qualities)
+    assert line.states() == ("starting", "running", "lost")
 
 
 def test_a_line_on_which_nothing_is_sent():
