@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from calm_edge.types import LocalizerUpdate
 
@@ -11,9 +10,9 @@ from calm_edge.types import LocalizerUpdate
 def scale_sigma(updates: Sequence[LocalizerUpdate]) -> float | None:
     """Sigma of the drive's log scale after the last update: inf if unknown, None if not reported.
 
-    A version that does not report it leaves neither a sigma nor a reason why there is none.
+    A version that does not report it records neither a sigma nor a reason why there is none.
     """
-    metre: Any = getattr(updates[-1], "metre", None) if updates else None
-    if metre is None or (not metre.metric and not metre.reason):
+    if not updates:
         return None
-    return float(metre.log_sigma)
+    metre = updates[-1].metre
+    return metre.log_sigma if metre.metric or metre.reason else None
