@@ -1,4 +1,7 @@
-"""Record and evaluate a drive with the code of a git checkout; the outcome is kept in a file."""
+"""Record and evaluate a drive with the code of a git checkout; the outcome is kept in a file.
+
+The recording is kept as well, and made once for each state of that code.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,15 @@ import math
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench import claimed, keyframe_steps, relative_poses, steps
+from bench import claimed, graph_covariance, keyframe_steps, relative_poses, steps
 from bench.drives import ROOT, Prepare
-from bench.relative_poses import Stretches
+from bench.relative_poses import ScaleHistory, Stretches
 from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
 from calm_edge.evaluation.trajectory import path_length
@@ -23,6 +27,7 @@ from calm_edge.evaluation.truth import Truth, read_truth
 from calm_edge.geometry import se3
 from calm_edge.offline.submaps import gather
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.retention import TRAJECTORY_FILE
 from calm_edge.types import CalmEdgeError, Float
 
 FOLDER = ROOT / "build" / "outcomes"
@@ -109,6 +114,14 @@ def code_key(checkout: Path) -> str:
     return digest.hexdigest()[:12]
 
 
+@cache
+def measure_key() -> str:
+    """Hash of the code that measures: a change of it measures the kept recordings again."""
+    modules = (claimed, graph_covariance, keyframe_steps, relative_poses)
+    files = [Path(__file__), *(Path(module.__file__ or "") for module in modules)]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
+
+
 def outcomes(trials: Iterable[Trial], checkout: Path) -> list[Outcome]:
     """Outcomes of several drives, each printed to stderr when it is there."""
     found = []
@@ -131,10 +144,13 @@ def recording_of(drive: Trial, checkout: Path) -> Path:
 
 
 def outcome(drive: Trial, checkout: Path) -> Outcome:
-    """Outcome of a drive, computed once for each code_key; raises EvaluationError."""
+    """Outcome of a drive, computed once for each code_key and measure_key.
+
+    Raises EvaluationError.
+    """
     recording = recording_of(drive, checkout)
     work = recording.parent
-    kept = work.with_suffix(".json")
+    kept = work.parent / f"{drive.name}.{measure_key()}.json"
     if kept.is_file():
         return Outcome.of_json(json.loads(kept.read_text()))
     work.mkdir(parents=True, exist_ok=True)
@@ -160,16 +176,18 @@ def _measured(drive: Trial, checkout: Path, sequence: Path, recording: Path) -> 
     path_m = path_length(truth.T_w_c[:, :3, 3])
     yaw_deg = heading_range_deg(truth.T_w_c)
     try:
-        steps.record(sequence, recording, drive.options, checkout)
+        if not (recording / TRAJECTORY_FILE).is_file():
+            steps.record(sequence, recording, drive.options, checkout)
         figures = steps.figures(recording, sequence, checkout)
         if figures["ate_se3_m"] is None:
             raise EvaluationError("no keyframe was placed")
         judged = keyframe_steps.judged(recording, truth)
     except CalmEdgeError as error:
         return Outcome(drive.name, path_m, yaw_deg, failed=str(error))
-    scale_sigma = claimed.scale_sigma(list(Recording(recording).updates()))
+    updates = list(Recording(recording).updates())
+    scale_sigma = claimed.scale_sigma(updates)
     focal_error, focal_sigma = _focals(figures, truth)
-    live, final = _relative(recording, truth, scale_sigma)
+    live, final = _relative(recording, truth, claimed.scale_history(updates), scale_sigma)
     return Outcome(
         drive.name,
         path_m,
@@ -196,11 +214,12 @@ def _focals(figures: Mapping[str, Any], truth: Truth) -> tuple[Pair | None, Pair
 
 
 def _relative(
-    recording: Path, truth: Truth, scale_sigma: float | None
+    recording: Path, truth: Truth, history: ScaleHistory, scale_sigma: float | None
 ) -> tuple[dict[str, Stretches], dict[str, Stretches]]:
     """Stretches of the live poses and of the final ones."""
     source = Recording(recording)
-    live = relative_poses.of_live(sorted(source.poses(), key=lambda sample: sample.t_ns), truth)
+    samples = sorted(source.poses(), key=lambda sample: sample.t_ns)
+    live = relative_poses.of_live(samples, truth, history)
     try:
         config = source.config
         drive = gather(source, config, _note)

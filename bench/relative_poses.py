@@ -52,6 +52,23 @@ class Stretches:
         return {key: getattr(self, key).tolist() for key in self.__slots__}
 
 
+@dataclass(frozen=True, slots=True)
+class ScaleHistory:
+    """Sigma of the log scale as it was claimed during a drive.
+
+    t_ns: (U,) sorted stamps from which on sigma (U,) was claimed. A version that claims none has
+    sigma 0: then the covariances of its poses are all it claims.
+    """
+
+    t_ns: Int
+    sigma: Float
+
+    def at(self, t_ns: Int) -> Float:
+        """Sigmas (N,) at stamps (N,); inf before the first."""
+        row = np.searchsorted(self.t_ns, t_ns, side="right") - 1
+        return np.concatenate([self.sigma, [np.inf]])[row]
+
+
 def ends(along: Float, length: float, part: Int) -> tuple[Int, Int]:
     """First and last index (B,), (B,) of consecutive stretches of at least `length`.
 
@@ -86,10 +103,13 @@ def along_track(t_ns: Int, T_truth: Float) -> dict[str, tuple[Float, float]]:
     return {"1 s": ((t_ns - t_ns[0]) / 1e9, SPAN_S), "100 m": (path, DISTANCE_M)}
 
 
-def of_live(samples: Sequence[PoseSample], truth: Truth) -> dict[str, Stretches]:
-    """Stretches of the poses as published; a pose's covariance is the one published with it.
+def of_live(
+    samples: Sequence[PoseSample], truth: Truth, scale: ScaleHistory
+) -> dict[str, Stretches]:
+    """Stretches of the poses as published, with the covariances published with them.
 
-    The errors of the two ends count as independent.
+    The errors of the two ends count as independent. The error of the scale is common to both, so
+    it is added for the way between them; nothing is claimed where it was unknown.
     """
     live = [s for s in samples if s.status is not PoseStatus.LOST]
     a, b = associate(np.array([s.t_ns for s in live], np.int64), truth.t_ns)
@@ -104,8 +124,20 @@ def of_live(samples: Sequence[PoseSample], truth: Truth) -> dict[str, Stretches]
         i, j = ends(along, length, epoch)
         turn = se3.adjoint(se3.inverse(T[j]) @ T[i])
         total = covariance[j] + turn @ covariance[i] @ np.swapaxes(turn, -1, -2)
+        sigma = scale.at(t_ns[j])
+        total[:, :3, :3] += _of_scale(T, i, j, sigma)
         out[name] = _stretches(T, T_truth, i, j, total)
     return out
+
+
+def _of_scale(T: Float, i: Int, j: Int, sigma: Float) -> Float:
+    """Covariances (B, 3, 3) of the way from poses i to poses j, of a log scale with sigma (B,).
+
+    NaN where sigma is not finite.
+    """
+    moved = (se3.inverse(T[j]) @ T[i])[:, :3, 3]
+    known = np.where(np.isfinite(sigma), sigma, np.nan)
+    return np.asarray(known[:, None, None] ** 2 * moved[:, :, None] * moved[:, None])
 
 
 def of_final(
@@ -128,12 +160,11 @@ def of_final(
     out = {}
     for name, (along, length) in along_track(t_ns, T_truth).items():
         i, j = ends(along, length, np.zeros(len(along), np.int64))
-        moved = (se3.inverse(T[j]) @ T[i])[:, :3, 3]
         total = np.zeros((len(i), 6, 6))
         for k, (origin, end) in enumerate(zip(a[i].tolist(), a[j].tolist(), strict=True)):
             total[k] = marginals.covariances(np.array([end]), origin)[0]
-        sigma = np.nan if scale_sigma is None else scale_sigma
-        total[:, :3, :3] += sigma**2 * moved[:, :, None] * moved[:, None]
+        sigma = np.full(len(i), np.nan if scale_sigma is None else scale_sigma)
+        total[:, :3, :3] += _of_scale(T, i, j, sigma)
         out[name] = _stretches(T, T_truth, i, j, total)
     return out
 

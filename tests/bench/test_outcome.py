@@ -61,6 +61,25 @@ def test_an_outcome_is_computed_once_for_each_state_of_the_code(drawn, checkout,
     assert len(runs) == 2
 
 
+def test_a_complete_recording_is_measured_again_without_being_made(drawn, checkout, monkeypatch):
+    said = []
+
+    def run(*words, **_):
+        said.append(words[0])
+        if words[0] == "eval":
+            raise EvaluationError("nothing")
+        folder = outcomes.recording_of(drawn, checkout)
+        folder.mkdir(parents=True)
+        (folder / "record_trajectory.tum").write_text("")
+        return "", steps.Cost(0.0, 0.0)
+
+    monkeypatch.setattr(steps, "calm_edge", run)
+    for key in ("a", "b", "b"):
+        monkeypatch.setattr(outcomes, "measure_key", lambda key=key: key)
+        outcomes.outcome(drawn, checkout)
+    assert said == ["record", "eval", "eval"]
+
+
 def test_a_drive_that_cannot_be_rendered_is_an_error(drawn, checkout):
     missing = Trial("lottery_plain_0_01", lambda _: "drive_sim.py is not here", ())
     with pytest.raises(EvaluationError, match="drive_sim"):
