@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import subprocess
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ import numpy as np
 from bench import steps
 from bench.claimed import scale_sigma
 from bench.outcome import FOLDER, code_key
-from bench.process import last_line
 from bench.spoilt.cases import Base, Case, true_path_m
 from bench.spoilt.serial_line import SerialLine
 from calm_edge.commands.console import LOSS, OK
@@ -28,12 +28,15 @@ SIGMAS, WITHOUT_SIGMA = 3.0, 0.05
 # A parked car's path may be as long as this, m.
 STANDING_M = 0.3
 
+# In lines that `record` says while it works.
+PROGRESS = "windows left to solve"
+
 
 @dataclass(frozen=True, slots=True)
 class Spoilt:
     """What came of a spoilt drive.
 
-    exit_code, said: of `record`, and its last line. path_m, true_m: estimated and true length of
+    exit_code, said: of `record`, and its last line but for its progress. path_m, true_m: estimated and true length of
     the path between the first and the last keyframe with a pose. scale_sigma: claimed sigma of the
     log scale, inf if unknown; None if not reported. states: of the daemon, as sent to the
     autopilot, in order of appearance.
@@ -90,6 +93,12 @@ def spoilt(base: Base, case: Case, checkout: Path) -> Spoilt:
     return found
 
 
+def last_said(done: subprocess.CompletedProcess[str]) -> str:
+    """Last line of stderr that is not about progress, or of stdout without one."""
+    lines = [line for line in done.stderr.splitlines() if line.strip() and PROGRESS not in line]
+    return (lines or done.stdout.splitlines() or [""])[-1].strip()
+
+
 def _recorded(base: Base, case: Case, checkout: Path, work: Path) -> Spoilt:
     recording = work / "recording"
     with SerialLine() as line:
@@ -110,7 +119,7 @@ def _recorded(base: Base, case: Case, checkout: Path, work: Path) -> Spoilt:
         base.name,
         case.name,
         done.returncode,
-        last_line(done),
+        last_said(done),
         0.0 if trajectory is None else path_length(trajectory.T_w_c[:, :3, 3]),
         true_path_m(base, case, t_ns),
         scale_sigma(updates),

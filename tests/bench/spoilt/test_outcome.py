@@ -1,10 +1,13 @@
 """Judgement on what came of a spoilt drive."""
 
 import math
+from subprocess import CompletedProcess
 
 import pytest
 
-from bench.spoilt.outcome import Spoilt
+from bench.spoilt.outcome import Spoilt, last_said
+
+PROGRESS = "calm-edge: finishing: 1 windows left to solve\n"
 
 
 def _spoilt(**changes):
@@ -36,3 +39,15 @@ def _spoilt(**changes):
 )
 def test_a_metre_is_right_or_not_claimed(changes, right):
     assert _spoilt(**changes).right is right
+
+
+@pytest.mark.parametrize(
+    ("stderr", "said"),
+    [
+        (f"calm-edge: no metre\n{PROGRESS}", "calm-edge: no metre"),
+        (PROGRESS, "live poses  0"),
+        ("", "live poses  0"),
+    ],
+)
+def test_progress_is_not_the_last_word(stderr, said):
+    assert last_said(CompletedProcess([], 0, "recording  r\nlive poses  0\n", stderr)) == said
