@@ -118,8 +118,12 @@ def code_key(checkout: Path) -> str:
 def measure_key() -> str:
     """Hash of the code that measures: a change of it measures the kept recordings again."""
     modules = (claimed, graph_covariance, keyframe_steps, relative_poses)
-    files = [Path(__file__), *(Path(module.__file__ or "") for module in modules)]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
+    return files_key([Path(__file__), *(Path(module.__file__ or "") for module in modules)])
+
+
+def files_key(files: Iterable[Path]) -> str:
+    """Hash of the contents of some files."""
+    return hashlib.sha256(b"".join(file.read_bytes() for file in sorted(files))).hexdigest()[:8]
 
 
 def outcomes(trials: Iterable[Trial], checkout: Path) -> list[Outcome]:

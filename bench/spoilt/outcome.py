@@ -14,7 +14,7 @@ import numpy as np
 
 from bench import steps
 from bench.claimed import scale_sigma
-from bench.outcome import FOLDER, code_key
+from bench.outcome import FOLDER, code_key, files_key
 from bench.spoilt.cases import Base, Case, true_path_m
 from bench.spoilt.serial_line import SerialLine
 from calm_edge.commands.console import LOSS, OK
@@ -36,12 +36,12 @@ PROGRESS = "windows left to solve"
 class Spoilt:
     """What came of a spoilt drive.
 
-    exit_code, said: of `record`, and its last line but for its progress. path_m, true_m: estimated and true length of
-    the path between the first and the last keyframe with a pose. scale_sigma: claimed sigma of the
-    log scale, inf if unknown; None if not reported. states: of the daemon, as sent to the
-    autopilot, in order of appearance.
-    live, lost: numbers of poses. odometry: number of messages on the serial line. quality: largest
-    of these; None without any. truth_log_sigma: of true_m.
+    exit_code, said: of `record`, and its last line but for its progress. path_m, true_m: estimated
+    and true length of the path between the first and the last keyframe with a pose. scale_sigma:
+    claimed sigma of the log scale, inf if unknown; None if not reported. states: of the daemon, as
+    sent to the autopilot, in order of appearance. live, lost: numbers of poses. odometry: number
+    of messages on the serial line. quality: largest of these; None without any. truth_log_sigma:
+    of true_m.
     """
 
     drive: str
@@ -78,9 +78,13 @@ class Spoilt:
 
 
 def spoilt(base: Base, case: Case, checkout: Path) -> Spoilt:
-    """Record a spoilt drive once for each state of the code; raises EvaluationError."""
+    """Record a spoilt drive once for each state of the code, and of that here.
+
+    Raises EvaluationError.
+    """
     name = f"spoilt_{base.name}_{case.name}"
-    kept = FOLDER / code_key(checkout) / f"{name}.json"
+    measure = files_key(Path(__file__).parent.glob("*.py"))
+    kept = FOLDER / code_key(checkout) / f"{name}.{measure}.json"
     if kept.is_file():
         values: dict[str, Any] = json.loads(kept.read_text())
         return Spoilt(**values | {"states": tuple(values["states"])})
