@@ -36,7 +36,7 @@ class Base:
 
 BASES = (
     Base("demo", ROOT / "demo" / "drive", 0.5),
-    # calibrated stereo finds lengths 5 % shorter than its INS
+    # by calibrated stereo, the path is 5 % longer than by its INS
     Base("karlsruhe_town", DATA / "karlsruhe_town", 0.5712, 0.03),
 )
 
