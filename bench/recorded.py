@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from calm_edge.config import Config, merge, parse_assignment
 from calm_edge.offline.densify import densified
-from calm_edge.offline.submaps import Drive, gather
+from calm_edge.offline.drive import Drive
+from calm_edge.offline.submaps import gather
 from calm_edge.recording.reader import Recording
 from calm_edge.types import Bytes, Float32, Submap
 

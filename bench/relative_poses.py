@@ -17,7 +17,7 @@ from calm_edge.config import Config
 from calm_edge.evaluation.trajectory import associate
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
-from calm_edge.offline.submaps import Drive
+from calm_edge.offline.drive import Drive
 from calm_edge.types import Float, Int, PoseSample, PoseStatus
 
 SPAN_S = 1.0

@@ -139,6 +139,8 @@ class Prediction:
     assistant_late_s: time offset: how much later than its stamp, on the primary's clock, the
     assistant is exposed. stamps_off_s: (A,) what has to be added to that for each assistant
     view; None if its stamps need no correction of their own.
+    kit_sigma: (2,) of the belief on the kit by which the pictures were matched, as in
+    `ResolvingBackbone.kit_sigma`; None if the backbone has no such belief.
     loop_found: False if the loop keyframe could not be placed; its pose is then meaningless.
     notices: lines for the user; a line repeated by later batches is reported once.
     """
@@ -152,6 +154,7 @@ class Prediction:
     kit: KitBelief | None = None
     assistant_late_s: float = 0.0
     stamps_off_s: Float | None = None
+    kit_sigma: Float | None = None
     loop_found: bool = True
     notices: tuple[str, ...] = ()
     scale_log_sigma: float | None = None

@@ -30,7 +30,7 @@ from calm_edge.estimator import scale
 from calm_edge.estimator.atlas import Atlas
 from calm_edge.loops.finder import PlaceLoops
 from calm_edge.loops.same_place import KnownKit
-from calm_edge.offline.submaps import Drive
+from calm_edge.offline.drive import Drive
 from calm_edge.posegraph.optimiser import Immediate
 from calm_edge.recording.reader import Recording
 from calm_edge.types import (

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from calm_edge.types import CalmEdgeError, Hints, Prediction
+from calm_edge.types import CalmEdgeError, Float, Hints, Prediction
 
 
 class BackboneError(CalmEdgeError):
@@ -49,10 +49,20 @@ class ExpectsPictures(Protocol):
 
 @runtime_checkable
 class ResolvingBackbone(Protocol):
-    """A backbone that can solve a window again from its landmarks, without the images."""
+    """A backbone that estimates the kit, so that what later windows show improves earlier ones."""
+
+    def kit_sigma(self, hints: Hints) -> Float:
+        """Sigmas (2,) under `hints.kit` of what guides the matching.
+
+        Of the rig's rotation about its least known axis [rad], and of the log focal of the camera
+        in which it is less known. See `layout.KIT_KNOWN`.
+        """
+        ...
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
-        """Solve the views of a prediction again with the kit belief in `hints` as prior.
+        """Solve the views of a prediction again from its landmarks, without the images.
+
+        With the kit belief in `hints` as prior.
 
         `hints.kit` must not contain the evidence of this window itself. Raises BackboneError.
         """

@@ -15,7 +15,7 @@ from calm_edge.commands.console import LOSS, OK
 if TYPE_CHECKING:
     from calm_edge.evaluation.estimate import Estimate
     from calm_edge.evaluation.truth import Truth
-    from calm_edge.offline.submaps import Drive
+    from calm_edge.offline.drive import Drive
     from calm_edge.types import Bytes
 
 

@@ -172,6 +172,7 @@ class Capture:
         hub.until(lambda: estimator.finished is not None or estimator.given_up, end_s, "optimising")
         if estimator.finished is not None:
             hub.result.trajectory = estimator.finished.trajectory
+            hub.result.submaps += estimator.solved_late
             for update in finish.final_updates(estimator.finished, hub.kit):
                 hub.give_update(update)
 

@@ -89,16 +89,20 @@ def serve(
     stop: type,
     handle: Callable[[Any], Any],
     on_arrival: Callable[[Any], None] = lambda _: None,
+    idle: Callable[[], bool] = lambda: False,
 ) -> None:
     """Main loop of a child: answer messages until one of type `stop`, or until the parent exits.
 
     handle: returns the answer to a message, None for none. on_arrival: called with each message as
-    it is received, possibly before earlier ones have been handled.
+    it is received, possibly before earlier ones have been handled. idle: called while no message
+    waits, and again for as long as it returns True.
     """
     arrived: deque[Any] = deque()
     while True:
         try:
             while not arrived or connection.poll():
+                if not arrived and not connection.poll() and idle():
+                    continue
                 arrived.append(connection.recv())
                 on_arrival(arrived[-1])
         except (EOFError, OSError):

@@ -88,6 +88,8 @@ class EstimatorLink:
         self.lost: list[int] = []
         self.left_to_map: list[int] = []
         self.unsolved: list[int] = []
+        # number of windows that were solved only at a later attempt
+        self.solved_late = 0
         self.restarts = 0
         self.finished: Finished | None = None
         self.child = self._spawn()
@@ -170,6 +172,9 @@ class EstimatorLink:
                     self.unsolved.append(message.submap_id)
             case Finished():
                 self.finished = message
+                late = {submap.id for submap in message.submaps} & {*self.unsolved}
+                self.unsolved = [i for i in self.unsolved if i not in late]
+                self.solved_late = len(late)
         self.pump()
 
     def finish(self) -> None:

@@ -44,16 +44,29 @@ OOM_SCORE_ADJ = "500"
 # Switch interval of the interpreter (sys.setswitchinterval): with the default of 5 ms the threads
 # of network and solver would wait for the interpreter lock.
 SWITCH_S = 3e-4
+# At the end of a live drive, time for solving windows again from their pictures; `calm-edge map`
+# does the rest.
+SOLVE_AGAIN_S = 5.0
 
 
 class EstimatorWork:
-    """Localizer and backbone; handles the messages of the capture process in order."""
+    """Localizer and backbone; handles the messages of the capture process in order.
 
-    def __init__(self, config: Config, optimiser: Optimiser) -> None:
+    unhurried: the capture process waits for every window; else windows are solved again from their
+    pictures only when no other is expected meanwhile.
+    """
+
+    def __init__(self, config: Config, optimiser: Optimiser, *, unhurried: bool) -> None:
         self._config = config
         self._make_depth = config.recording.log_depth
         self._backbone = open_backbone(config)
-        self._localizer = Localizer(config, self._backbone, optimiser=optimiser)
+        self._localizer = Localizer(
+            config, self._backbone, optimiser=optimiser, unhurried=unhurried
+        )
+        self._unhurried = unhurried
+        # on time.monotonic: arrival of the newest window, and of the next at the same pace
+        self._arrived_s = self._next_s = -np.inf
+        self._took_s = 0.0
         self._received = ReceivedFrames()
 
     @property
@@ -66,10 +79,15 @@ class EstimatorWork:
         if isinstance(message, Process):
             for left_out in message.left_out:
                 self._localizer.leave_out(left_out.submap_id, np.array(left_out.t_ns, np.int64))
-            return self._process(self._received.window(message))
+            start_s = time.monotonic()
+            self._arrived_s, self._next_s = start_s, 2 * start_s - self._arrived_s
+            answer = self._process(self._received.window(message))
+            self._took_s = time.monotonic() - start_s
+            return answer
         if isinstance(message, Finish):
-            trajectory = self._localizer.finish()
-            return Finished(self._localizer.submaps, trajectory, self._localizer.metre)
+            trajectory = self._localizer.finish(np.inf if self._unhurried else SOLVE_AGAIN_S)
+            localizer = self._localizer
+            return Finished(localizer.submaps, trajectory, localizer.metre, localizer.solved_again)
         if isinstance(message, Expect) and isinstance(self._backbone, ExpectsPictures):
             self._received.add(message.keyframe)
             # an unreadable image is reported later, when its window is processed
@@ -78,6 +96,21 @@ class EstimatorWork:
         if isinstance(message, MakeDepth):
             self._make_depth = message.on and self._config.recording.log_depth
         return None
+
+    def idle(self) -> bool:
+        """Solve a window again from its pictures, if there is time for it; whether one was."""
+        start_s = time.monotonic()
+        if self._unhurried or start_s + self._took_s > self._next_s:
+            return False
+        try:
+            found = self._localizer.solve_again()
+        except Exception:
+            # as in _process: a programming error must not end the process
+            traceback.print_exc()
+            return False
+        if found:
+            self._took_s = time.monotonic() - start_s
+        return found
 
     def _process(self, window: SubmapWindow) -> Processed:
         try:
@@ -134,9 +167,10 @@ def run(connection: Connection, config: Config, lockstep: bool) -> None:
     cv2.setNumThreads(len(os.sched_getaffinity(0)))
     sys.setswitchinterval(SWITCH_S)
     try:
-        work = EstimatorWork(config, Immediate() if lockstep else Spawned())
+        optimiser = Immediate() if lockstep else Spawned()
+        work = EstimatorWork(config, optimiser, unhurried=lockstep)
     except CalmEdgeError as error:
         connection.send(Refused(str(error)))
         return
     connection.send(Ready(work.expects_pictures))
-    serve(connection, Stop, work.handle)
+    serve(connection, Stop, work.handle, idle=work.idle)

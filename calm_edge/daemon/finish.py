@@ -18,7 +18,8 @@ def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[Localiz
 
     Only the last update holds the whole trajectory, since the recording would grow quadratically
     with the length of the drive; the others hold the keyframes of their sub-map. `calm-edge map`
-    takes the landmarks from the first update of a sub-map.
+    takes the landmarks from the first update of a sub-map, unless the last one has some, because
+    the window was solved again from its pictures.
     """
     trajectory = finished.trajectory
     if trajectory is None:
@@ -28,7 +29,7 @@ def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[Localiz
         mine = np.isin(trajectory.keyframe_ids, submap.primary_ids) | last
         yield LocalizerUpdate(
             submap,
-            Prediction(submap.cameras_raw, submap.T_s_c_raw),
+            finished.solved_again.get(submap.id, Prediction(submap.cameras_raw, submap.T_s_c_raw)),
             Trajectory(
                 trajectory.keyframe_ids[mine],
                 trajectory.t_ns[mine],

@@ -8,10 +8,18 @@ the estimator is idle. Window records refer to frames by key: camera, sequence n
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from calm_edge.recording.window_record import FrameKey, WindowRecord
-from calm_edge.types import Float, LocalizerUpdate, Metre, PoseSample, Submap, Trajectory
+from calm_edge.types import (
+    Float,
+    LocalizerUpdate,
+    Metre,
+    PoseSample,
+    Prediction,
+    Submap,
+    Trajectory,
+)
 from device.frame import Eye, Frame
 
 
@@ -199,12 +207,14 @@ class Finish:
 class Finished:
     """Answer to Finish: all sub-maps with their final poses, and the metre of the drive.
 
-    trajectory: None without a sub-map.
+    trajectory: None without a sub-map. solved_again: by sub-map id, the solutions of windows that
+    have been solved again from their pictures, or for the first time, since their Processed.
     """
 
     submaps: tuple[Submap, ...]
     trajectory: Trajectory | None
     metre: Metre
+    solved_again: dict[int, Prediction] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

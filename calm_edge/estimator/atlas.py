@@ -6,6 +6,7 @@ placed so that the keyframe has that pose in it too (T_w_f of IV-B).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,6 +69,10 @@ class Atlas:
         """Record a window that was not reconstructed, so that the gap it leaves can be bridged."""
         self._skipped.append(window)
 
+    def unskip(self, submap_id: int) -> None:
+        """Forget that a window was skipped, since it has been reconstructed after all."""
+        self._skipped[:] = [skipped for skipped in self._skipped if skipped.submap_id != submap_id]
+
     def add(self, submap: Submap) -> Submap:
         """Place a sub-map in world units and add its measurements to the graph."""
         graph, ids = self._graph, submap.primary_ids
@@ -75,7 +80,7 @@ class Atlas:
         primary, assistant = np.split(_rig_views(submap), [submap.n_primary])
         t_p, t_a = submap.exposed_ns[primary], submap.exposed_ns[assistant]
         T_s_p, T_s_a = submap.T_s_c[primary], submap.T_s_c[assistant]
-        common = [view for view in range(submap.n_overlap) if ids[view] in graph]
+        common = [view for view, keyframe_id in enumerate(ids) if keyframe_id in graph]
         if common:
             T_w_f = np.stack([graph.pose(ids[view]) for view in common])
             T_w_s = scale.placement(T_w_f, T_s_p[common], self._config.scale.average_placement)
@@ -91,9 +96,14 @@ class Atlas:
         return placed
 
     def add_loop(self, loop: LoopClosure) -> None:
-        """Add a loop closure to the graph (E_loop, IV-C); KeyError if a keyframe has no pose."""
-        self._graph.add_loop(loop)
+        """Add a loop closure to the graph (E_loop, IV-C), once both keyframes have a pose."""
         self._loops.append(loop)
+        self._close([loop])
+
+    def _close(self, loops: Iterable[LoopClosure]) -> None:
+        for loop in loops:
+            if loop.query_id in self._graph and loop.match_id in self._graph:
+                self._graph.add_loop(loop)
 
     def empty(self) -> Atlas:
         """Create an atlas with the same skipped windows and no sub-maps."""
@@ -102,10 +112,9 @@ class Atlas:
         return other
 
     def become(self, other: Atlas) -> None:
-        """Take over the poses of another atlas of the same sub-maps, which becomes unusable."""
-        self._submaps, self._graph = other._submaps, other._graph
-        for loop in self._loops:
-            self._graph.add_loop(loop)
+        """Take over the content of another atlas of the same drive, which becomes unusable."""
+        self._submaps, self._graph, self._stamps = other._submaps, other._graph, other._stamps
+        self._close(self._loops)
         self.epoch += 1
 
     def request_optimum(self, optimiser: Optimiser) -> None:

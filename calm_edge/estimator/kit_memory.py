@@ -48,7 +48,7 @@ class KitMemory:
 
     def evidence(self, without: int | None = None) -> KitBelief | None:
         """Product of the evidence of all windows, or of all except sub-map `without`."""
-        if without is None:
+        if without not in self._evidence:
             return self._total
         return product([kit for key, kit in self._evidence.items() if key != without])
 
@@ -57,7 +57,13 @@ class KitMemory:
         return product([self.prior, self.evidence(without)])
 
     def add(self, submap_id: int, prediction: Prediction, hints: Hints) -> None:
-        """Collect the kit evidence of a solved window, and keep the window to solve it again."""
+        """Collect the kit evidence of a solved window, and keep the window to solve it again.
+
+        Replaces what is known of the window from an earlier solution.
+        """
+        if submap_id in self._evidence:
+            del self._evidence[submap_id]
+            self._total = product(self._evidence.values())
         if prediction.kit is not None:
             self._evidence[submap_id] = prediction.kit
             self._total = product([self._total, prediction.kit])
@@ -66,11 +72,16 @@ class KitMemory:
         light = replace(prediction, depth=None, confidence=None)
         self._windows[submap_id] = _Window(light, hints, _log_focal(prediction, hints))
         while len(self._windows) > self._limit:
-            del self._windows[next(iter(self._windows))]
+            del self._windows[min(self._windows)]
 
     def retained(self) -> list[int]:
         """Ids of the sub-maps that can be solved again."""
-        return list(self._windows)
+        return sorted(self._windows)
+
+    def prediction(self, submap_id: int) -> Prediction | None:
+        """Newest solution of a window, without depth; None if it is not retained."""
+        window = self._windows.get(submap_id)
+        return None if window is None else window.prediction
 
     def outdated(self) -> list[int]:
         """Ids of sub-maps solved with another focal length than the newest window.
@@ -80,7 +91,7 @@ class KitMemory:
         """
         if not self._windows:
             return []
-        newest = next(reversed(self._windows.values()))
+        newest = self._windows[max(self._windows)]
         sigma = newest.prediction.focal_log_sigma
         if sigma is None:
             return []
@@ -101,7 +112,7 @@ class KitMemory:
         solved: dict[int, Prediction] = {}
         if not (self._windows and isinstance(self._backbone, ResolvingBackbone)):
             return solved
-        log_focal = next(reversed(self._windows.values())).log_focal
+        log_focal = self._windows[max(self._windows)].log_focal
         for submap_id in submap_ids:
             window = self._windows[submap_id]
             hints = replace(window.hints, kit=self.belief(without=submap_id))

@@ -1,8 +1,9 @@
 """Compute a trajectory from windows: sections IV and V of the paper in order.
 
 Differences from the paper: the unit is the spacing itself (scale.py); windows solved with an
-outdated belief on the kit are solved again (kit_memory.py); windows that cannot be reconstructed
-are bridged (atlas.py).
+outdated belief on the kit are solved again (kit_memory.py), from their pictures if these were
+matched before the kit was known (held_windows.py); windows that cannot be reconstructed are bridged
+(atlas.py).
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
 
@@ -20,6 +21,7 @@ from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
 from calm_edge.config import Config
 from calm_edge.estimator import scale, window_submap
 from calm_edge.estimator.atlas import Atlas, SkippedWindow
+from calm_edge.estimator.held_windows import HeldWindows, unsettled
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.estimator.metre import DriveMetre
 from calm_edge.estimator.rectifier import Rectifier
@@ -32,9 +34,11 @@ from calm_edge.loops.same_place import KnownKit
 from calm_edge.posegraph.optimiser import Immediate, Optimiser
 from calm_edge.types import (
     Bytes,
+    Float,
     GlobalIntrinsics,
     Hints,
     Int,
+    KitBelief,
     LocalizerUpdate,
     LoopClosure,
     Metre,
@@ -54,11 +58,28 @@ REPLACE_GROWTH = 1.1
 REPLACED_PER_WINDOW = 8
 
 
+@dataclass(frozen=True, slots=True)
+class Reconstruction:
+    """A solved window that is not yet placed.
+
+    Without a loop view if `closed` is None. recalibrated: the sub-maps before it have to be
+    rectified again.
+    """
+
+    window: SubmapWindow
+    hints: Hints
+    prediction: Prediction
+    submap: Submap
+    closed: LoopClosure | None
+    recalibrated: bool
+
+
 class Localizer:
     """Computes placed sub-maps from windows, in order; deterministic, given the windows.
 
     loops: finder of loop closures (IV-D), by default as configured. optimiser: computes the joint
-    optimum; if in another process, the result is applied with a later window.
+    optimum; if in another process, the result is applied with a later window. unhurried: `process`
+    also solves a window again from its pictures if one is due; else `solve_again` does it.
     """
 
     def __init__(
@@ -67,6 +88,8 @@ class Localizer:
         backbone: Backbone,
         loops: LoopFinder | None = None,
         optimiser: Optimiser | None = None,
+        *,
+        unhurried: bool = True,
     ) -> None:
         self._config = config
         self._backbone = backbone
@@ -85,6 +108,12 @@ class Localizer:
         self._n_replaced = 0
         self._replacement: Replacement | None = None
         self._noticed: set[str] = set()
+        self._unhurried = unhurried
+        self._held = HeldWindows()
+        # ids of sub-maps solved again from pictures; of those restored in their final solution
+        self._again: set[int] = set()
+        self._restored: set[int] = set()
+        self._told_epoch = 0
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
@@ -106,53 +135,55 @@ class Localizer:
         """Result of the online intrinsic search (V-A), if it runs."""
         return self._rectifier.intrinsics
 
+    @property
+    def solved_again(self) -> dict[int, Prediction]:
+        """Newest solutions, by sub-map id, of windows solved again from their pictures."""
+        found = {submap_id: self._memory.prediction(submap_id) for submap_id in self._again}
+        return {submap_id: each for submap_id, each in found.items() if each is not None}
+
+    @property
+    def kit(self) -> KitBelief | None:
+        """Belief on the kit, of earlier drives and this one."""
+        return self._memory.belief()
+
     def process(self, window: SubmapWindow) -> LocalizerUpdate | None:
         """Process a window; None if it could not be reconstructed (see `skipped`)."""
         atlas, stage_ms = self._atlas, dict[str, float]()
-        epoch = atlas.epoch
-        if self._loops is None:
-            window = replace(window, loop_keyframe=None)
+        sigma = self.kit_sigma(window.submap_id)
         try:
-            with _timed(stage_ms, "decode"):
-                images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
-            with _timed(stage_ms, "loop"):
-                window, images, candidate = self._with_loop(window, images)
-            hints = self._hints(window, images)
-            with _timed(stage_ms, "infer"):
-                prediction = self._backbone.infer(images, hints)
-            raw = window_submap.raw_submap(window, hints, prediction)
-            with _timed(stage_ms, "search"):
-                recalibrated = self._rectifier.update(raw, prediction.landmarks, images)
-            with _timed(stage_ms, "rectify"):
-                submap = self._rectifier.rectify(raw)
+            solved = self._reconstructed(window, stage_ms)
         except (BackboneError, scale.ScaleError, UnreadableImage) as error:
             self._skip(window, str(error))
+            if sigma is not None:
+                self._held.hold(window, sigma)
             return None
-        closed = self._closure(window, submap, prediction, candidate)
-        if window.loop_keyframe is not None and closed is None:
-            prediction, submap = prediction.without_loop(), submap.without_loop()
-            hints = hints.without_loop()
+        window, prediction, closed = solved.window, solved.prediction, solved.closed
         with _timed(stage_ms, "place"):
-            atlas.add(submap)
+            atlas.add(solved.submap)
             if self._loops is not None:
                 self._loops.remember(window)
         with _timed(stage_ms, "resolve"):
-            self._memory.add(submap.id, prediction, hints)
+            self._memory.add(window.submap_id, prediction, solved.hints)
+            if sigma is not None and unsettled(prediction):
+                self._held.hold(window, sigma)
             changed = self._kit_prior.contradicted(self._memory.evidence())
             notices = self._new_notices((*prediction.notices, *changed))
             self._memory.prior = self._kit_prior.belief
-            self._stale |= recalibrated
+            self._stale |= solved.recalibrated
             grown = len(atlas) >= REPLACE_GROWTH * self._n_replaced
             if self._stale and grown and self._replacement is None:
                 self._begin_replacement(atlas.submaps)
             self._resolve(self._memory.outdated())
+            if self._unhurried:
+                self.solve_again()
             self._replace(REPLACED_PER_WINDOW)
         with _timed(stage_ms, "optimise"):
             if closed is not None:
                 atlas.add_loop(closed)
                 self._request()
             atlas.settle(self._optimiser)
-        placed, moved = atlas.submaps[-1], atlas.epoch != epoch
+        placed, moved = atlas.submaps[-1], atlas.epoch != self._told_epoch
+        self._told_epoch = atlas.epoch
         return LocalizerUpdate(
             submap=placed,
             prediction=prediction,
@@ -169,15 +200,100 @@ class Localizer:
         """Record a window that is not to be processed. t_ns: (N,) of its primary keyframes."""
         self._atlas.skip(SkippedWindow(submap_id, "left out", t_ns))
 
-    def finish(self) -> Trajectory | None:
-        """Solve all windows with the final belief, then the joint optimum; None without sub-map."""
+    def solve_again(self, *, final: bool = False) -> bool:
+        """Solve a held window again from its pictures; False if none is worth it.
+
+        final: no more windows will follow.
+        """
+
+        def sigma_now(submap_id: int) -> Float:
+            sigma = self.kit_sigma(submap_id)
+            assert sigma is not None
+            return sigma
+
+        window = self._held.next(sigma_now, final=final)
+        if window is not None:
+            self.attempt(window, loops=False)
+        return window is not None
+
+    def attempt(self, window: SubmapWindow, *, loops: bool = True) -> Reconstruction | None:
+        """Solve a window from its pictures, with all that is known; None if that fails.
+
+        For windows that `process` or `restore` has had, and for those that neither has: the sub-map
+        is inserted in order. What is solved is placed with a later window or by `finish`. loops:
+        search a loop for a window without a sub-map.
+        """
+        submap_id, sources = window.submap_id, self._sources()
+        known = submap_id in {submap.id for submap in sources}
+        sigma = self.kit_sigma(submap_id)
+        if sigma is not None:
+            self._held.hold(window, sigma)
+        try:
+            solved = self._reconstructed(window, {}, known=known, loops=loops and not known)
+        except (BackboneError, scale.ScaleError, UnreadableImage) as error:
+            log.warning("sub-map %d not solved again: %s", submap_id, error)
+            return None
+        earlier, prediction = self._memory.prediction(submap_id), solved.prediction
+        if earlier is not None and earlier.kit is not None and prediction.kit is None:
+            return None
+        if not unsettled(prediction):
+            self._held.drop(submap_id)
+        self._memory.add(submap_id, prediction, solved.hints)
+        self._again.add(submap_id)
+        self._restored.discard(submap_id)
+        if known:
+            raw = [
+                window_submap.solved_again(s, prediction if s.id == submap_id else None)
+                for s in sources
+            ]
+        else:
+            self._atlas.unskip(submap_id)
+            raw = sorted([*sources, solved.submap], key=lambda submap: submap.id)
+            if self._loops is not None:
+                self._loops.remember(solved.window)
+            if solved.closed is not None:
+                self._atlas.add_loop(solved.closed)
+        self._begin_replacement(raw)
+        return solved
+
+    def restore(self, update: LocalizerUpdate, hints: Hints, *, final: bool) -> None:
+        """Take over a sub-map that was solved earlier, in order; raises ScaleError.
+
+        hints: for solving it again. final: `finish` has been called since it was solved. Only for a
+        backbone that estimates the kit: the intrinsic search learns nothing from it.
+        """
+        self._atlas.add(self._rectifier.rectify(update.submap))
+        self._memory.add(update.submap.id, update.prediction, hints)
+        if update.loop is not None:
+            self._atlas.add_loop(update.loop)
+        if final:
+            self._restored.add(update.submap.id)
+
+    def remember(self, window: SubmapWindow) -> None:
+        """Make the keyframes of a restored window places of the loop search."""
+        if self._loops is not None:
+            # without a kit `find` only describes them
+            self._loops.find(
+                window, [keyframe.frame.bgr() for keyframe in window.keyframes()], None
+            )
+            self._loops.remember(window)
+
+    def finish(self, limit_s: float = np.inf) -> Trajectory | None:
+        """Solve all windows with the final belief, then the joint optimum; None without sub-map.
+
+        limit_s: for solving windows again from their pictures.
+        """
+        end_s = perf_counter() + limit_s
         self._optimiser.close()
         self._optimiser = Immediate()
         if not len(self._atlas):
             return None
         if self._rectifier.finish() or self._stale:
             self._begin_replacement(self._sources())
-        self._resolve(self._memory.retained())
+        while perf_counter() < end_s and self.solve_again(final=True):
+            pass
+        outdated = {*self._memory.retained()} - self._restored | {*self._memory.outdated()}
+        self._resolve(sorted(outdated))
         self._replace()
         self._request()
         self._atlas.settle(self._optimiser)
@@ -188,6 +304,54 @@ class Localizer:
         """All primary keyframes that have a pose, sorted by id."""
         return self._atlas.trajectory()
 
+    def _reconstructed(
+        self,
+        window: SubmapWindow,
+        stage_ms: dict[str, float],
+        *,
+        known: bool = False,
+        loops: bool = True,
+    ) -> Reconstruction:
+        """Solve and rectify a window; raises BackboneError, ScaleError, UnreadableImage.
+
+        known: it has a sub-map already. loops: search a loop.
+        """
+        if self._loops is None:
+            window = replace(window, loop_keyframe=None)
+        candidate = None
+        with _timed(stage_ms, "decode"):
+            images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
+        if loops:
+            with _timed(stage_ms, "loop"):
+                window, images, candidate = self._with_loop(window, images)
+        hints = self._hints(window, images)
+        with _timed(stage_ms, "infer"):
+            prediction = self._backbone.infer(images, hints)
+        raw = window_submap.raw_submap(window, hints, prediction)
+        recalibrated = False
+        if not known:
+            with _timed(stage_ms, "search"):
+                recalibrated = self._rectifier.update(raw, prediction.landmarks, images)
+        with _timed(stage_ms, "rectify"):
+            submap = self._rectifier.rectify(raw)
+        closed = self._closure(window, submap, prediction, candidate)
+        if window.loop_keyframe is not None and closed is None:
+            if known:
+                raise BackboneError("bundle: the loop keyframe could not be placed again")
+            window = replace(window, loop_keyframe=None)
+            prediction, submap = prediction.without_loop(), submap.without_loop()
+            hints = hints.without_loop()
+        return Reconstruction(window, hints, prediction, submap, closed, recalibrated)
+
+    def kit_sigma(self, submap_id: int) -> Float | None:
+        """`kit_sigma` for solving this window now; None if the backbone estimates no kit."""
+        if not isinstance(self._backbone, ResolvingBackbone):
+            return None
+        nothing = np.zeros(0, np.int64)
+        kit = self._memory.belief(without=submap_id)
+        hints = Hints(nothing, nothing, self._config.backbone.hfov_of_eye, kit)
+        return self._backbone.kit_sigma(hints)
+
     def _hints(self, window: SubmapWindow, images: list[Bytes]) -> Hints:
         frames = [keyframe.frame for keyframe in window.keyframes()]
         sizes = window_submap.sizes(window, images)
@@ -197,7 +361,7 @@ class Localizer:
             eyes=np.array([frame.eye for frame in frames], np.int64),
             t_ns=np.array([frame.t_ns for frame in frames], np.int64),
             hfov_deg=self._config.backbone.hfov_of_eye,
-            kit=self._memory.belief(),
+            kit=self._memory.belief(without=window.submap_id),
             sizes=sizes,
             loop=window.loop_keyframe is not None,
         )
@@ -237,7 +401,9 @@ class Localizer:
         of the candidate, from matches of the two images.
         """
         match = window.loop_keyframe
-        if match is None or not prediction.loop_found or match.id not in self._atlas:
+        if match is None or not prediction.loop_found:
+            return None
+        if not any(match.id in submap.primary_ids for submap in self._sources()):
             return None
         T_s_match = submap.T_s_c[-1]
         apart = np.linalg.norm(submap.T_s_c[: submap.n_primary, :3, 3] - T_s_match[:3, 3], axis=1)

@@ -44,6 +44,12 @@ EVIDENCE_SPACING_SIGMA = 0.05
 # the sum between them.
 TIME_OFFSET_SIGMA_S = 0.01
 
+# Largest sigmas of the rig's rotation [rad] and of the log focals at which the kit counts as known:
+# matches between the cameras are then guided by it, and other focals need not be tried.
+RIG_KNOWN_RAD = 0.02
+FOCAL_KNOWN = 0.05
+KIT_KNOWN = np.array([RIG_KNOWN_RAD, FOCAL_KNOWN])
+
 # Sigmas of the drift between two drives of an untouched kit.
 # Log focal: temperature, refocusing, and model errors that differ from road to road.
 LOG_FOCAL_DRIFT = 0.015

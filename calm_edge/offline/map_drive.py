@@ -16,7 +16,7 @@ from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.seams import SeamSummary
 from calm_edge.mapping.seams import summary as seam_summary
 from calm_edge.offline.densify import densified
-from calm_edge.offline.submaps import Drive
+from calm_edge.offline.drive import Drive
 from calm_edge.recording.reader import Recording
 from calm_edge.trajectories import write_kitti, write_tum
 

@@ -1,67 +1,64 @@
 """Sub-maps of a recording in their final placement, as recorded or computed again.
 
-Recorded results are used if `record` finished and each solved window has its sub-map. Otherwise all
-windows are computed again in order; the Localizer is a deterministic function of them.
+What `record` solved is used. Windows without a sub-map are solved, and so are again, from their
+pictures, those that were matched before the kit was known; then all are placed again. If the
+backbone estimates no kit and a sub-map is missing, all windows are computed again in order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 
-import numpy as np
-
+from calm_edge.backbones.base import ResolvingBackbone
 from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config, merge
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.frontend.keyframes import KeyframeSelector
-from calm_edge.geometry.camera import Camera, back_project_each
+from calm_edge.offline.completion import completed, due
+from calm_edge.offline.drive import Drive, Logged, with_poses
 from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import STATUS
 from calm_edge.recording.window_record import WindowRecord, of_window
 from calm_edge.trajectories import folded
 from calm_edge.types import (
-    Float,
-    Landmarks,
     LocalizerUpdate,
-    Prediction,
     SubmapWindow,
     Trajectory,
 )
 from device.frame import Eye, UnreadableImage
 
 
-@dataclass(slots=True)
-class Drive:
-    """Solved windows of a drive in order of time, and the update of each at the same index.
-
-    unsolved: ids of windows that could not be solved. losses: one line for each missing part.
-    """
-
-    windows: list[WindowRecord] = field(default_factory=list)
-    updates: list[LocalizerUpdate] = field(default_factory=list)
-    trajectory: Trajectory | None = None
-    unsolved: list[int] = field(default_factory=list)
-    losses: list[str] = field(default_factory=list)
-
-
 def gather(recording: Recording, config: Config, say: Callable[[str], None]) -> Drive:
-    """Return the placed windows of a recording, computed again where `record` did not finish."""
+    """Return the placed windows of a recording, solved where `record` did not do it.
+
+    These are windows without a sub-map, and those matched before the kit was known.
+    """
     records = {record.submap_id: record for record in recording.windows()}
-    drive = _logged(recording, records)
-    if drive is None:
-        if not records and not len(recording.frame_times(Eye.PRIMARY)):
+    if not records:
+        if not len(recording.frame_times(Eye.PRIMARY)):
             return Drive()
-        if not records:
-            say("the recording holds no windows: selecting keyframes again")
-        drive = _recompute(recording, records, config, say)
-    return drive
+        say("the recording holds no windows: selecting keyframes again")
+        return _recompute(recording, records, config, say)
+    logged = _logged(recording, records)
+    if logged.complete and not due(records, logged):
+        return logged.drive(records)
+    # the kit file may already contain the evidence of this drive
+    config = merge(config, {"backbone": {"kit_file": ""}})
+    backbone = open_backbone(config)
+    # sections V-A and V-B learn from the images of every window
+    restores = isinstance(backbone, ResolvingBackbone) and config.correction.apply != "always"
+    if logged.updates and restores:
+        localizer = Localizer(config, backbone)
+        return completed(recording, config, records, logged, localizer, say)
+    if logged.complete:
+        return logged.drive(records)
+    return _recompute(recording, records, config, say)
 
 
-def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | None:
-    """Return the results recorded by `record`; None if they do not cover every window."""
+def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Logged:
     status: dict[str, object] = {}
     for message in recording.json_messages(STATUS):
         status = message if "finished" in message else status
@@ -73,59 +70,23 @@ def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Drive | N
         last[update.submap.id] = update
         pieces.append(update.trajectory)
     ids = status.get("unsolved_windows")
-    unsolved = [int(i) for i in ids] if isinstance(ids, list) else []
+    unsolved = {int(i) for i in ids} if isinstance(ids, list) else set()
     # a restarted estimator has a new world frame, unrelated to the earlier one
-    if status.get("estimator_restarts") or not (status.get("finished") and records):
-        return None
-    if set(records) - set(last) - set(unsolved):
-        return None
-    solved = sorted(set(records) & set(last))
-    updates = [_final(first[i], last[i]) for i in solved]
-    return Drive([records[i] for i in solved], updates, folded(pieces), unsolved=unsolved)
+    finished = bool(status.get("finished")) and not status.get("estimator_restarts")
+    updates = {i: _final(first[i], last[i]) for i in sorted(set(records) & set(last))}
+    complete = finished and not set(records) - set(updates) - unsolved
+    return Logged(updates, folded(pieces), finished, complete)
 
 
 def _final(first: LocalizerUpdate, last: LocalizerUpdate) -> LocalizerUpdate:
     """Combine the first and the last update of a sub-map.
 
-    Only the first has the landmarks; they are moved to the poses and cameras of the last.
+    Only the first has the landmarks, unless the window was solved again from its pictures; they are
+    moved to the poses and cameras of the last.
     """
-    prediction = with_poses(first.prediction, last.submap.cameras_raw, last.submap.T_s_c_raw)
+    solved = last.prediction if last.prediction.landmarks is not None else first.prediction
+    prediction = with_poses(solved, last.submap.cameras_raw, last.submap.T_s_c_raw)
     return replace(last, prediction=prediction, stage_ms=first.stage_ms)
-
-
-def with_poses(prediction: Prediction, cameras: tuple[Camera, ...], T_s_c: Float) -> Prediction:
-    """Move a prediction to other cameras and poses T_s_c (N, 4, 4) of its views.
-
-    Landmarks are triangulated again; depth is dropped, since it belongs to the old poses.
-    """
-    if prediction.cameras == cameras and np.array_equal(prediction.T_s_c, T_s_c):
-        return prediction
-    marks = prediction.landmarks
-    if marks is not None:
-        marks = replace(marks, points_s=triangulated(marks, cameras, T_s_c))
-    return replace(
-        prediction, cameras=cameras, T_s_c=T_s_c, landmarks=marks, depth=None, confidence=None
-    )
-
-
-def triangulated(marks: Landmarks, cameras: Sequence[Camera], T_s_c: Float) -> Float:
-    """Triangulate landmarks again: points (M, 3) closest to the rays of their observations.
-
-    cameras, T_s_c (N, 4, 4): of all N views. Points with parallel rays are left unchanged.
-    """
-    uv = marks.uv.astype(np.float64)
-    rays = back_project_each(cameras, marks.view, uv, np.ones(len(uv)))
-    d = (T_s_c[marks.view, :3, :3] @ rays[..., None])[..., 0]
-    d /= np.linalg.norm(d, axis=-1, keepdims=True)
-    across = np.eye(3) - d[:, :, None] * d[:, None, :]
-    A = np.zeros((len(marks.points_s), 3, 3))
-    b = np.zeros((len(marks.points_s), 3))
-    np.add.at(A, marks.index, across)
-    np.add.at(b, marks.index, (across @ T_s_c[marks.view, :3, 3, None])[..., 0])
-    points = np.array(marks.points_s)
-    fixed = np.linalg.eigvalsh(A)[:, 0] > 1e-6
-    points[fixed] = np.linalg.solve(A[fixed], b[fixed][..., None])[..., 0]
-    return points
 
 
 def _recompute(
@@ -134,7 +95,6 @@ def _recompute(
     config: Config,
     say: Callable[[str], None],
 ) -> Drive:
-    # the kit file may already contain the evidence of this drive
     config = merge(config, {"backbone": {"kit_file": ""}})
     localizer = Localizer(config, open_backbone(config))
     drive = Drive()

@@ -28,3 +28,32 @@ def test_serve_ends_with_the_parent() -> None:
     ours, theirs = Pipe()
     ours.close()
     serve(theirs, Stop, lambda message: message)
+
+
+def test_an_idle_child_works_until_a_message_comes() -> None:
+    ours, theirs = Pipe()
+    met: list[str] = []
+
+    def idle() -> bool:
+        met.append("idle")
+        if met.count("idle") == 3:
+            ours.send(1)
+            ours.send(Stop())
+        return True
+
+    serve(theirs, Stop, lambda message: met.append(f"handle {message}"), idle=idle)
+    assert met == ["idle", "idle", "idle", "handle 1"]
+
+
+def test_an_idle_child_waits_once_nothing_is_left() -> None:
+    ours, theirs = Pipe()
+    calls: list[bool] = []
+
+    def idle() -> bool:
+        calls.append(len(calls) < 2)
+        if not calls[-1]:
+            ours.send(Stop())
+        return calls[-1]
+
+    serve(theirs, Stop, lambda message: message, idle=idle)
+    assert calls == [True, True, False]

@@ -5,14 +5,15 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from calm_edge.config import Config
 from calm_edge.daemon import estimator_link
 from calm_edge.daemon.estimator_link import IN_TIME_S, INBOX_WINDOWS, EstimatorLink
-from calm_edge.daemon.messages import Expect, LeftOut, Process, Processed, Ready
-from calm_edge.types import Keyframe, SubmapWindow
+from calm_edge.daemon.messages import Expect, Finished, LeftOut, Process, Processed, Ready
+from calm_edge.types import Keyframe, Metre, Submap, SubmapWindow
 from device.frame import Eye, Frame
 
 S = 1_000_000_000
@@ -193,3 +194,15 @@ def test_the_stamps_of_windows_that_exceed_the_queue_are_sent(make_bench: MakeBe
     assert bench.link.left_to_map == [INBOX_WINDOWS + 1, INBOX_WINDOWS + 2]
     bench.answer()
     assert [w.submap_id for w in bench.handed[-1].left_out] == bench.link.left_to_map
+
+
+def test_a_window_solved_at_last_is_not_unsolved(make_bench: MakeBench) -> None:
+    bench = make_bench(lockstep=True)
+    bench.windows(3)
+    for _ in range(3):
+        bench.answer()
+    assert bench.link.unsolved == [0, 1, 2]
+    submap = Mock(spec=Submap)
+    submap.id = 1
+    bench.link.accept(Finished((submap,), None, Metre()))
+    assert bench.link.unsolved == [0, 2] and bench.link.solved_late == 1

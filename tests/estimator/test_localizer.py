@@ -305,6 +305,9 @@ class Converging(ScriptedBackbone):
         late = hints.t_ns[0] > START_NS + 20 * PERIOD_NS
         return self._seen(super().infer(images, hints), hints, 0.0 if late else self.WRONG)
 
+    def kit_sigma(self, hints):
+        return np.array([0.0, 0.0])
+
     def resolve(self, prediction, hints):
         assert prediction.depth is None
         assert hints.kit is not None

@@ -41,10 +41,7 @@ FOCAL_FLOOR = 0.015
 # either pass stops; the first is only a start and need not be as exact.
 ROBUST_SCALES = (2.0, 0.5)
 TOLERANCES = (1e-3, 1e-4)
-# Largest sigmas of the rig's rotation and of the log focals at which they count as known. Else
-# FOCAL_GUESSES times the prior's focals are tried.
-RIG_KNOWN_RAD = 0.02
-FOCAL_KNOWN = 0.05
+# Unless the kit is known (layout.KIT_KNOWN), FOCAL_GUESSES times the prior's focals are tried.
 FOCAL_GUESSES = (1.0, 1.25, 0.75)
 GUESS_ITERATIONS = 15
 GUESS_POINTS = 200
@@ -118,15 +115,22 @@ class BundleBackbone:
             return loop_view.with_loop(images, hints, alone)
         cv2.setRNGSeed(self._seed)
         belief = kit_belief(hints)
-        sigma = _sigma(belief)
-        rig_known = bool(sigma[layout.RIG_ROTATION].max() < RIG_KNOWN_RAD)
-        known = rig_known and bool(sigma[layout.LOG_FOCAL].max() < FOCAL_KNOWN)
+        sigma = self.kit_sigma(hints)
+        rig_known, known = (
+            bool(sigma[0] < layout.RIG_KNOWN_RAD),
+            bool(np.all(sigma < layout.KIT_KNOWN)),
+        )
         with _solvable():
             m = window.measure(images, hints, belief.mean, rig_known, self._matching)
             ties = rig_ties(m)
             start = _first_guess(m, ties, belief, known)
             solved = _prediction(m, belief, *_solve(start, m, ties, belief))
-        return replace(solved, notices=self._notices)
+        return replace(solved, kit_sigma=sigma, notices=self._notices)
+
+    def kit_sigma(self, hints: Hints) -> Float:
+        """Sigmas (2,) of the rig's rotation [rad] and of the log focals under `hints.kit`."""
+        sigma = _sigma(kit_belief(hints))
+        return np.array([sigma[layout.RIG_ROTATION].max(), sigma[layout.LOG_FOCAL].max()])
 
     def resolve(self, prediction: Prediction, hints: Hints) -> Prediction:
         """Solve the views again from the prediction's landmarks; raises BackboneError.
@@ -140,7 +144,8 @@ class BundleBackbone:
         m, start = window.from_prediction(prediction, hints, belief.mean)
         ties = rig_ties(m)
         with _solvable():
-            return _prediction(m, belief, *_solve(start, m, ties, belief))
+            solved = _prediction(m, belief, *_solve(start, m, ties, belief))
+        return replace(solved, kit_sigma=prediction.kit_sigma)
 
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
