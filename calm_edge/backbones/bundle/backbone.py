@@ -183,6 +183,11 @@ def _untempered(belief: KitBelief) -> KitBelief:
     return KitBelief(belief.mean, belief.information / TEMPERING)
 
 
+def _prior(belief: KitBelief, ties: RigTies) -> KitBelief:
+    """Prior on the kit that a window with these ties is solved with."""
+    return layout.with_time_jitter(_untempered(belief), stamps.common_sigma_s(ties))
+
+
 @contextmanager
 def _solvable() -> Iterator[None]:
     """Translate failures of numpy and OpenCV to BackboneError."""
@@ -204,10 +209,10 @@ def _solve(
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
     for robust_scale, tolerance, timed in passes:
         timed_ties = timed(ties, start)
-        prior = layout.with_time_jitter(_untempered(belief), stamps.common_sigma_s(timed_ties))
         solution = solve(
-            start, m, timed_ties, prior, robust_scale=robust_scale, tolerance=tolerance
-        )
+            start, m, timed_ties, _prior(belief, timed_ties),
+            robust_scale=robust_scale, tolerance=tolerance,
+        )  # fmt: skip
         start = solution.state
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
@@ -277,6 +282,8 @@ def _prediction(
     assert joint is not None
     sigma = np.hypot(_sigma(joint)[layout.LOG_FOCAL], FOCAL_FLOOR)
     cameras = [lens.pinhole for lens in layout.cameras(state.theta, m.size)]
+    prior = _prior(belief, ties)
+    known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], TEMPERING)
     return Prediction(
         cameras=tuple(cameras[eye] for eye in m.eye),
         T_s_c=se3.inverse(state.T_c_s),
@@ -285,7 +292,5 @@ def _prediction(
         kit=evidence,
         assistant_late_s=float(state.theta[layout.TIME_OFFSET]),
         stamps_off_s=ties.late_s if ties.late_s.any() else None,
-        scale_log_sigma=posterior.scale_log_sigma(
-            solution, m, ties, belief, ROBUST_SCALES[-1], TEMPERING
-        ),
+        scale_log_sigma=known.scale_log_sigma(state, m),
     )

@@ -52,6 +52,12 @@ def grouped(key: Int) -> Groups:
     return Groups(order, starts, key[order][starts])
 
 
+def unknowns(m: Measurements) -> Int:
+    """Indices (C, 6 + optics) in H of each view's pose and its eye's optics."""
+    optics = 6 * m.n_views + layout.OPTICS[m.eye]
+    return np.concatenate([6 * np.arange(m.n_views)[:, None] + np.arange(6), optics], 1)
+
+
 @dataclass(frozen=True, slots=True)
 class Structure:
     """Sparsity of a window's normal equations, constant while it is solved.
@@ -65,18 +71,17 @@ class Structure:
     views: tuple[slice, ...]
     by_point: Groups
     by_point_and_eye: Groups
-    rows: Int  # (C, 6 + 4): of each of C views, the indices in H of its pose and its eye's optics
+    rows: Int  # `unknowns`
     cross: Int
 
     @classmethod
     def of(cls, m: Measurements, n_points: int) -> Structure:
         bounds = np.searchsorted(m.view, np.arange(m.n_views + 1))
-        optics = 6 * m.n_views + layout.OPTICS[m.eye]
         return cls(
             tuple(slice(first, last) for first, last in pairwise(bounds)),
             grouped(m.point),
             grouped(2 * m.point + m.eye[m.view]),
-            np.concatenate([6 * np.arange(m.n_views)[:, None] + np.arange(6), optics], 1),
+            unknowns(m),
             (18 * m.view + np.arange(18)[:, None]) * n_points + m.point,
         )
 
@@ -155,6 +160,15 @@ def normal_equations(
     H -= flat @ flat.T
     g -= flat @ gradient.reshape(-1)
 
+    by_ties = tie_equations(state, m, ties)
+    return Normal(H + by_ties[0], g + by_ties[1], root, cross, gradient)
+
+
+def tie_equations(state: State, m: Measurements, ties: RigTies) -> tuple[Float, Float]:
+    """Part of the normal equations that comes from the rig ties alone."""
+    n_views = m.n_views
+    D = 6 * n_views + layout.SIZE
+    H, g = np.zeros((D, D)), np.zeros(D)
     if len(ties.alpha):
         residual, J = tie_jacobians(state, ties)
         views = np.stack([ties.before, ties.after, ties.assistant], 1)
@@ -169,4 +183,4 @@ def normal_equations(
         J_t = J.transpose(0, 2, 1)
         _scatter(H, tie_rows, J_t @ J)
         np.add.at(g, tie_rows, (J_t @ residual[..., None])[..., 0])
-    return Normal(H, g, root, cross, gradient)
+    return H, g

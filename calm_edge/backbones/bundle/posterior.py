@@ -1,64 +1,164 @@
-"""Posterior sigma of a solved window's scale, given the spacing between the cameras."""
+"""Covariance of a solved window's poses and kit, and the sigma of its scale.
+
+The inverse Hessian is no covariance here: errors along a track are correlated, the sigmas of the
+matches are no more than weights, and the kernel is robust. So the covariance is A^-1 B A^-1 of an
+M-estimator (Huber, Robust Statistics, 1981, chapter 6), clustered by track (Liang and Zeger,
+Longitudinal Data Analysis Using Generalized Linear Models, 1986): A is the derivative of the
+gradient that the solver makes zero, and B the gradient's covariance, a sum over
+
+- tracks: the outer product of each track's own part of the gradient;
+- an error that all matches across the cameras share;
+- the rig ties, which have the sigmas that they claim;
+- the prior on the kit.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from calm_edge.backbones.bundle.normal_equations import Structure, normal_equations
-from calm_edge.backbones.bundle.problem import Measurements, RigTies, State
-from calm_edge.backbones.bundle.solver import Solution, fix_spacing, robust_weights
+from calm_edge.backbones.bundle.normal_equations import (
+    Normal,
+    Structure,
+    normal_equations,
+    tie_equations,
+    unknowns,
+)
+from calm_edge.backbones.bundle.problem import (
+    Measurements,
+    ReprojectionJacobians,
+    RigTies,
+    State,
+    project,
+    reprojection,
+    tangent_basis,
+)
+from calm_edge.backbones.bundle.solver import Solution, add_priors, robust_weights
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
-from calm_edge.types import Float, KitBelief
+from calm_edge.types import Float, Int, KitBelief
 
+# Tracks on one surface share errors: as many as this count as one observation.
+TRACKS_ALIKE = 4.0
+# Matches across the cameras are biased towards the near where foreground and background share a
+# patch: common error of near points against far ones, as a share of the window's median residual.
+# It is in full at a parallax of NEAR_PX.
+COMMON_SHARE = 0.3
+NEAR_PX = 1.0
 # Keeps the information regular where a pose is all but free [1 / spacings^2, 1 / rad^2].
 _FLOOR = 1e-9
 
 
-def scale_log_sigma(
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """Covariance (D, D) of a window's unknowns: 6 for each of its C views, then the kit.
+
+    Of a view (translation [spacings], rotation [rad]) in its own axes, relative to view 0; of the
+    kit as in kit/layout.py. The spacing is one.
+    """
+
+    covariance: Float
+
+    def of_views(self, views: Int) -> Float:
+        """Covariance (6 V, 6 V) of the poses of views (V,)."""
+        rows = (6 * np.asarray(views)[:, None] + np.arange(6)).ravel()
+        return np.asarray(self.covariance[np.ix_(rows, rows)])
+
+    def scale_log_sigma(self, state: State, m: Measurements) -> float:
+        """Sigma of the log of the primary's path length in spacings; inf if it did not move.
+
+        Noise makes a path longer, at standstill it is all of it. So the sigma is divided by the
+        share of the steps' squared lengths that exceeds their variance.
+        """
+        step, by_pose = _steps(state, m)
+        J = by_pose.reshape(-1, by_pose.shape[-1])
+        covariance = J @ self.covariance[: J.shape[1], : J.shape[1]] @ J.T
+        length = np.linalg.norm(step, axis=1)
+        energy = max(float(length @ length), 1e-12)
+        along = (step / np.maximum(length, 1e-12)[:, None]).ravel()
+        share = 1 - float(np.trace(covariance)) / energy
+        if share <= 0:
+            return float(np.inf)
+        return float(np.sqrt(along @ covariance @ along) / length.sum() / share)
+
+
+def posterior(
     solution: Solution,
     m: Measurements,
     ties: RigTies,
-    belief: KitBelief,
+    prior: KitBelief,
     robust_scale: float,
     tempering: float,
-) -> float:
-    """Sigma of the log of the primary's path length in spacings; inf if it did not move.
+) -> Posterior:
+    """Covariance of a window's solution.
 
-    Poses, points and kit are marginalised out. belief: on the kit, as in the window's solution.
-    tempering: factor on the information of the pixels, whose errors are correlated.
-
-    Noise makes a path longer, at standstill it is all of it. So the sigma is divided by the share
-    of the steps' squared lengths that exceeds their variance.
+    prior, robust_scale: as given to `solve`. tempering: the prior's covariance is that of
+    tempering * prior.information, since `solve` gives pixels too much weight.
     """
-    state = solution.state
+    state, n_points = solution.state, len(solution.state.points)
+    jac = reprojection(state, m, tangent_basis(state.points))
     weight = robust_weights(solution.residual, robust_scale)
-    normal = normal_equations(state, m, ties, Structure.of(m, len(state.points)), weight, 0.0)
-    H = tempering * normal.H
-    H[-layout.SIZE :, -layout.SIZE :] += belief.information
-    fix_spacing(H, state.theta, layout.SPACING_SIGMA)
-    free = H[6:, 6:] + _FLOOR * np.eye(len(H) - 6)
-    step, by_pose = _steps(state, m)
-    J = by_pose[..., 6 : 6 * m.n_views].reshape(-1, 6 * m.n_views - 6)
-    covariance = J @ np.linalg.inv(free)[: J.shape[1], : J.shape[1]] @ J.T
-    length = np.linalg.norm(step, axis=1)
-    along = (step / np.maximum(length, 1e-12)[:, None]).reshape(-1)
-    energy = float(length @ length)
-    share = 1 - float(np.trace(covariance)) / max(energy, 1e-12)
-    if share <= 0:
-        return float(np.inf)
-    return float(np.sqrt(along @ covariance @ along) / length.sum() / share)
+    # The mean over directions of the derivative of weight times residual, for Cauchy's kernel
+    slope = weight**2
+    bare = normal_equations(state, m, ties, Structure.of(m, n_points), slope, 0.0)
+    A = add_priors(bare, state, prior)[0]
+
+    error = (jac.predicted - m.uv).T
+    tracks = _gradients(m, jac, bare, weight * error)
+    common = _gradients(m, jac, bare, slope * _common_error(solution, m).T).sum(1)
+    B = TRACKS_ALIKE * tracks @ tracks.T + np.outer(common, common)
+    B += tie_equations(state, m, ties)[0]
+    B[-layout.SIZE :, -layout.SIZE :] += prior.information / tempering
+
+    covariance = np.zeros_like(A)
+    inverse = np.linalg.inv(A[6:, 6:] + _FLOOR * np.eye(len(A) - 6))
+    covariance[6:, 6:] = inverse @ B[6:, 6:] @ inverse
+    return Posterior(covariance)
+
+
+def _gradients(m: Measurements, jac: ReprojectionJacobians, normal: Normal, error: Float) -> Float:
+    """Each track's part (D, M) of the gradient, its point eliminated.
+
+    error: (2, O) px, times the weights.
+    """
+    D, n_points = len(normal.g), normal.root.shape[0]
+    whiten = jac.in_front / m.sigma_px**2
+    by_camera = np.einsum("iko,ko->io", jac.camera, error * whiten)
+    by_point = np.einsum("iko,ko->io", jac.point, error * whiten)
+    rows = unknowns(m)[m.view].T
+    out = np.zeros((D, n_points))
+    np.add.at(out, (rows, m.point), by_camera)
+    own = np.stack([np.bincount(m.point, part, n_points) for part in by_point])
+    return np.asarray(
+        out - np.einsum("dkm,mjk,jm->dm", normal.cross, normal.root, own, optimize=True)
+    )
+
+
+def _common_error(solution: Solution, m: Measurements) -> Float:
+    """One sigma (O, 2) px of the error that all matches across the cameras share."""
+    state, assistant = solution.state, np.flatnonzero(m.eye == 1)
+    # the assistant's views moved to the primary's centre: what is left of the parallax is none
+    rig = layout.rig(state.theta)
+    turned = rig.copy()
+    turned[:3, 3] = 0
+    T_c_s = state.T_c_s.copy()
+    T_c_s[assistant] = se3.inverse(turned) @ rig @ T_c_s[assistant]
+    far = State(T_c_s, state.points, state.theta)
+    parallax = project(state, m)[0] - project(far, m)[0]
+    length = np.maximum(np.linalg.norm(parallax, axis=1), 1e-9)
+    size = COMMON_SHARE * float(np.median(solution.residual * m.sigma_px))
+    return np.asarray(parallax * (size / np.maximum(length, NEAR_PX))[:, None])
 
 
 def _steps(state: State, m: Measurements) -> tuple[Float, Float]:
     """Steps (S, 3) between the primary's centres [spacings], and derivatives (S, 3, 6 C).
 
-    By a step of T_c_s from the left, (translation, rotation), of each of the C views.
+    By a motion (translation, rotation) of each of the C views in its own axes.
     """
     (primary,) = np.nonzero(m.eye == 0)
     T_s_c = se3.inverse(state.T_c_s[primary])
     by_view = np.zeros((len(primary), 3, m.n_views, 6))
-    # T_c_s -> exp(d) T_c_s moves the centre by -R_s_c d_translation; a rotation leaves it
-    by_view[np.arange(len(primary)), :, primary, :3] = -T_s_c[:, :3, :3]
+    by_view[np.arange(len(primary)), :, primary, :3] = T_s_c[:, :3, :3]
     flat = by_view.reshape(len(primary), 3, -1)
     return np.diff(T_s_c[:, :3, 3], axis=0), np.diff(flat, axis=0)

@@ -61,7 +61,8 @@ def total_cost(
     return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off)
 
 
-def _add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, Float]:
+def add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, Float]:
+    """Add the prior on the kit and the gauge to the reduced normal equations H, g."""
     H, g = normal.H.copy(), normal.g.copy()
     k = slice(len(g) - layout.SIZE, len(g))
     H[k, k] += prior.information
@@ -112,7 +113,7 @@ def solve(
     for _ in range(max_iterations):
         weight = robust_weights(whitened_lengths(state, m), robust_scale)
         normal = normal_equations(state, m, ties, structure, weight, damping)
-        H, g = _add_priors(normal, state, prior)
+        H, g = add_priors(normal, state, prior)
         H[np.diag_indices_from(H)] *= 1 + damping
         free = slice(6, len(g))
         delta = np.zeros(len(g))
