@@ -186,6 +186,7 @@ class Submap:
     assistant_late_ns: time offset, how much later than its stamp the assistant is exposed.
     stamps_off_ns: (A,) additional offset of each assistant view, or None.
     scale_log_sigma: sigma of the log of the sub-map's length, given the spacing; inf if unknown.
+    kit_epoch: how often the kit had changed before it in this drive, e.g. by a mount that slipped.
     """
 
     id: int
@@ -203,6 +204,7 @@ class Submap:
     assistant_late_ns: int = 0
     stamps_off_ns: Int | None = None
     scale_log_sigma: float = np.inf
+    kit_epoch: int = 0
 
     @property
     def n_primary(self) -> int:

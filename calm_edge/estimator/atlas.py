@@ -62,7 +62,9 @@ class Atlas:
 
     @property
     def T_p_a(self) -> Float:
-        """Rig (4, 4), assistant->primary, world units; identity before the first sub-map."""
+        """Newest rig (4, 4), assistant->primary, world units; identity before the first sub-map."""
+        if self._submaps and self._submaps[-1].kit_epoch:
+            return _own_rig(self._submaps[-1])
         return self._graph.T_p_a
 
     def skip(self, window: SkippedWindow) -> None:
@@ -87,7 +89,10 @@ class Atlas:
         else:
             T_w_s = scale.placement(self._bridge(submap)[None], T_s_p[:1])
         if not len(graph):
-            graph.set_rig_prior(se3.mean(scale.rig_samples(t_p, T_s_p, t_a, T_s_a)))
+            graph.set_rig_prior(_own_rig(submap))
+        if submap.kit_epoch:
+            # the graph has one rig, that of the first epoch: where the assistant would have been
+            T_s_a = T_s_a @ se3.inverse(_own_rig(submap)) @ graph.T_p_a
         graph.add_submap(ids, T_w_s, T_s_p, *scale.resampled(t_a, T_s_a, t_p))
         if self._submaps and not common:
             graph.add_bridge(self._submaps[-1].primary_ids[-1], ids[0])
@@ -159,7 +164,7 @@ class Atlas:
 
     def _trajectory(self, ids: Int, T_w_c: Float) -> Trajectory:
         t_ns = np.fromiter((self._stamps[int(i)] for i in ids), np.int64, len(ids))
-        return Trajectory(ids, t_ns, T_w_c, self._graph.T_p_a, self.epoch)
+        return Trajectory(ids, t_ns, T_w_c, self.T_p_a, self.epoch)
 
     def _bridge(self, submap: Submap) -> Float:
         """Predict T_w_f (4, 4) of a sub-map's first frame if none of its frames has a pose.
@@ -182,6 +187,13 @@ class Atlas:
             return T_last
         step = se3.inverse(self._graph.pose(ids[0])) @ T_last
         return np.asarray(T_last @ se3.exp(se3.log(step) * moving_s / step_s))
+
+
+def _own_rig(submap: Submap) -> Float:
+    """Mean T_p_a (4, 4) of a sub-map's views, world units."""
+    primary, assistant = np.split(_rig_views(submap), [submap.n_primary])
+    t_ns, T = submap.exposed_ns, submap.T_s_c
+    return se3.mean(scale.rig_samples(t_ns[primary], T[primary], t_ns[assistant], T[assistant]))
 
 
 def _rig_views(submap: Submap) -> Int:

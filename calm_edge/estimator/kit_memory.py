@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -44,17 +45,50 @@ class KitMemory:
         self.prior: KitBelief | None = None
         self._evidence: dict[int, KitBelief] = {}
         self._total: KitBelief | None = None
+        # epochs of the kit: the sub-map each begins with, and what it takes over from the last one
+        self._begins: list[int] = [0]
+        self._carried: list[KitBelief | None] = [None]
         self._windows: dict[int, _Window] = {}
 
     def evidence(self, without: int | None = None) -> KitBelief | None:
-        """Product of the evidence of all windows, or of all except sub-map `without`."""
-        if without not in self._evidence:
+        """Product of the evidence of the newest epoch of the kit.
+
+        Or of that of sub-map `without`, except its own.
+        """
+        if without is None:
             return self._total
-        return product([kit for key, kit in self._evidence.items() if key != without])
+        epoch = self.epoch(without)
+        if without not in self._evidence and epoch == self.epoch(None):
+            return self._total
+        return self._of_epoch(epoch, without)
 
     def belief(self, without: int | None = None) -> KitBelief | None:
-        """Product of the prior and `evidence(without)`."""
-        return product([self.prior, self.evidence(without)])
+        """Product of `evidence(without)` and of the prior, which holds for the first epoch."""
+        prior = self.prior if self.epoch(without) == 0 else None
+        return product([prior, self.evidence(without)])
+
+    def begin_epoch(self, submap_id: int, carried: KitBelief | None) -> None:
+        """Collect the evidence from a sub-map on separately: the kit has changed before it.
+
+        carried: what holds of the kit before; its evidence is no longer used.
+        """
+        self._begins.append(submap_id)
+        self._carried.append(carried)
+        self._total = self._of_epoch(self.epoch(None))
+
+    def epoch(self, submap_id: int | None) -> int:
+        """Number of the epoch of a sub-map, None for the newest one."""
+        if submap_id is None:
+            return len(self._begins) - 1
+        return bisect_right(self._begins, submap_id) - 1
+
+    def _of_epoch(self, epoch: int, without: int | None = None) -> KitBelief | None:
+        own = [
+            kit
+            for key, kit in self._evidence.items()
+            if key != without and self.epoch(key) == epoch
+        ]
+        return product([self._carried[epoch], *own])
 
     def add(self, submap_id: int, prediction: Prediction, hints: Hints) -> None:
         """Collect the kit evidence of a solved window, and keep the window to solve it again.
@@ -63,10 +97,11 @@ class KitMemory:
         """
         if submap_id in self._evidence:
             del self._evidence[submap_id]
-            self._total = product(self._evidence.values())
+            self._total = self._of_epoch(self.epoch(None))
         if prediction.kit is not None:
             self._evidence[submap_id] = prediction.kit
-            self._total = product([self._total, prediction.kit])
+            if self.epoch(submap_id) == self.epoch(None):
+                self._total = product([self._total, prediction.kit])
         if not isinstance(self._backbone, ResolvingBackbone):
             return
         light = replace(prediction, depth=None, confidence=None)
@@ -104,7 +139,8 @@ class KitMemory:
         return [
             submap_id
             for submap_id, window in self._windows.items()
-            if np.any(known & (np.abs(newest.log_focal - window.log_focal) > FOCAL_MOVED))
+            if self.epoch(submap_id) == self.epoch(None)
+            and np.any(known & (np.abs(newest.log_focal - window.log_focal) > FOCAL_MOVED))
         ]
 
     def resolve(self, submap_ids: Iterable[int]) -> dict[int, Prediction]:
@@ -129,7 +165,7 @@ class KitMemory:
         for submap_id, prediction in solved.items():
             if prediction.kit is not None:
                 self._evidence[submap_id] = prediction.kit
-        self._total = product(self._evidence.values())
+        self._total = self._of_epoch(self.epoch(None))
         return solved
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
@@ -23,10 +23,12 @@ from calm_edge.estimator import scale, window_submap
 from calm_edge.estimator.atlas import Atlas, SkippedWindow
 from calm_edge.estimator.held_windows import HeldWindows, unsettled
 from calm_edge.estimator.kit_memory import KitMemory
+from calm_edge.estimator.kit_watch import KitWatch, Slip, Suspect
 from calm_edge.estimator.metre import DriveMetre
 from calm_edge.estimator.rectifier import Rectifier
 from calm_edge.estimator.replacement import Replacement
 from calm_edge.geometry import se3
+from calm_edge.kit import change, layout
 from calm_edge.kit.prior import KitPrior
 from calm_edge.loops.descriptor import descriptor_of
 from calm_edge.loops.finder import LoopCandidate, LoopFinder, PlaceLoops
@@ -114,6 +116,7 @@ class Localizer:
         self._again: set[int] = set()
         self._restored: set[int] = set()
         self._told_epoch = 0
+        self._watch = KitWatch()
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
@@ -150,8 +153,9 @@ class Localizer:
         """Process a window; None if it could not be reconstructed (see `skipped`)."""
         atlas, stage_ms = self._atlas, dict[str, float]()
         sigma = self.kit_sigma(window.submap_id)
+        evidence = self._memory.evidence()
         try:
-            solved = self._reconstructed(window, stage_ms)
+            solved, suspected = self._solved(window, stage_ms)
         except (BackboneError, scale.ScaleError, UnreadableImage) as error:
             self._skip(window, str(error))
             if sigma is not None:
@@ -163,11 +167,20 @@ class Localizer:
             if self._loops is not None:
                 self._loops.remember(window)
         with _timed(stage_ms, "resolve"):
-            self._memory.add(window.submap_id, prediction, solved.hints)
+            lines = prediction.notices
+            if suspected and evidence is not None:
+                # its evidence counts only if the kit has changed
+                self._memory.add(window.submap_id, replace(prediction, kit=None), solved.hints)
+                stamp = int(solved.submap.t_ns[0])
+                suspect = Suspect(window.submap_id, stamp, prediction, solved.hints)
+                slip = self._watch.suspect(suspect, evidence)
+                lines += () if slip is None else self._slipped(slip)
+            else:
+                self._memory.add(window.submap_id, prediction, solved.hints)
             if sigma is not None and unsettled(prediction):
                 self._held.hold(window, sigma)
-            changed = self._kit_prior.contradicted(self._memory.evidence())
-            notices = self._new_notices((*prediction.notices, *changed))
+            lines += self._kit_prior.contradicted(self._memory.evidence())
+            notices = self._new_notices(lines)
             self._memory.prior = self._kit_prior.belief
             self._stale |= solved.recalibrated
             grown = len(atlas) >= REPLACE_GROWTH * self._n_replaced
@@ -262,6 +275,8 @@ class Localizer:
         hints: for solving it again. final: `finish` has been called since it was solved. Only for a
         backbone that estimates the kit: the intrinsic search learns nothing from it.
         """
+        if update.submap.kit_epoch > self._memory.epoch(None):
+            self._memory.begin_epoch(update.submap.id, None)
         self._atlas.add(self._rectifier.rectify(update.submap))
         self._memory.add(update.submap.id, update.prediction, hints)
         if update.loop is not None:
@@ -304,6 +319,56 @@ class Localizer:
         """All primary keyframes that have a pose, sorted by id."""
         return self._atlas.trajectory()
 
+    def _solved(
+        self, window: SubmapWindow, stage_ms: dict[str, float]
+    ) -> tuple[Reconstruction, bool]:
+        """Solve a window, with the rig free if it does not fit the belief on the kit.
+
+        Returns whether it contradicts the belief. Raises as `_reconstructed`.
+        """
+        sigma, evidence = self.kit_sigma(window.submap_id), self._memory.evidence()
+        belief = self._memory.belief()
+        if sigma is None or sigma[0] >= layout.RIG_KNOWN_RAD or belief is None:
+            return self._reconstructed(window, stage_ms), False
+        solved, failure = None, BackboneError("")
+        try:
+            solved = self._reconstructed(window, stage_ms)
+        except BackboneError as error:
+            failure = error
+        if solved is None or not KitWatch.fits(evidence, solved.prediction):
+            with suppress(BackboneError, scale.ScaleError):
+                free = self._reconstructed(window, stage_ms, kit=change.without_rig(belief))
+                if free.prediction.kit is not None:
+                    if not KitWatch.fits(evidence, free.prediction):
+                        return free, True
+                    solved = free
+        if solved is None:
+            raise failure
+        if solved.prediction.kit is not None:
+            self._watch.acquit()
+        return solved, False
+
+    def _slipped(self, slip: Slip) -> tuple[str, ...]:
+        """Begin a new epoch of the kit; return the line for the user."""
+        first = slip.suspects[0]
+        self._memory.begin_epoch(first.submap_id, slip.carried)
+        for suspect in slip.suspects:
+            self._memory.add(suspect.submap_id, suspect.prediction, suspect.hints)
+            self._again.add(suspect.submap_id)
+        self._kit_prior.forget()
+        epoch = self._memory.epoch(None)
+        self._begin_replacement(
+            [
+                replace(s, kit_epoch=epoch if s.id >= first.submap_id else s.kit_epoch)
+                for s in self._sources()
+            ]
+        )
+        after_s = (first.t_ns - int(self._atlas.submaps[0].t_ns[0])) // 1_000_000_000
+        when = f"{after_s // 60}:{after_s % 60:02d}"
+        return (
+            f"the kit changed {when} into the drive: {slip.text}; it is learned again from there",
+        )
+
     def _reconstructed(
         self,
         window: SubmapWindow,
@@ -311,10 +376,11 @@ class Localizer:
         *,
         known: bool = False,
         loops: bool = True,
+        kit: KitBelief | None = None,
     ) -> Reconstruction:
         """Solve and rectify a window; raises BackboneError, ScaleError, UnreadableImage.
 
-        known: it has a sub-map already. loops: search a loop.
+        known: it has a sub-map already. loops: search a loop. kit: instead of the belief.
         """
         if self._loops is None:
             window = replace(window, loop_keyframe=None)
@@ -325,9 +391,11 @@ class Localizer:
             with _timed(stage_ms, "loop"):
                 window, images, candidate = self._with_loop(window, images)
         hints = self._hints(window, images)
+        hints = replace(hints, kit=hints.kit if kit is None else kit)
         with _timed(stage_ms, "infer"):
             prediction = self._backbone.infer(images, hints)
         raw = window_submap.raw_submap(window, hints, prediction)
+        raw = replace(raw, kit_epoch=self._memory.epoch(window.submap_id))
         recalibrated = False
         if not known:
             with _timed(stage_ms, "search"):

@@ -59,6 +59,16 @@ def faded(belief: KitBelief) -> KitBelief:
     return KitBelief(mean=belief.mean, information=kept / sigma[:, None] / sigma)
 
 
+def without_rig(belief: KitBelief) -> KitBelief:
+    """The belief on all but the rig, which is marginalised out; nothing is known of the rig."""
+    _check(belief)
+    rig = np.zeros(layout.SIZE, bool)
+    rig[layout.RIG] = True
+    others = np.eye(layout.SIZE)[:, ~rig]
+    information = others @ marginal(belief.information, others) @ others.T
+    return KitBelief(belief.mean.copy(), information)
+
+
 def described(remembered: KitBelief, evidence: KitBelief) -> tuple[str, ...]:
     """Describe what has changed, one line a part; empty if nothing has.
 

@@ -63,6 +63,10 @@ class KitPrior:
             for text in texts
         )
 
+    def forget(self) -> None:
+        """Drop the belief of earlier drives: the kit has changed since."""
+        self._remembered = None
+
     def save(self, evidence: KitBelief | None) -> None:
         """Write what all drives have observed, for the next one; failures are logged.
 

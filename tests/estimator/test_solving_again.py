@@ -10,6 +10,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.config import Config, merge
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from calm_edge.types import Hints, KitBelief
 from tests.drives import PERIOD_NS, START_NS, T_P_A, position_error, scene, windows
 
@@ -51,7 +52,7 @@ class Guided(ScriptedBackbone):
         return dataclasses.replace(
             prediction,
             T_s_c=T,
-            kit=KitBelief(np.zeros(1), np.eye(1)),
+            kit=KitBelief(np.zeros(layout.SIZE), np.eye(layout.SIZE)),
             kit_sigma=sigma,
             focal_log_sigma=np.full(len(T), 0.02),
             landmarks=None,

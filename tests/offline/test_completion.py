@@ -15,6 +15,7 @@ from calm_edge.config import Config, merge
 from calm_edge.daemon.finish import final_updates
 from calm_edge.daemon.messages import Finished
 from calm_edge.estimator.localizer import Localizer
+from calm_edge.kit import layout
 from calm_edge.offline import submaps
 from calm_edge.offline.submaps import gather
 from calm_edge.recording.reader import Recording
@@ -42,7 +43,7 @@ class Kit:
 
     def infer(self, images: Sequence[Any], hints: Hints) -> Prediction:
         self.inferred.append(len(images))
-        kit = KitBelief(np.zeros(1), np.eye(1))
+        kit = KitBelief(np.zeros(layout.SIZE), np.eye(layout.SIZE))
         prediction = self.scripted.infer(images, hints)
         return dataclasses.replace(prediction, kit=kit, kit_sigma=self.kit_sigma(hints))
 
