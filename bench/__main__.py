@@ -35,6 +35,7 @@ COMMANDS = {
     "honesty": ("bench.honesty", "errors over the sigmas claimed for them"),
     "spoilt": ("bench.spoilt.command", "drives that mislead: the right metre, or none"),
     "accuracy": ("bench.accuracy.command", "four conditions on three tracks, and real clips"),
+    "windows": ("bench.windows", "errors of single windows over their sigmas: scale and poses"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }

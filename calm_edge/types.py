@@ -135,6 +135,8 @@ class Prediction:
     focal_log_sigma: (N,) sigma of the log focal length; None if the model does not estimate it.
     scale_log_sigma: sigma of the log of the window's length, given the spacing between the cameras;
     None if the model does not estimate it.
+    covariance: (6 P, 6 P) of the poses of the P primary views relative to the first, (translation,
+    rotation) in each view's own axes, given the spacing, raw units and rad; or None.
     kit: evidence of this batch on the kit, without the prior in the hints; or None.
     assistant_late_s: time offset: how much later than its stamp, on the primary's clock, the
     assistant is exposed. stamps_off_s: (A,) what has to be added to that for each assistant
@@ -158,6 +160,7 @@ class Prediction:
     loop_found: bool = True
     notices: tuple[str, ...] = ()
     scale_log_sigma: float | None = None
+    covariance: Float32 | None = None
 
     def without_loop(self) -> Prediction:
         """Prediction of the window alone, without the landmarks triangulated for the loop view."""

@@ -15,6 +15,7 @@ UNKNOWN = 1.0
 
 NO_WINDOW = "no window was solved"
 STOOD = "the car stood still"
+NO_FOCAL = "the drive was too straight to show the focal lengths: drive a turn or give --hfov-deg"
 NO_PARALLAX = "the cameras show no parallax: nothing is near enough, or both see the same"
 
 
@@ -38,7 +39,11 @@ class DriveMetre:
             self._objections[cause] = reason
 
     def of(self, submaps: Sequence[Submap]) -> Metre:
-        """Metre of all sub-maps together."""
+        """Metre of all sub-maps together: sigma of the log of their joint length.
+
+        What makes a sub-map's scale wrong, the kit and the bias of the matches, is common to all;
+        so their errors add up as one, and more sub-maps do not make the sigma smaller.
+        """
         if self._objections:
             return Metre(np.inf, next(iter(self._objections.values())))
         if not submaps:
@@ -48,7 +53,11 @@ class DriveMetre:
         if length.sum() < STANDSTILL_SPACINGS * self._spacing:
             return Metre(np.inf, STOOD)
         log_sigma = float(length @ sigma / length.sum())
-        return Metre(log_sigma, "" if log_sigma <= METRIC_LOG_SIGMA else NO_PARALLAX)
+        if log_sigma <= METRIC_LOG_SIGMA:
+            return Metre(log_sigma)
+        # to first order an error of the focal is one of the parallax, and that of the scale
+        focal = max(submaps[-1].focal_log_sigma.tolist())
+        return Metre(log_sigma, NO_FOCAL if focal > log_sigma / 2 else NO_PARALLAX)
 
 
 def _length(submap: Submap) -> float:

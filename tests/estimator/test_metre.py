@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,6 +33,11 @@ def test_an_unknown_scale_has_a_reason_and_no_more_than_the_length_itself_as_sig
     held = DriveMetre(SPACING).of([submap(1.0, sigma)])
     assert not held.metric and held.reason == metre.NO_PARALLAX
     assert held.log_sigma == pytest.approx(min(sigma, 1.0))
+
+
+def test_an_unknown_focal_is_named_as_the_cause():
+    straight = replace(submap(1.0, 0.2), focal_log_sigma=np.array([0.2, 0.2]))
+    assert DriveMetre(SPACING).of([straight]).reason == metre.NO_FOCAL
 
 
 def test_a_standing_car_and_no_submap():
