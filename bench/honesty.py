@@ -63,7 +63,9 @@ def table(name: str, command: str, found: Sequence[Outcome]) -> Table:
     notes = (
         f"{len(found)} drives, {len(turning)} with more than {TURNING_DEG:g} degrees of yaw",
         f"{unknown} errors without a finite sigma are not among the n",
-        "pose over 1 s, 100 m: each axis over its own sigma; consecutive stretches",
+        "poses: each axis over its own sigma, on consecutive stretches; live ones by the published "
+        "covariances and the scale's sigma then, final ones by those of the joint graph and the "
+        "final sigmas of scale and focal",
     )
     rows = tuple(one.row() for one in (*shown, *poses))
     return Table(

@@ -19,7 +19,7 @@ import numpy as np
 
 from bench import claimed, graph_covariance, keyframe_steps, relative_poses, steps
 from bench.drives import ROOT, Prepare
-from bench.relative_poses import ScaleHistory, Stretches
+from bench.relative_poses import Common, ScaleHistory, Stretches
 from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
 from calm_edge.evaluation.trajectory import path_length
@@ -191,7 +191,8 @@ def _measured(drive: Trial, checkout: Path, sequence: Path, recording: Path) -> 
     updates = list(Recording(recording).updates())
     scale_sigma = claimed.scale_sigma(updates)
     focal_error, focal_sigma = _focals(figures, truth)
-    live, final = _relative(recording, truth, claimed.scale_history(updates), scale_sigma)
+    common = Common(scale_sigma, focal_sigma[0] if focal_sigma else None)
+    live, final = _relative(recording, truth, claimed.scale_history(updates), common)
     return Outcome(
         drive.name,
         path_m,
@@ -218,7 +219,7 @@ def _focals(figures: Mapping[str, Any], truth: Truth) -> tuple[Pair | None, Pair
 
 
 def _relative(
-    recording: Path, truth: Truth, history: ScaleHistory, scale_sigma: float | None
+    recording: Path, truth: Truth, history: ScaleHistory, common: Common
 ) -> tuple[dict[str, Stretches], dict[str, Stretches]]:
     """Stretches of the live poses and of the final ones."""
     source = Recording(recording)
@@ -231,7 +232,7 @@ def _relative(
         # another version may know settings that this one does not
         _note(f"{recording}: no covariances of the final poses: {error}")
         return live, {}
-    return live, relative_poses.of_final(drive, config, truth, scale_sigma)
+    return live, relative_poses.of_final(drive, config, truth, common)
 
 
 def _note(text: str) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,8 @@ SPAN_S = 1.0
 DISTANCE_M = 100.0
 # A stretch longer than its nominal length by more than this factor is not used: poses are missing.
 LONGEST = 1.25
+# Share of the focal by which derivatives are taken.
+_SHARE = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,13 +142,20 @@ def _of_scale(T: Float, i: Int, j: Int, sigma: Float) -> Float:
     return np.asarray(known[:, None, None] ** 2 * moved[:, :, None] * moved[:, None])
 
 
-def of_final(
-    drive: Drive, config: Config, truth: Truth, scale_sigma: float | None
-) -> dict[str, Stretches]:
-    """Stretches of the final trajectory, with the covariances of the joint graph.
+class Common(NamedTuple):
+    """Sigmas of the errors that a whole drive has in common, of which its graph does not know.
 
-    scale_sigma: of the log scale of the whole drive, which the graph does not know; without it the
-    sigmas of translations are NaN.
+    scale, focal: of the log scale and of the primary's log focal; None or inf if unknown.
+    """
+
+    scale: float | None
+    focal: float | None
+
+
+def of_final(drive: Drive, config: Config, truth: Truth, common: Common) -> dict[str, Stretches]:
+    """Stretches of the final trajectory, with the covariances of the joint graph and `common`.
+
+    Without a sigma of the scale those of translations are NaN, without one of the focal all are.
     """
     loops = [update.loop for update in drive.updates if update.loop is not None]
     found = optimised([update.submap for update in drive.updates], config, loops)
@@ -163,9 +172,30 @@ def of_final(
         total = np.zeros((len(i), 6, 6))
         for k, (origin, end) in enumerate(zip(a[i].tolist(), a[j].tolist(), strict=True)):
             total[k] = marginals.covariances(np.array([end]), origin)[0]
-        sigma = np.full(len(i), np.nan if scale_sigma is None else scale_sigma)
-        total[:, :3, :3] += _of_scale(T, i, j, sigma)
+        scale, focal = (np.nan if sigma is None else sigma for sigma in common)
+        total[:, :3, :3] += _of_scale(T, i, j, np.full(len(i), scale))
+        effect = focal_effect(T, i, j)
+        total += (focal**2 if np.isfinite(focal) else np.nan) * effect[:, :, None] * effect[:, None]
         out[name] = _stretches(T, T_truth, i, j, total)
+    return out
+
+
+def focal_effect(T: Float, i: Int, j: Int) -> Float:
+    """Derivatives (B, 6) of the motions from poses i to poses j by the log focal.
+
+    A focal that is too long makes turns too small: those about x and y, which move the picture
+    sideways, by the same share. T: (N, 4, 4).
+    """
+    steps = se3.inverse(T[:-1]) @ T[1:]
+    turn = se3.so3_log(steps[:, :3, :3])
+    turn[:, :2] *= 1 - _SHARE
+    turned = se3.compose(se3.so3_exp(turn), steps[:, :3, 3])
+    out = np.zeros((len(i), 6))
+    for k, (first, last) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
+        moved = [np.eye(4), np.eye(4)]
+        for step in range(first, last):
+            moved = [moved[0] @ steps[step], moved[1] @ turned[step]]
+        out[k] = se3.log(se3.inverse(moved[0]) @ moved[1]) / _SHARE
     return out
 
 

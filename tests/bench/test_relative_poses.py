@@ -92,3 +92,22 @@ def test_the_error_is_from_the_true_to_the_estimated_motion(length):
     T[1, 2, 3] *= 1.01
     error = relative_poses.errors(T, T_truth, np.array([0]), np.array([1]))
     np.testing.assert_allclose(error, [[0, 0, 0.01 * length, 0, 0, 0]], atol=1e-9)
+
+
+def test_a_wrong_focal_bends_the_path():
+    """On a circle a share of the turn is missing; the effect is that of the turn made smaller."""
+    n, yaw = 21, np.radians(2.0)
+    step = se3.compose(se3.so3_exp(np.array([[0.0, yaw, 0.0]])), np.array([[0.0, 0.0, 1.0]]))[0]
+    less = se3.compose(se3.so3_exp(np.array([[0, 0.99 * yaw, 0]])), np.array([[0, 0, 1.0]]))[0]
+    T, bent = (np.stack([np.linalg.matrix_power(s, k) for k in range(n)]) for s in (step, less))
+    i, j = np.array([0]), np.array([n - 1])
+    expected = relative_poses.errors(bent, T, i, j)
+    np.testing.assert_allclose(0.01 * relative_poses.focal_effect(T, i, j), expected, atol=2e-3)
+    assert 0.01 * relative_poses.focal_effect(T, i, j)[0, 4] == pytest.approx(-0.01 * 20 * yaw)
+
+
+def test_a_straight_path_does_not_depend_on_the_focal():
+    T = np.tile(np.eye(4), (30, 1, 1))
+    T[:, 2, 3] = np.arange(30.0)
+    effect = relative_poses.focal_effect(T, np.array([0]), np.array([29]))
+    np.testing.assert_allclose(effect, 0, atol=1e-9)
