@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shutil
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
@@ -162,10 +163,18 @@ def outcome(drive: Trial, checkout: Path) -> Outcome:
     if isinstance(sequence, str):
         raise EvaluationError(f"{drive.name}: {sequence}")
     found = _measured(drive, checkout, sequence, recording)
+    check_unchanged(checkout, work)
     part = kept.with_suffix(".part")
     part.write_text(json.dumps(found.to_json()))
     part.rename(kept)
     return found
+
+
+def check_unchanged(checkout: Path, work: Path) -> None:
+    """Remove `work` and raise EvaluationError if the code is no longer that of the work's key."""
+    if code_key(checkout) != work.parent.name:
+        shutil.rmtree(work)
+        raise EvaluationError(f"{checkout}: its code changed while {work.name} was recorded")
 
 
 def heading_range_deg(T_w_c: Float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from bench import steps
 from bench.claimed import scale_sigma
-from bench.outcome import FOLDER, code_key, files_key
+from bench.outcome import FOLDER, check_unchanged, code_key, files_key
 from bench.spoilt.cases import Base, Case, true_path_m
 from bench.spoilt.serial_line import SerialLine
 from calm_edge.commands.console import LOSS, OK
@@ -93,6 +93,7 @@ def spoilt(base: Base, case: Case, checkout: Path) -> Spoilt:
     work.mkdir(parents=True)
     case.make(base, work / "sequence")
     found = _recorded(base, case, checkout, work)
+    check_unchanged(checkout, work)
     kept.write_text(json.dumps(asdict(found)))
     return found
 

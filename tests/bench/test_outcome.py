@@ -80,6 +80,18 @@ def test_a_complete_recording_is_measured_again_without_being_made(drawn, checko
     assert said == ["record", "eval", "eval"]
 
 
+def test_a_recording_of_mixed_code_is_not_kept(drawn, checkout, monkeypatch):
+    def run(*_, **__):
+        (checkout / "calm_edge" / "a.py").write_text("a = 3\n")
+        raise EvaluationError("nothing")
+
+    monkeypatch.setattr(steps, "calm_edge", run)
+    work = outcomes.recording_of(drawn, checkout).parent
+    with pytest.raises(EvaluationError, match="its code changed"):
+        outcomes.outcome(drawn, checkout)
+    assert not work.exists() and not list(work.parent.glob("*.json"))
+
+
 def test_a_drive_that_cannot_be_rendered_is_an_error(drawn, checkout):
     missing = Trial("lottery_plain_0_01", lambda _: "drive_sim.py is not here", ())
     with pytest.raises(EvaluationError, match="drive_sim"):
