@@ -283,7 +283,7 @@ def _prediction(
     sigma = np.hypot(_sigma(joint)[layout.LOG_FOCAL], FOCAL_FLOOR)
     cameras = [lens.pinhole for lens in layout.cameras(state.theta, m.size)]
     prior = _prior(belief, ties)
-    known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], TEMPERING)
+    known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], 1 / TEMPERING)
     return Prediction(
         cameras=tuple(cameras[eye] for eye in m.eye),
         T_s_c=se3.inverse(state.T_c_s),

@@ -89,12 +89,12 @@ def posterior(
     ties: RigTies,
     prior: KitBelief,
     robust_scale: float,
-    tempering: float,
+    stiffness: float,
 ) -> Posterior:
     """Covariance of a window's solution.
 
-    prior, robust_scale: as given to `solve`. tempering: the prior's covariance is that of
-    tempering * prior.information, since `solve` gives pixels too much weight.
+    prior, robust_scale: as given to `solve`. stiffness: factor by which the prior's information
+    exceeds what is known of the kit; it sets the prior's weight against the pixels'.
     """
     state, n_points = solution.state, len(solution.state.points)
     jac = reprojection(state, m, tangent_basis(state.points))
@@ -109,7 +109,7 @@ def posterior(
     common = _gradients(m, jac, bare, slope * _common_error(solution, m).T).sum(1)
     B = TRACKS_ALIKE * tracks @ tracks.T + np.outer(common, common)
     B += tie_equations(state, m, ties)[0]
-    B[-layout.SIZE :, -layout.SIZE :] += prior.information / tempering
+    B[-layout.SIZE :, -layout.SIZE :] += stiffness * prior.information
 
     covariance = np.zeros_like(A)
     inverse = np.linalg.inv(A[6:, 6:] + _FLOOR * np.eye(len(A) - 6))

@@ -14,7 +14,7 @@ from tests.backbones.bundle.exact_window import theta_of, turn, window
 N = 5
 TRIALS = 40
 SCALE = 2.0
-TEMPERING = 0.5
+STIFFNESS = 2.0
 
 
 def known(sigma=1e-3):
@@ -23,7 +23,7 @@ def known(sigma=1e-3):
 
 
 def prior_of(theta, information):
-    return KitBelief(theta, np.diag(information) / TEMPERING)
+    return KitBelief(theta, STIFFNESS * np.diag(information))
 
 
 def path(state):
@@ -49,7 +49,7 @@ def trials(monkeypatch, per_track_px, kit_sigma):
         theta[layout.RIG_CENTRE] /= np.linalg.norm(theta[layout.RIG_CENTRE])
         prior = prior_of(theta, information)
         solved = solver.solve(made.truth, noisy, made.ties, prior, robust_scale=SCALE)
-        held = posterior.posterior(solved, noisy, made.ties, prior, SCALE, TEMPERING)
+        held = posterior.posterior(solved, noisy, made.ties, prior, SCALE, STIFFNESS)
         last = se3.log(made.truth.T_c_s[N - 1] @ se3.inverse(solved.state.T_c_s[N - 1]))
         errors.append([np.log(path(solved.state) / path(made.truth)), last[2]])
         along = np.sqrt(held.of_views(np.array([N - 1]))[2, 2])
@@ -70,7 +70,7 @@ def solved(T_s_p):
     made = window(T_s_p, theta_of(), noise_px=0.1)
     prior = prior_of(made.truth.theta, layout.prior((76.0, 66.0)).information.diagonal())
     solution = solver.solve(made.truth, made.m, made.ties, prior, robust_scale=0.5)
-    return solution, made.m, made.ties, prior, 0.5, TEMPERING
+    return solution, made.m, made.ties, prior, 0.5, STIFFNESS
 
 
 def scale_sigma(window):
