@@ -108,8 +108,9 @@ class BackboneConfig:
     of the model's graphs; auto: the best found by `model check`, fp32 in lockstep. max_views: views
     per run of a feedforward model, at least 2; 0: as found by `model check`. hfov_deg: horizontal
     field of view, one for both cameras or one each; empty: unknown. resolve_windows: number of
-    recent windows that are solved again once the kit is better known. kit_file: stores the
-    calibration of these cameras for the next drive; empty: none.
+    recent windows that are solved again once the kit is better known. overlap_prior: a window takes
+    over what the previous one says of their common keyframes; if off, each is solved alone as in
+    the paper. kit_file: stores the calibration of these cameras for the next drive; empty: none.
     """
 
     name: str = "bundle:calm-geo"
@@ -118,6 +119,7 @@ class BackboneConfig:
     hfov_deg: tuple[float, ...] = ()
     seed: int = 0
     resolve_windows: int = 400
+    overlap_prior: bool = True
     kit_file: str = ""
 
     @property
@@ -280,6 +282,11 @@ class Config:
     posegraph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     pose_output: PoseOutputConfig = field(default_factory=PoseOutputConfig)
+
+    @property
+    def overlap_shared(self) -> int:
+        """Last primary keyframes of a window of which the next one takes over poses; 0: none."""
+        return self.frontend.n_overlap if self.backbone.overlap_prior else 0
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Convert to a nested dict, as stored in the metadata of recordings."""

@@ -70,6 +70,25 @@ class KitBelief:
 
 
 @dataclass(frozen=True, slots=True)
+class Overlap:
+    """Gaussian on the poses of F primary keyframes that two consecutive windows share.
+
+    From what the earlier window measures and the later one does not, given the kit.
+    t_ns: (F,) stamps. T_first_k: (F, 4, 4) poses relative to the first, as solved, in spacings.
+    kit: (D,) as solved (`kit/layout.py`). The mean of T_k_first for a kit is
+    exp(offset + by_kit (kit - self.kit)) T_first_k^-1, with offset (6 F - 6,) and by_kit
+    (6 F - 6, D) for all k but the first. information: (6 F - 6, 6 F - 6) of these twists.
+    """
+
+    t_ns: Int
+    T_first_k: Float
+    kit: Float
+    offset: Float
+    by_kit: Float
+    information: Float
+
+
+@dataclass(frozen=True, slots=True)
 class Hints:
     """Prior knowledge of a batch of N images.
 
@@ -77,6 +96,9 @@ class Hints:
     kit: belief from earlier windows with the same kit, or None.
     sizes: (2, 2) width, height [px] of each camera's images, or None.
     loop: the last image is a loop keyframe, a primary view after those of the assistant (IV-D).
+    n_overlap: number of leading primary images that the previous batch ended with. overlap: what
+    that batch says of them, or None. n_shared: number of last primary images of which the next
+    batch wants an overlap; 0: none.
     """
 
     eyes: Int
@@ -85,6 +107,9 @@ class Hints:
     kit: KitBelief | None = None
     sizes: Int | None = None
     loop: bool = False
+    n_overlap: int = 0
+    overlap: Overlap | None = None
+    n_shared: int = 0
 
     def without_loop(self) -> Hints:
         """Hints of the window alone."""
@@ -143,6 +168,9 @@ class Prediction:
     view; None if its stamps need no correction of their own.
     kit_sigma: (2,) of the belief on the kit by which the pictures were matched, as in
     `ResolvingBackbone.kit_sigma`; None if the backbone has no such belief.
+    overlap: what this batch says of its last primary images, as asked for in the hints; or None.
+    overlap_mismatch: chi-square of the hints' overlap against these images alone, by degree of
+    freedom; None without one.
     loop_found: False if the loop keyframe could not be placed; its pose is then meaningless.
     notices: lines for the user; a line repeated by later batches is reported once.
     """
@@ -157,6 +185,8 @@ class Prediction:
     assistant_late_s: float = 0.0
     stamps_off_s: Float | None = None
     kit_sigma: Float | None = None
+    overlap: Overlap | None = None
+    overlap_mismatch: float | None = None
     loop_found: bool = True
     notices: tuple[str, ...] = ()
     scale_log_sigma: float | None = None

@@ -11,7 +11,7 @@ import numpy as np
 
 from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
 from calm_edge.kit.belief import product
-from calm_edge.types import Float, Hints, KitBelief, Prediction
+from calm_edge.types import Float, Hints, KitBelief, Overlap, Prediction
 
 log = logging.getLogger(__name__)
 
@@ -109,6 +109,11 @@ class KitMemory:
         while len(self._windows) > self._limit:
             del self._windows[min(self._windows)]
 
+    def overlap_before(self, submap_id: int) -> Overlap | None:
+        """What the newest solution of the previous window says of the keyframes shared with it."""
+        before = self._windows.get(submap_id - 1)
+        return before.prediction.overlap if before is not None else None
+
     def retained(self) -> list[int]:
         """Ids of the sub-maps that can be solved again."""
         return sorted(self._windows)
@@ -138,7 +143,7 @@ class KitMemory:
         )
         return [
             submap_id
-            for submap_id, window in self._windows.items()
+            for submap_id, window in sorted(self._windows.items())
             if self.epoch(submap_id) == self.epoch(None)
             and np.any(known & (np.abs(newest.log_focal - window.log_focal) > FOCAL_MOVED))
         ]
@@ -151,7 +156,11 @@ class KitMemory:
         log_focal = self._windows[max(self._windows)].log_focal
         for submap_id in submap_ids:
             window = self._windows[submap_id]
-            hints = replace(window.hints, kit=self.belief(without=submap_id))
+            hints = replace(
+                window.hints,
+                kit=self.belief(without=submap_id),
+                overlap=self.overlap_before(submap_id),
+            )
             prediction = window.prediction
             try:
                 prediction = self._backbone.resolve(window.prediction, hints)

@@ -432,6 +432,9 @@ class Localizer:
             kit=self._memory.belief(without=window.submap_id),
             sizes=sizes,
             loop=window.loop_keyframe is not None,
+            n_overlap=window.n_overlap,
+            overlap=self._memory.overlap_before(window.submap_id),
+            n_shared=self._config.overlap_shared,
         )
 
     def _with_loop(

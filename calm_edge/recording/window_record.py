@@ -80,7 +80,7 @@ def rebuild(record: WindowRecord, frame: Callable[[Eye, int, int], Frame]) -> Su
 
 
 def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) -> Hints:
-    """Hints for the backbone to compute the depth of a solved window.
+    """Hints for the backbone to compute the depth of a solved window, or to solve it again.
 
     update: the result of the window, whose belief on the kit is used.
     """
@@ -90,4 +90,6 @@ def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) 
         config.backbone.hfov_of_eye,
         update.kit,
         loop=record.has_loop,
+        n_overlap=record.n_overlap,
+        n_shared=config.overlap_shared,
     )

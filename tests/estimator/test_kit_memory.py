@@ -6,7 +6,7 @@ import pytest
 from calm_edge.backbones.base import BackboneError
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.geometry.camera import Perspective
-from calm_edge.types import Hints, KitBelief, Prediction
+from calm_edge.types import Hints, KitBelief, Overlap, Prediction
 
 HINTS = Hints(eyes=np.array([0, 0, 1]), t_ns=np.arange(3))
 
@@ -104,3 +104,26 @@ def test_a_backbone_that_cannot_resolve_keeps_no_window():
     memory.add(0, seen((500, 500), kit=1.0), HINTS)
     assert memory.retained() == [] and memory.resolve([0]) == {}
     assert memory.belief().mean == pytest.approx([1.0])
+
+
+def test_the_overlap_is_that_of_the_newest_solution_of_the_window_before():
+    def overlap(value):
+        one = np.full(1, value)
+        return Overlap(np.arange(1), np.eye(4)[None], one, one, one[None], one[None])
+
+    class Ties(Resolver):
+        def resolve(self, prediction, hints):
+            self.asked.append(hints.overlap)
+            return dataclasses.replace(prediction, overlap=overlap(10.0 + len(self.asked)))
+
+    backbone = Ties()
+    memory = KitMemory(backbone, 10)
+    for submap_id in (0, 1, 3):
+        made = dataclasses.replace(seen((500, 500)), overlap=overlap(submap_id))
+        memory.add(submap_id, made, HINTS)
+    # window 2 was skipped, and nothing is handed on across it
+    assert memory.overlap_before(0) is None and memory.overlap_before(3) is None
+    assert memory.overlap_before(2).kit == [1.0]
+    memory.resolve([0, 1])
+    assert backbone.asked[0] is None and backbone.asked[1].kit == [11.0]
+    assert memory.overlap_before(2).kit == [12.0]

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.bundle import loop_view, posterior, stamps, window
+from calm_edge.backbones.bundle import loop_view, overlap, posterior, stamps, window
 from calm_edge.backbones.bundle.initialise import chained, driven, initial_state, triangulated
 from calm_edge.backbones.bundle.matching import Matching
+from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
-from calm_edge.backbones.bundle.solver import Solution, kit_evidence, solve
+from calm_edge.backbones.bundle.solver import Solution, kit_evidence, robust_weights, solve
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
@@ -59,6 +60,10 @@ MAX_EVIDENCE_PX = 0.8
 # changes its velocity between keyframes by more than both: spacings / s^2 (good windows stay below
 # 20, wrong ones exceed 60), and the share of the window's median speed (0.5, 1.3).
 MAX_ACCELERATION, MAX_VELOCITY_JUMP = 40.0, 0.7
+# Largest chi-square by degree of freedom of the overlap with the previous window at which it joins:
+# of twelve, 99.95 % are below where both windows are right. The paper's windows never join.
+MAX_MISMATCH = 3.0
+CONTRADICTED = "windows contradict each other on the keyframes they share: solved apart"
 
 
 class BundleBackbone:
@@ -124,8 +129,9 @@ class BundleBackbone:
             m = window.measure(images, hints, belief.mean, rig_known, self._matching)
             ties = rig_ties(m)
             start = _first_guess(m, ties, belief, known)
-            solved = _prediction(m, belief, *_solve(start, m, ties, belief))
-        return replace(solved, kit_sigma=sigma, notices=self._notices)
+            solved = _solved(start, m, ties, belief, hints)
+        notices = (*self._notices, *solved.notices)
+        return replace(solved, kit_sigma=sigma, notices=notices)
 
     def kit_sigma(self, hints: Hints) -> Float:
         """Sigmas (2,) of the rig's rotation [rad] and of the log focals under `hints.kit`."""
@@ -144,7 +150,7 @@ class BundleBackbone:
         m, start = window.from_prediction(prediction, hints, belief.mean)
         ties = rig_ties(m)
         with _solvable():
-            solved = _prediction(m, belief, *_solve(start, m, ties, belief))
+            solved = _solved(start, m, ties, belief, hints)
         return replace(solved, kit_sigma=prediction.kit_sigma)
 
     def densify(
@@ -199,26 +205,55 @@ def _solvable() -> Iterator[None]:
         ) from None
 
 
-def _solve(
-    start: State, m: Measurements, ties: RigTies, belief: KitBelief
-) -> tuple[Solution, RigTies]:
-    """Solve a window in two passes; return the solution and the rig ties of the second pass.
+def _solved(
+    start: State, m: Measurements, ties: RigTies, belief: KitBelief, hints: Hints
+) -> Prediction:
+    """Solve a window from an initial state; with what the next window may take over from it."""
+    before = overlap.prior(hints, TEMPERING)
+    solution, ties, mismatch = _solve(start, m, ties, belief, before)
+    found = _prediction(m, belief, solution, ties)
+    if mismatch is not None and mismatch > MAX_MISMATCH:
+        found, before = replace(found, notices=(CONTRADICTED,)), None
+    weight = robust_weights(solution.residual, ROBUST_SCALES[-1])
+    ahead = overlap.marginal(
+        solution.state, m, ties, weight, before, hints.t_ns, hints.n_shared, TEMPERING
+    )
+    return replace(found, overlap=ahead, overlap_mismatch=mismatch)
 
-    In the second pass the ties' exposure times are corrected for delay of the stamps (stamps.py).
+
+def _solve(
+    start: State,
+    m: Measurements,
+    ties: RigTies,
+    belief: KitBelief,
+    before: OverlapPrior | None,
+) -> tuple[Solution, RigTies, float | None]:
+    """Solve a window in two passes.
+
+    In the second pass the ties' exposure times are corrected for delay of the stamps (stamps.py),
+    and the prior `before`, on the overlap with the previous window, joins if it agrees with the
+    first pass (MAX_MISMATCH).
+
+    Returns the solution, the rig ties of the second pass, and the overlap's mismatch, if any.
     """
+    mismatch, joined = None, None
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
     for robust_scale, tolerance, timed in passes:
         timed_ties = timed(ties, start)
         solution = solve(
             start, m, timed_ties, _prior(belief, timed_ties),
-            robust_scale=robust_scale, tolerance=tolerance,
+            overlap=joined, robust_scale=robust_scale, tolerance=tolerance,
         )  # fmt: skip
         start = solution.state
+        if before is not None and mismatch is None:
+            weight = robust_weights(solution.residual, ROBUST_SCALES[-1])
+            mismatch = overlap.mismatch(before, start, m, timed_ties, weight, belief)
+            joined = before if mismatch <= MAX_MISMATCH else None
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
     if not _drivable(solution.state, m):
         raise BackboneError("bundle: the velocity jumps between keyframes as no car's does")
-    return solution, timed_ties
+    return solution, timed_ties, mismatch
 
 
 def _drivable(state: State, m: Measurements) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.linalg
 
 from calm_edge.backbones.bundle.normal_equations import Normal, Structure, normal_equations
+from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.problem import (
     NEAREST,
     Measurements,
@@ -47,9 +48,14 @@ def whitened_lengths(state: State, m: Measurements) -> Float:
 
 
 def total_cost(
-    state: State, m: Measurements, ties: RigTies, prior: KitBelief, scale: float
+    state: State,
+    m: Measurements,
+    ties: RigTies,
+    prior: KitBelief,
+    scale: float,
+    overlap: OverlapPrior | None = None,
 ) -> float:
-    """Half the robust cost of pixels, rig ties and kit prior."""
+    """Half the robust cost of pixels, rig ties, kit prior and overlap prior."""
     length = whitened_lengths(state, m)
     pixels = scale**2 * np.log1p((length / scale) ** 2).sum()
     T = state.T_c_s
@@ -58,15 +64,20 @@ def total_cost(
         layout.rig(state.theta), float(state.theta[layout.TIME_OFFSET]), ties,
     )  # fmt: skip
     off = state.theta - prior.mean
-    return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off)
+    poses = 0.0 if overlap is None else overlap.cost(state)
+    return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off + poses)
 
 
-def add_priors(normal: Normal, state: State, prior: KitBelief) -> tuple[Float, Float]:
-    """Add the prior on the kit and the gauge to the reduced normal equations H, g."""
+def add_priors(
+    normal: Normal, state: State, prior: KitBelief, overlap: OverlapPrior | None = None
+) -> tuple[Float, Float]:
+    """Add the priors on kit and overlap and the gauge to the reduced normal equations H, g."""
     H, g = normal.H.copy(), normal.g.copy()
     k = slice(len(g) - layout.SIZE, len(g))
     H[k, k] += prior.information
     g[k] += prior.information @ (state.theta - prior.mean)
+    if overlap is not None:
+        overlap.add_to(H, g, state)
     fix_spacing(H, state.theta, layout.SPACING_SIGMA)
     return H, g
 
@@ -97,23 +108,25 @@ def solve(
     ties: RigTies,
     prior: KitBelief,
     *,
+    overlap: OverlapPrior | None = None,
     robust_scale: float = 2.0,
     max_iterations: int = 30,
     tolerance: float = 1e-4,
 ) -> Solution:
-    """Minimise pixels (Cauchy), rig ties and the kit prior from `state`, with view 0 fixed.
+    """Minimise pixels (Cauchy), rig ties and the priors from `state`, with view 0 fixed.
 
-    Levenberg-Marquardt with iteratively reweighted least squares. prior: on the kit. robust_scale:
-    of the Cauchy kernel [sigmas]. tolerance: relative decrease of the cost at which to stop.
+    Levenberg-Marquardt with iteratively reweighted least squares. prior: on the kit. overlap: prior
+    on the first poses. robust_scale: of the Cauchy kernel [sigmas]. tolerance: relative decrease of
+    the cost at which to stop.
     """
     structure = Structure.of(m, len(state.points))
     damping = 1e-3
-    cost = total_cost(state, m, ties, prior, robust_scale)
+    cost = total_cost(state, m, ties, prior, robust_scale, overlap)
     n = m.n_views
     for _ in range(max_iterations):
         weight = robust_weights(whitened_lengths(state, m), robust_scale)
         normal = normal_equations(state, m, ties, structure, weight, damping)
-        H, g = add_priors(normal, state, prior)
+        H, g = add_priors(normal, state, prior, overlap)
         H[np.diag_indices_from(H)] *= 1 + damping
         free = slice(6, len(g))
         delta = np.zeros(len(g))
@@ -127,7 +140,7 @@ def solve(
             damping *= 10
             continue
         trial = _step(state, n, delta, normal.point_step(delta))
-        trial_cost = total_cost(trial, m, ties, prior, robust_scale)
+        trial_cost = total_cost(trial, m, ties, prior, robust_scale, overlap)
         if trial_cost < cost:
             gain = (cost - trial_cost) / max(cost, 1e-12)
             state, cost = trial, trial_cost

@@ -98,6 +98,23 @@ def window(
     return Window(m, replace(truth, points=X[kept]))
 
 
+def part(made: Window, first: int, n: int) -> Window:
+    """The window of n views of each eye from view `first` of a longer one, in its own frame."""
+    m, truth = made.m, made.truth
+    views = np.concatenate([first + np.arange(n), m.n_views // 2 + first + np.arange(n)])
+    rows = np.isin(m.view, views)
+    rows &= (np.bincount(m.point[rows], minlength=len(truth.points)) >= 3)[m.point]
+    kept, point = np.unique(m.point[rows], return_inverse=True)
+    T_first = truth.T_c_s[first]
+    X = truth.points[kept] @ T_first.T
+    X /= np.linalg.norm(X, axis=1, keepdims=True)
+    own = replace(
+        m, view=np.searchsorted(views, m.view[rows]), point=point, uv=m.uv[rows],
+        sigma_px=m.sigma_px[rows], eye=m.eye[views], t=m.t[views],
+    )  # fmt: skip
+    return Window(own, problem.State(truth.T_c_s[views] @ se3.inverse(T_first), X, truth.theta))
+
+
 def perturbed(truth: problem.State, *, seed: int = 1, pose: float = 0.02, focal: float = 0.1):
     """A start near the truth: twists, points and rig off by `pose`, log focals by +-`focal`."""
     rng = np.random.default_rng(seed)
