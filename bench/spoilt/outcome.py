@@ -111,7 +111,8 @@ def _recorded(base: Base, case: Case, checkout: Path, work: Path) -> Spoilt:
             "record",
             *("--sequence", str(work / "sequence"), "--out", str(recording)),
             *("--pace", "lockstep", "--spacing-m", f"{base.spacing_m:g}"),
-            *("--set", f"pose_output.port={line.port}"),
+            # in lockstep poses come in bursts; a slow line would lose some
+            *("--set", f"pose_output.port={line.port}", "--set", "pose_output.baud=921600"),
             checkout=checkout,
         )
     source = Recording(recording)

@@ -1,5 +1,8 @@
 """Everything sent on the serial line is heard."""
 
+import tty
+from pathlib import Path
+
 from bench.spoilt.serial_line import SerialLine
 from calm_edge.pose_output.mavlink import (
     Encoder,
@@ -9,7 +12,6 @@ from calm_edge.pose_output.mavlink import (
     SystemState,
     status_texts,
 )
-from device.serial_port import SerialPort
 
 TEXTS = ("calm-edge starting: no pose yet", "calm-edge running", "calm-edge lost: " + "x" * 80)
 
@@ -24,16 +26,12 @@ def _odometry(quality):
 
 def test_every_message_is_counted():
     encoder, qualities = Encoder(), [*range(100), 0, -1]
-    with SerialLine() as line:
-        port = SerialPort(line.port, 115_200, buffer_bytes=1 << 20)
-        port.start()
-        for quality in qualities:
-            port.write(encoder.encode(_odometry(quality)))
-            port.write(encoder.encode(Heartbeat(SystemState.ACTIVE)))
-        for text in TEXTS:
-            for message in status_texts(Severity.INFO, text, 1):
-                port.write(encoder.encode(message))
-        port.stop()
+    messages = [m for q in qualities for m in (_odometry(q), Heartbeat(SystemState.ACTIVE))]
+    messages += [m for text in TEXTS for m in status_texts(Severity.INFO, text, 1)]
+    with SerialLine() as line, Path(line.port).open("wb", buffering=0) as port:
+        tty.setraw(port.fileno())
+        for message in messages:
+            port.write(encoder.encode(message))
     assert line.qualities() == qualities
     assert len(line.payloads(Heartbeat)) == len(qualities)
     assert line.states() == ("starting", "running", "lost")
