@@ -10,6 +10,8 @@ from calm_edge.types import METRIC_LOG_SIGMA, Metre, Submap
 
 # A car that has moved less than this many spacings in all windows stood still.
 STANDSTILL_SPACINGS = 1.0
+# A path that is no measurement and leads less far than this share of its length is noise.
+STRAY = 0.5
 # Largest sigma of the log scale that a sub-map counts with: then its length is no measurement.
 UNKNOWN = 1.0
 
@@ -48,19 +50,22 @@ class DriveMetre:
             return Metre(np.inf, next(iter(self._objections.values())))
         if not submaps:
             return Metre(np.inf, NO_WINDOW)
-        length = np.array([_length(submap) for submap in submaps])
+        length, net = np.array([_lengths(submap) for submap in submaps]).T
         sigma = np.minimum([submap.scale_log_sigma for submap in submaps], UNKNOWN)
         if length.sum() < STANDSTILL_SPACINGS * self._spacing:
             return Metre(np.inf, STOOD)
         log_sigma = float(length @ sigma / length.sum())
         if log_sigma <= METRIC_LOG_SIGMA:
             return Metre(log_sigma)
+        if net.sum() < STRAY * length.sum():
+            return Metre(log_sigma, STOOD)
         # to first order an error of the focal is one of the parallax, and that of the scale
         focal = max(submaps[-1].focal_log_sigma.tolist())
         return Metre(log_sigma, NO_FOCAL if focal > log_sigma / 2 else NO_PARALLAX)
 
 
-def _length(submap: Submap) -> float:
-    """Length of the primary's path, world units."""
-    steps = np.diff(submap.T_s_c[: submap.n_primary, :3, 3], axis=0)
-    return float(np.linalg.norm(steps, axis=1).sum())
+def _lengths(submap: Submap) -> tuple[float, float]:
+    """Length of the primary's path, and distance between its ends; world units."""
+    centres = submap.T_s_c[: submap.n_primary, :3, 3]
+    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
+    return float(steps.sum()), float(np.linalg.norm(centres[-1] - centres[0]))

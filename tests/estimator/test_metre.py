@@ -46,6 +46,12 @@ def test_a_standing_car_and_no_submap():
     assert drive.of([submap(0.01, 0.01)] * 3).reason == metre.STOOD
 
 
+def test_a_path_that_leads_nowhere_is_that_of_a_standing_car():
+    noise = submap(1.0, np.inf)
+    noise.T_s_c[:, 2, 3] = 3.0 * (np.arange(N) % 2)
+    assert DriveMetre(SPACING).of([noise] * 3).reason == metre.STOOD
+
+
 def test_an_objection_holds_until_it_is_withdrawn():
     drive, good = DriveMetre(SPACING), [submap(1.0, 0.01)]
     drive.object_to("pictures", "both pictures look alike")
