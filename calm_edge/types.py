@@ -288,6 +288,11 @@ class Metre:
         """Whether lengths are known well enough to be reported."""
         return self.log_sigma <= METRIC_LOG_SIGMA
 
+    def summary(self) -> dict[str, float | str | None]:
+        """JSON object: `sigma_percent`, None if unknown, and `reason`."""
+        sigma = 100 * self.log_sigma if np.isfinite(self.log_sigma) else None
+        return {"sigma_percent": sigma, "reason": self.reason}
+
 
 @dataclass(frozen=True, slots=True)
 class LoopClosure:
@@ -336,9 +341,21 @@ class Trajectory:
 
 
 class PoseStatus(StrEnum):
+    """Status of a live pose.
+
+    LAGGING: relative to an old sub-map. UNSCALED: its lengths are not metric, however well the pose
+    is known otherwise. LOST: no pose.
+    """
+
     LIVE = "live"
     LAGGING = "lagging"
+    UNSCALED = "unscaled"
     LOST = "lost"
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is a pose in lengths that are known."""
+        return self in (PoseStatus.LIVE, PoseStatus.LAGGING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,8 +363,11 @@ class PoseSample:
     """Live pose of one primary frame, as published.
 
     T_w_c: (4, 4) primary camera->world. velocity_c: (3,) and turn_rate_c: (3,) rad/s, camera
-    axes. covariance: (6, 6) of (translation, rotation), twist_covariance: (6, 6) of (velocity_c,
-    turn_rate_c), camera axes. World units and rad; NaN if unknown.
+    axes. covariance: (6, 6) of (translation, rotation), relative to the sub-map it was tracked in,
+    twist_covariance: (6, 6) of (velocity_c, turn_rate_c), camera axes, both given the scale; see
+    `with_scale`. World units and rad; NaN if unknown.
+    scale_log_sigma: sigma of the log of lengths at present, given the spacing; inf if unknown.
+    scale_offset: (3,) how far the position moves for one sigma of the scale, camera axes.
     """
 
     t_ns: int
@@ -358,6 +378,21 @@ class PoseSample:
     status: PoseStatus
     turn_rate_c: Float = field(default_factory=lambda: np.full(3, np.nan))
     twist_covariance: Float = field(default_factory=lambda: np.full((6, 6), np.nan))
+    scale_log_sigma: float = np.inf
+    scale_offset: Float = field(default_factory=lambda: np.zeros(3))
+
+    def with_scale(self) -> tuple[Float, Float]:
+        """Covariances (6, 6) of pose and twist with the error of the scale; NaN if it is unknown.
+
+        An error of the scale stretches the path since the first metric pose, and the velocity.
+        """
+        if not np.isfinite(self.scale_log_sigma):
+            return np.full((6, 6), np.nan), np.full((6, 6), np.nan)
+        pose, twist = self.covariance.copy(), self.twist_covariance.copy()
+        pose[:3, :3] += np.outer(self.scale_offset, self.scale_offset)
+        faster = self.scale_log_sigma * self.velocity_c
+        twist[:3, :3] += np.outer(faster, faster)
+        return pose, twist
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,3 +451,8 @@ class LocalizerUpdate:
     loop: LoopClosure | None = None
     loop_keyframe: Keyframe | None = None
     metre: Metre = field(default_factory=Metre)
+
+    @property
+    def scale_log_sigma(self) -> float:
+        """Sigma of the log of lengths in the sub-map; inf also if the drive as a whole has none."""
+        return self.submap.scale_log_sigma if np.isfinite(self.metre.log_sigma) else np.inf

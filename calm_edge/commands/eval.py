@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from calm_edge.commands.console import OK
+from calm_edge.commands.console import LOSS, OK, say_no_metre
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the error metrics."""
+    """Print the error metrics; return 3 if the spacing was given and lengths are not metric."""
     from calm_edge.evaluation.results import evaluate
     from calm_edge.evaluation.table import json_text, print_result
 
@@ -30,4 +30,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(figures))
     else:
         print_result(figures, str(arguments.target))
-    return OK
+    reason = (figures["metre"] or {}).get("reason")
+    if not (figures["spacing_m"] and reason):
+        return OK
+    say_no_metre(reason)
+    return LOSS

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import LOSS, OK
+from calm_edge.commands.console import LOSS, OK, print_metre, say_no_metre
 
 if TYPE_CHECKING:
     from calm_edge.evaluation.estimate import Estimate
@@ -30,7 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Build the map; return 3 if the recording has losses."""
+    """Build the map; return 3 if the recording has losses, or a spacing but no metre."""
     from calm_edge.commands.console import say
     from calm_edge.config import merge, parse_assignment
     from calm_edge.evaluation.truth import read_truth
@@ -71,6 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
             f" {seams.median_after:.3g} after deformation (median of {seams.n_anchors:,} anchors)"
         )
     print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
+    print_metre(drive.metre, config.scale.spacing_m)
     if drawn:
         print(f"report      {out / REPORT}")
     else:
@@ -80,7 +81,10 @@ def run(arguments: argparse.Namespace) -> int:
         say(f"windows {drive.unsolved} could not be solved; constant velocity is assumed")
     for line in losses:
         say(f"loss: {line}")
-    return LOSS if losses else OK
+    no_metre = bool(config.scale.spacing_m) and not drive.metre.metric
+    if no_metre:
+        say_no_metre(drive.metre.reason)
+    return LOSS if losses or no_metre else OK
 
 
 def new_folder(out: Path) -> Path:

@@ -7,7 +7,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import ERROR, LOSS, OK, say
+from calm_edge.commands.console import ERROR, LOSS, OK, print_metre, say, say_no_metre
 
 if TYPE_CHECKING:
     from calm_edge.config import Config
@@ -118,14 +118,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def report(folder: Path, result: RecordResult) -> int:
-    """Print the counts of recorded and lost items; return the exit code."""
+    """Print the counts of recorded and lost items and the metre; return the exit code."""
     poses = 0 if result.trajectory is None else len(result.trajectory.t_ns)
     age = result.pose_age_ms()
     aged = f", age p50 {age['p50']:.0f} ms p99 {age['p99']:.0f} ms" if age else ""
     print(f"recording   {folder}")
     print(f"frames      {result.frames[0]} primary, {result.frames[1]} assistant")
     print(f"sub-maps    {result.submaps} of {result.windows} windows, {poses} keyframes placed")
-    print(f"live poses  {result.poses}, lost {result.lost_poses}{aged}")
+    unscaled = f", not metric {result.unscaled_poses}" if result.unscaled_poses else ""
+    print(f"live poses  {result.poses}{unscaled}, lost {result.lost_poses}{aged}")
+    print_metre(result.metre, result.spacing_m)
     if result.unsolved_windows:
         say(f"windows {result.unsolved_windows} could not be solved; constant velocity is assumed")
     for name, lost in result.output_losses.items():
@@ -137,4 +139,6 @@ def report(folder: Path, result: RecordResult) -> int:
     if result.error:
         say(result.error)
         return ERROR
-    return LOSS if losses or (result.windows and not result.submaps) else OK
+    if no_metre := result.no_metre():
+        say_no_metre(no_metre)
+    return LOSS if losses or no_metre or (result.windows and not result.submaps) else OK

@@ -173,6 +173,7 @@ class Capture:
         if estimator.finished is not None:
             hub.result.trajectory = estimator.finished.trajectory
             hub.result.submaps += estimator.solved_late
+            hub.result.metre = estimator.finished.metre
             for update in finish.final_updates(estimator.finished, hub.kit):
                 hub.give_update(update)
 

@@ -59,7 +59,7 @@ class Hub:
         say: Callable[[str], None],
     ) -> None:
         self.config, self.source, self.lockstep = config, source, lockstep
-        self.result = RecordResult()
+        self.result = RecordResult(spacing_m=config.scale.spacing_m)
         self.recording, self.outputs = recording, FanOut([recording, *outputs])
         self.kit: KitBelief | None = None
         self.impatient = False
@@ -221,7 +221,7 @@ class Hub:
         now_ns = self.source.clock.now_ns()
         self.outputs.give(lambda output: output.pose(sample, now_ns))
         age_ms = None if self.lockstep else (now_ns - sample.t_ns) / 1e6
-        self.result.note_pose(sample.status is PoseStatus.LOST, age_ms)
+        self.result.note_pose(sample.status, age_ms)
         if sample.status is not PoseStatus.LOST:
             self._pose_ns = now_ns
 
@@ -235,6 +235,7 @@ class Hub:
             self.say(f"window {message.submap_id}: {message.problem}")
         if (update := message.update) is not None:
             self.kit, self._stage_ms = update.kit, update.stage_ms
+            self.result.metre = update.metre
             for notice in update.notices:
                 self.say(notice)
             if (record := message.window) is not None:

@@ -9,6 +9,7 @@ from calm_edge.daemon.fan_out import FanOut
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.tracker_link import TrackerLink
 from calm_edge.recording.health import WriterHealth
+from calm_edge.types import PoseStatus
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +17,8 @@ class HubStatus:
     """Status of the hub at now_ns, on the clock of the frames' stamps.
 
     frame_ns: time of the last frame of each camera. pose_ns: time of the last live pose.
-    pose_lost: the newest pose has the status LOST. pose_age_ms: largest age of a pose in this
+    pose_lost: the newest pose has the status LOST. no_metre: why the newest pose is not metric
+    though the spacing is configured, else empty. pose_age_ms: largest age of a pose in this
     second. windows_overtaken: number skipped to process newer ones. faults: one line for each part
     that does not work. counts, drops: numbers of items, and of losses by cause, since the
     start. queues: lengths by name. stage_ms: durations of the newest window's stages.
@@ -26,6 +28,7 @@ class HubStatus:
     frame_ns: tuple[int, int]
     pose_ns: int
     pose_lost: bool
+    no_metre: str
     pose_age_ms: float | None
     windows_waiting: int
     windows_overtaken: int
@@ -56,7 +59,8 @@ def take_status(
         now_ns,
         frame_ns,
         pose_ns,
-        result.pose_lost,
+        result.pose_status is PoseStatus.LOST,
+        _no_metre(result),
         result.take_worst_age_ms(),
         estimator.waiting,
         estimator.overtaken,
@@ -81,3 +85,10 @@ def take_status(
         stage_ms,
         writer,
     )
+
+
+def _no_metre(result: RecordResult) -> str:
+    if not result.spacing_m or result.pose_status is not PoseStatus.UNSCALED:
+        return ""
+    # the drive may have a metre that its newest sub-map lacks
+    return f"no metre: {result.metre.reason or 'the newest sub-map does not show it'}"

@@ -100,7 +100,7 @@ class Monitor:
         late = [f"{waiting} windows wait to be solved"] if waiting > LAGGING_WINDOWS else []
         if ticks_late:
             late.append("capture loop is late")
-        faults = [*self._camera_faults(status), *status.faults]
+        faults = [*self._camera_faults(status), *status.faults, *filter(None, [status.no_metre])]
         if shed is not Shed.NOTHING:
             why = ", ".join(self._ladder.reasons) or "cooling down, catching up"
             faults.append(f"{shed.words}: {why}")
@@ -108,7 +108,8 @@ class Monitor:
 
     def _pose(self, status: HubStatus) -> str:
         """Reason why there is no live pose; empty if there is one."""
-        if self.standing.state is State.STARTING and not status.counts["poses"]:
+        posed = status.counts["poses"] + status.counts["unscaled_poses"]
+        if self.standing.state is State.STARTING and not posed:
             if status.counts["submaps"]:
                 return "waiting for the first pose"
             return "no sub-map yet: the car has to move"

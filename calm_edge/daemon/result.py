@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from calm_edge.daemon.tick_latency import TickLatency
-from calm_edge.types import Trajectory
+from calm_edge.types import Metre, PoseStatus, Trajectory
 
 # ages kept for the percentiles: an hour at ten poses a second
 AGES = 36_000
+# without any keyframes for a window
+STOOD = "the pictures do not move: the car stood still"
 
 
 @dataclass(slots=True)
@@ -22,8 +24,9 @@ class RecordResult:
     lost_windows: ids of windows that the estimator had not finished when it died or was stopped.
     windows_left_to_map: ids of windows not processed for lack of time, left for `calm-edge map`.
     unsolved_windows: ids of windows from which no sub-map could be computed. late_poses: number of
-    frames without a pose, because newer ones were waiting. clamped_stamps: number of
-    frames with a corrected stamp. output_losses: lost messages by output, without the recording.
+    frames without a pose, because newer ones were waiting. unscaled_poses: number of poses that are
+    not metric. clamped_stamps: number of frames with a corrected stamp. output_losses: lost
+    messages by output, without the recording. spacing_m: as configured, 0 if not.
     """
 
     frames: list[int] = field(default_factory=lambda: [0, 0])
@@ -44,25 +47,36 @@ class RecordResult:
     windows_left_to_map: list[int] = field(default_factory=list)
     unsolved_windows: list[int] = field(default_factory=list)
     poses: int = 0
+    unscaled_poses: int = 0
     lost_poses: int = 0
     late_poses: int = 0
-    pose_lost: bool = True
+    pose_status: PoseStatus = PoseStatus.LOST
     output_losses: dict[str, int] = field(default_factory=dict)
     trajectory: Trajectory | None = None
+    spacing_m: float = 0.0
+    metre: Metre = field(default_factory=Metre)
     error: str = ""
     _worst_age_ms: float | None = None
     _ages_ms: deque[float] = field(default_factory=lambda: deque(maxlen=AGES))
 
-    def note_pose(self, lost: bool, age_ms: float | None) -> None:
+    def note_pose(self, status: PoseStatus, age_ms: float | None) -> None:
         """Count a pose. age_ms: time from exposure to publishing, None in lockstep."""
-        self.pose_lost = lost
-        if lost:
+        self.pose_status = status
+        if status is PoseStatus.LOST:
             self.lost_poses += 1
+        elif status is PoseStatus.UNSCALED:
+            self.unscaled_poses += 1
         else:
             self.poses += 1
             if age_ms is not None:
                 self._ages_ms.append(age_ms)
                 self._worst_age_ms = max(age_ms, self._worst_age_ms or 0.0)
+
+    def no_metre(self) -> str:
+        """Why the trajectory is not metric though the spacing was given; empty if it is."""
+        if not self.spacing_m or self.metre.metric:
+            return ""
+        return self.metre.reason if self.windows else STOOD
 
     def take_worst_age_ms(self) -> float | None:
         """Return the largest pose age since the last call; None without a pose."""
@@ -85,6 +99,7 @@ class RecordResult:
             "windows": self.windows,
             "submaps": self.submaps,
             "poses": self.poses,
+            "unscaled_poses": self.unscaled_poses,
             "lost_poses": self.lost_poses,
             "late_poses": self.late_poses,
         }
@@ -129,6 +144,7 @@ class RecordResult:
             "tracker_restarts": self.tracker_restarts,
             "lost_windows": list(self.lost_windows),
             "windows_left_to_map": list(self.windows_left_to_map),
+            "metre": self.metre.summary(),
             "finished": self.trajectory is not None,
             "unsolved_windows": list(self.unsolved_windows),
             "output_losses": dict(self.output_losses),

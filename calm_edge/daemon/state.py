@@ -10,7 +10,8 @@ class State(StrEnum):
     """State of the daemon; the first that applies in the order STOPPING ... RUNNING.
 
     STOPPING: capturing has ended. STARTING: no live pose yet. LOST: the live pose is lost.
-    DEGRADED: a part has failed, or work is left out to reduce the load. LAGGING: several windows
+    DEGRADED: a part has failed, the live pose is not metric though the spacing is configured, or
+    work is left out to reduce the load. LAGGING: several windows
     wait to be solved, or the capture loop misses its deadlines. RUNNING: none of these.
     """
 
@@ -26,7 +27,8 @@ class State(StrEnum):
 class Conditions:
     """Problems observed in one second as texts, empty if there are none.
 
-    pose: why there is no live pose. faults: failed parts, and work left out to reduce the load.
+    pose: why there is no live pose. faults: failed parts, why the pose is not metric, and work left
+    out to reduce the load.
     delays: windows that wait, or a capture loop behind its deadlines.
     """
 

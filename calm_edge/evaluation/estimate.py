@@ -14,7 +14,7 @@ import numpy as np
 
 from calm_edge.evaluation import EvaluationError
 from calm_edge.trajectories import folded, read_tum
-from calm_edge.types import Float, Float32, Int, LocalizerUpdate, PoseSample
+from calm_edge.types import Float, Float32, Int, LocalizerUpdate, Metre, PoseSample
 from device.frame import Eye
 
 # A larger pose age means that publish time and exposure are on different clocks.
@@ -26,7 +26,8 @@ class Estimate:
     """A trajectory with its statistics; fields that the source does not contain are None.
 
     t_ns: (N,). T_w_c: (N, 4, 4) primary camera -> world, world units. spacing_m: None when the
-    world is in camera spacings. focal_px, focal_sigma_percent: one per camera.
+    world is in camera spacings. metre: how well lengths are known. focal_px, focal_sigma_percent:
+    one per camera.
     pose_age_ms: {p50, p99} from exposure to publishing. stage_ms: mean per sub-map, by stage.
     points_w: (P, 3) map points, world units. first_frame: (number in the sequence, stamp [ns]),
     which gives the clock offset of a replay. live: poses as published during the drive,
@@ -47,6 +48,12 @@ class Estimate:
     points_w: Float32 | None = None
     first_frame: tuple[int, int] | None = None
     live: tuple[PoseSample, ...] = ()
+    metre: Metre | None = None
+
+    @property
+    def metric(self) -> bool:
+        """Whether the world is in metres, as far as is known."""
+        return bool(self.spacing_m) and (self.metre is None or self.metre.metric)
 
 
 def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
@@ -111,7 +118,13 @@ def from_updates(
         pose_age_ms,
         mean_stages(updates),
         first_frame=first_frame,
+        metre=_known(updates[-1].metre),
     )
+
+
+def _known(metre: Metre) -> Metre | None:
+    """The metre of an update, None for one recorded before there was any."""
+    return metre if metre.metric or metre.reason else None
 
 
 def from_tum(path: Path) -> Estimate:
@@ -124,7 +137,8 @@ def from_map(folder: Path) -> Estimate:
     """Estimate from a map folder: trajectory.tum, summary.json and, if present, map.ply.
 
     summary.json: `frames, keyframes, submaps, spacing_m, focal_px, focal_sigma_percent,
-    pose_age_ms, stage_ms, first_frame` as in Estimate. Raises EvaluationError.
+    pose_age_ms, stage_ms, first_frame` as in Estimate, `metre` as of `Metre.summary`. Raises
+    EvaluationError.
     """
     t_ns, T_w_c = read_tum(folder / "trajectory.tum")
     summary = _summary(folder / "summary.json")
@@ -147,7 +161,19 @@ def from_map(folder: Path) -> Estimate:
         summary.get("stage_ms") or {},
         _points(cloud) if cloud.is_file() else None,
         (int(first[0]), int(first[1])) if first else None,
+        metre=_metre(where, summary.get("metre")),
     )
+
+
+def _metre(where: Path, value: Any) -> Metre | None:
+    """Metre of its summary; None for a map made before there was any."""
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise EvaluationError(f"{where}: metre must hold sigma_percent and reason")
+    percent = _finite(value.get("sigma_percent"))
+    sigma = np.inf if percent is None else percent / 100
+    return _known(Metre(sigma, str(value.get("reason") or "")))
 
 
 def _summary(path: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from calm_edge.evaluation import trajectory
 from calm_edge.geometry import se3
-from calm_edge.types import Float, Int, PoseSample, PoseStatus
+from calm_edge.types import Float, Int, PoseSample
 
 SPAN_NS = 1_000_000_000
 # Pairs further apart than this many spans are not used: poses are missing between them.
@@ -31,6 +31,26 @@ def spans(t_ns: Int, epoch: Int, span_ns: int = SPAN_NS) -> tuple[Int, Int]:
     return i[near], j[near]
 
 
+def span_sigma(first: PoseSample, then: PoseSample) -> float:
+    """Claimed sigma of the translation between two live poses: root of the summed variances.
+
+    The errors of both poses in their sub-maps are taken as independent, that of the scale as
+    common.
+    """
+    T = se3.inverse(first.T_w_c) @ then.T_w_c
+    step = T[:3, 3]
+    J_first = np.hstack([-np.eye(3), se3.hat(step)])
+    J_then = np.hstack([T[:3, :3], np.zeros((3, 3))])
+    covariance = J_first @ first.covariance @ J_first.T + J_then @ then.covariance @ J_then.T
+    stretch = (then.scale_log_sigma * step) ** 2
+    return float(np.sqrt(np.trace(covariance) + stretch.sum()))
+
+
+def _median(values: Float) -> float | None:
+    values = values[np.isfinite(values)]
+    return float(np.median(values)) if len(values) else None
+
+
 def _percentiles(values: Float) -> dict[str, float] | None:
     if len(values) == 0:
         return None
@@ -49,13 +69,14 @@ def compare(
     then the keys below are missing. live_percent: share of frames with a pose, since the first
     pose. longest_gap_s: longest time without a pose. jumps: number of new epochs. span_m,
     span_deg: {p50, p90, max} translation and rotation error of the relative motion over 1 s;
-    span_percent: mean of span_m in percent of the mean true distance over 1 s. velocity_m_s:
-    {p50, p90, max} of |estimated - true velocity|, the latter from central differences of the
-    true positions.
+    span_percent: mean of span_m in percent of the mean true distance over 1 s. span_sigma_m: median
+    claimed sigma of that translation. velocity_m_s: {p50, p90, max} of |estimated - true velocity|,
+    the latter from central differences of the true positions; velocity_sigma_m_s: median claimed
+    sigma of it. Sigmas are roots of summed variances; None if unknown.
     """
     if not samples:
         return None
-    live = np.array([s.status is not PoseStatus.LOST for s in samples])
+    live = np.array([s.status.usable for s in samples])
     if not live.any():
         return {"frames": len(samples), "first_s": None}
     first = int(np.argmax(live))
@@ -70,7 +91,9 @@ def compare(
         "jumps": int(epoch[-1] - epoch[0]),
     }
     a, b = trajectory.associate(stamps, t_truth)
-    T = np.stack([s.T_w_c for s in samples])[live][a]
+    known = [sample for sample, is_live in zip(samples, live, strict=True) if is_live]
+    compared = [known[k] for k in a]
+    T = np.array([s.T_w_c for s in compared]).reshape(-1, 4, 4)
     T[:, :3, 3] *= scale
     i, j = spans(stamps[a], epoch[a])
     true = se3.inverse(T_truth[b[i]]) @ T_truth[b[j]]
@@ -82,11 +105,17 @@ def compare(
     result["span_deg"] = _percentiles(
         np.degrees(np.linalg.norm(se3.so3_log(error[:, :3, :3]), axis=-1))
     )
-    velocity = scale * np.stack([s.velocity_c for s in samples])[live][a]
+    claimed = [
+        span_sigma(compared[first], compared[then]) for first, then in zip(i, j, strict=True)
+    ]
+    result["span_sigma_m"] = _median(scale * np.array(claimed))
+    velocity = scale * np.array([s.velocity_c for s in compared]).reshape(-1, 3)
     inside = (b > 0) & (b < len(t_truth) - 1) & np.isfinite(velocity).all(1)
     before, now, after = b[inside] - 1, b[inside], b[inside] + 1
     moved = (T_truth[after] - T_truth[before])[:, :3, 3]
     moved /= ((t_truth[after] - t_truth[before]) / 1e9)[:, None]
     rate = (np.swapaxes(T_truth[now, :3, :3], -1, -2) @ moved[..., None])[..., 0]
     result["velocity_m_s"] = _percentiles(np.linalg.norm(velocity[inside] - rate, axis=-1))
+    variance = np.array([np.trace(s.with_scale()[1][:3, :3]) for s in compared])[inside]
+    result["velocity_sigma_m_s"] = _median(scale * np.sqrt(variance))
     return result

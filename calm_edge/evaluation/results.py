@@ -73,7 +73,7 @@ def at_frames(t_ns: Int, T_w_c: Float, truth: Truth) -> tuple[Float, Float]:
 
 def choose(estimate: Estimate, align: Alignment | None = None) -> Alignment:
     """Alignment to use: `align` if given, else SE(3) for an estimate in metres, else Sim(3)."""
-    return align or ("se3" if estimate.spacing_m else "sim3")
+    return align or ("se3" if estimate.metric else "sim3")
 
 
 def _trajectory_figures(
@@ -179,9 +179,9 @@ def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) ->
 
     align: alignment of `ate_percent`, the RPE and the map; None: SE(3) for an estimate in metres,
     else Sim(3). `poses`: number of poses compared. `coverage_percent`: share of the true path
-    they span. Focal errors are estimate minus truth. `live`: errors of the poses published
-    during the drive (`live.compare`), in metres by the scale of the alignment. Raises
-    EvaluationError if the two do not overlap in time.
+    they span. `metre`: `Metre.summary`, None if the source has none. Focal errors are estimate
+    minus truth. `live`: errors of the poses published during the drive (`live.compare`), in metres
+    by the scale of the alignment. Raises EvaluationError if the two do not overlap in time.
     """
     chosen = choose(estimate, align)
     figures: dict[str, float | None] = dict.fromkeys(_TRAJECTORY_KEYS)
@@ -193,6 +193,8 @@ def compare(estimate: Estimate, truth: Truth, align: Alignment | None = None) ->
         "keyframes": estimate.keyframes,
         "submaps": estimate.submaps,
         "align": chosen,
+        "spacing_m": estimate.spacing_m,
+        "metre": None if estimate.metre is None else estimate.metre.summary(),
         **figures,
         **_focal_figures(estimate, truth.cameras),
         **_map_figures(estimate, truth, motion),

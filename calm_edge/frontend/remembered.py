@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calm_edge.geometry.camera import Camera
-from calm_edge.types import Bytes, Float, Float32
+from calm_edge.types import METRIC_LOG_SIGMA, Bytes, Float, Float32
 
 # Largest age and number of past frames that are kept. The points of a new sub-map are tracked
 # through them, from its keyframes to the newest frame.
@@ -28,12 +28,21 @@ class PastFrame:
 
 @dataclass(slots=True)
 class Tracks:
-    """Tracked points: p_m (M, 3) map frame, at pixels uv (M, 2) of the image `seen_in`."""
+    """Tracked points: p_m (M, 3) map frame, at pixels uv (M, 2) of the image `seen_in`.
+
+    scale_log_sigma: sigma of the log of lengths in the sub-map of the points.
+    """
 
     camera: Camera
     p_m: Float
     uv: Float32
     seen_in: Bytes
+    scale_log_sigma: float
+
+    @property
+    def metric(self) -> bool:
+        """Whether lengths are known well enough to be reported."""
+        return self.scale_log_sigma <= METRIC_LOG_SIGMA
 
 
 def spaced(t_ns: Sequence[int], since_ns: int, gap_ns: int) -> list[int]:

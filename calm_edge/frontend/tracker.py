@@ -16,6 +16,7 @@ from calm_edge.config import FrontendConfig
 from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
 from calm_edge.frontend.remembered import MAX_REMEMBERED, REMEMBERED_NS, PastFrame, Tracks, spaced
+from calm_edge.frontend.scale_offset import ScaleOffset
 from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
@@ -52,6 +53,7 @@ class Tracker:
         self._ever_tracked = False
         self._follower: Tracker | None = None
         self._followed_ns = 0
+        self._scale_offset = ScaleOffset()
 
     def track(self, t_ns: int, gray: Bytes) -> PoseSample:
         """Pose of the frame exposed at t_ns; LOST and NaN if it cannot be localised."""
@@ -61,7 +63,8 @@ class Tracker:
         self._past.append(PastFrame(t_ns, gray, None, T_m_c))
         while t_ns - self._past[0].t_ns >= REMEMBERED_NS:
             self._past.popleft()
-        if fit is None:
+        tracks = self._tracks
+        if fit is None or tracks is None:
             # short gaps, e.g. blurred frames, are bridged
             if self._path and t_ns - self._path.newest_ns > self.config.lost_after_ms * 1e6:
                 self._tracks = None
@@ -73,6 +76,8 @@ class Tracker:
         self._path.add(t_ns, T_o_c, fit.covariance)
         twist, twist_covariance = self._path.twist()
         status = PoseStatus.LAGGING if self.lagging else PoseStatus.LIVE
+        if not tracks.metric:
+            status = PoseStatus.UNSCALED
         return PoseSample(
             t_ns,
             T_o_c,
@@ -82,6 +87,8 @@ class Tracker:
             status,
             turn_rate_c=twist[3:],
             twist_covariance=twist_covariance,
+            scale_log_sigma=tracks.scale_log_sigma,
+            scale_offset=self._scale_offset.move(T_o_c, tracks.scale_log_sigma),
         )
 
     def prepare(self, keyframe_id: int | None = None, *, behind: bool = False) -> None:
@@ -104,7 +111,7 @@ class Tracker:
         If that fails, the frames since are tracked one by one, some with each new frame, and the
         old points are used until then.
         """
-        newest_id = update.submap.primary_ids[-1]
+        newest_id, sigma = update.submap.primary_ids[-1], update.scale_log_sigma
         place = {p.keyframe_id: i for i, p in enumerate(self._past) if p.keyframe_id is not None}
         newest = self._past[place[newest_id]].gray if newest_id in place else None
         cloud = landmark_cloud.of_update(update, self.config.tracker_points, newest)
@@ -119,7 +126,7 @@ class Tracker:
         fit = locate(camera, p_m, uv, T_now, self._threshold(gray))
         if fit is None or fit.n_inliers < SAFE_INLIERS:
             newest_only = origin == starts[-1]
-            start = Tracks(camera, cloud.p_w[newest_only], cloud.uv[newest_only], gray)
+            start = Tracks(camera, cloud.p_w[newest_only], cloud.uv[newest_only], gray, sigma)
             return self._catch_up(starts[-1], start, known)
         ratio = self._scale_ratio(starts[-1], known[starts[-1]], fit.T_w_c)
         self._follower = None
@@ -133,7 +140,7 @@ class Tracker:
             followed = se3.transform(T_new_old, old.p_m[:room])
             p_m = np.concatenate([p_m, centre + ratio * (followed - centre)])
             uv = np.concatenate([uv, old.uv[:room]])
-        self._tracks = Tracks(camera, p_m, uv, gray)
+        self._tracks = Tracks(camera, p_m, uv, gray, sigma)
         return True
 
     def _catch_up(self, keyframe: int, start: Tracks, known: dict[int, Float]) -> bool:
@@ -203,7 +210,8 @@ class Tracker:
             return None
         # at standstill the image tracked from is kept, so that noise does not cause drift
         if np.median(step) >= self.config.standstill_px:
-            self._tracks = Tracks(tracks.camera, p_m[fit.inlier], uv[fit.inlier], gray)
+            seen = p_m[fit.inlier], uv[fit.inlier]
+            self._tracks = Tracks(tracks.camera, *seen, gray, tracks.scale_log_sigma)
             self._pending = tracks.seen_in, fit.T_w_c
         return fit
 
@@ -218,7 +226,7 @@ class Tracker:
             self._candidates = candidates.replenish(
                 self._candidates, tracks.seen_in, uv, T_m_c, room
             )
-        return Tracks(tracks.camera, p_m, uv, tracks.seen_in)
+        return replace(tracks, p_m=p_m, uv=uv)
 
     def _guess(self, T_predicted: Float) -> Float32 | None:
         """Predicted pixels (M, 2) of the tracks, shifted by the predicted motion."""
@@ -250,6 +258,10 @@ class Tracker:
             self._candidates = self._candidates.moved_to(T_new_old)
             for past in self._past:
                 past.T_m_c = None if past.T_m_c is None else T_new_old @ past.T_m_c
+            if self._tracks is not None and not self._tracks.metric:
+                # in another unit: no velocity must be computed across
+                self._path.clear()
+                self._path.add(newest.t_ns, T_o_c)
         else:
             # odometry was interrupted: T_map_odom is kept, and the pose jumps
             self.epoch += self._ever_tracked

@@ -9,7 +9,9 @@ import numpy as np
 
 from calm_edge.geometry.camera import Camera, back_project_each
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import Float, Landmarks, LocalizerUpdate, Prediction, Trajectory
+from calm_edge.types import Float, Landmarks, LocalizerUpdate, Metre, Prediction, Trajectory
+
+UNRECORDED = "the recording is of a version that did not estimate how well lengths are known"
 
 
 @dataclass(slots=True)
@@ -24,6 +26,12 @@ class Drive:
     trajectory: Trajectory | None = None
     unsolved: list[int] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
+
+    @property
+    def metre(self) -> Metre:
+        """How well the drive's lengths are known."""
+        metre = self.updates[-1].metre if self.updates else Metre()
+        return metre if metre.metric or metre.reason else Metre(reason=UNRECORDED)
 
 
 @dataclass(frozen=True, slots=True)

@@ -90,6 +90,7 @@ def summary(estimate: Estimate) -> dict[str, Any]:
         "keyframes": estimate.keyframes,
         "submaps": estimate.submaps,
         "spacing_m": estimate.spacing_m,
+        "metre": None if estimate.metre is None else estimate.metre.summary(),
         "focal_px": estimate.focal_px,
         "focal_sigma_percent": estimate.focal_sigma_percent,
         "pose_age_ms": estimate.pose_age_ms,

@@ -36,7 +36,10 @@ class Severity(IntEnum):
 
 
 class SystemState(IntEnum):
-    """The values of MAV_STATE in use. BOOT: no pose yet. CRITICAL: lost. POWEROFF: stopping."""
+    """The values of MAV_STATE in use.
+
+    BOOT: no pose yet. CRITICAL: no pose is sent, it is lost or not metric. POWEROFF: stopping.
+    """
 
     BOOT = 1
     ACTIVE = 4

@@ -28,7 +28,7 @@ from calm_edge.pose_output.mavlink import (
     status_texts,
 )
 from calm_edge.pose_output.mavlink_parser import MavlinkParser
-from calm_edge.pose_output.quality import FAILED, quality
+from calm_edge.pose_output.quality import quality
 from calm_edge.types import PoseSample, PoseStatus
 
 log = logging.getLogger(__name__)
@@ -48,6 +48,7 @@ _STATES = {
 _STATE_OF_POSE = {
     PoseStatus.LIVE: "RUNNING",
     PoseStatus.LAGGING: "LAGGING",
+    PoseStatus.UNSCALED: "DEGRADED",
     PoseStatus.LOST: "LOST",
 }
 
@@ -63,14 +64,14 @@ class Port(Protocol):
 class PosePublisher:
     """Publisher of poses and state to an autopilot.
 
-    spacing_known: True if the world unit is metres. If not, poses are sent with quality -1, and a
-    warning text gives the remedy. lost_after_ms: time without a new sample after which the pose is
+    spacing_known: True if the world unit is metres. If not, a warning text gives the remedy.
+    lost_after_ms: time without a new sample after which the pose is
     lost. now_ns: clock of the samples' stamps, used to answer TIMESYNC. `receive` may be called in
     another thread.
 
     No ODOMETRY is sent while the pose is lost, nor for a first pose without velocity: an old pose
     must not look new, and NaN would persist in some receivers (ArduPilot aligns the pose after a
-    reset to the last one received).
+    reset to the last one received). None is sent either in lengths that are not metric.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class PosePublisher:
         self._next_pose_ns = self._next_heartbeat_ns = self._next_answer_ns = 0
         self._newest: PoseSample | None = None
         self._newest_pose: PoseSample | None = None
+        self._was_unscaled = False
         self._sent_t_ns = -1
         self._last_sample_ns = 0
         self._reset_counter = 1
@@ -130,7 +132,7 @@ class PosePublisher:
         if self._newest is None or now_ns < self._next_pose_ns:
             return
         newest, status = self._newest, self._status(self._newest, now_ns)
-        if status is PoseStatus.LOST or newest.t_ns <= self._sent_t_ns:
+        if not (self._spacing_known and status.usable) or newest.t_ns <= self._sent_t_ns:
             return
         if not np.isfinite([newest.velocity_c, newest.turn_rate_c]).all():
             return
@@ -155,13 +157,15 @@ class PosePublisher:
         if self._newest is not None and sample.t_ns <= self._newest.t_ns:
             return
         self._last_sample_ns, self._newest = now_ns, sample
-        if sample.status is PoseStatus.LOST:
+        self._was_unscaled |= sample.status is PoseStatus.UNSCALED
+        if not sample.status.usable:
             return
         before, self._newest_pose = self._newest_pose, sample
         if before is not None:
-            # a jump and a new epoch in the same sample count once
+            # several reasons in the same sample count once; the way without a metre is unknown
             moved = self._spacing_known and jumped(before, sample)
-            self._reset_counter += moved or sample.epoch != before.epoch
+            self._reset_counter += moved or sample.epoch != before.epoch or self._was_unscaled
+        self._was_unscaled = False
 
     def _status(self, newest: PoseSample, now_ns: int) -> PoseStatus:
         timed_out = now_ns - self._last_sample_ns > self._lost_after_ns
@@ -179,8 +183,8 @@ class PosePublisher:
         newest = self._newest
         if state is not SystemState.ACTIVE or newest is None:
             return state
-        lost = self._status(newest, now_ns) is PoseStatus.LOST
-        return SystemState.CRITICAL if lost else state
+        sent = self._spacing_known and self._status(newest, now_ns).usable
+        return state if sent else SystemState.CRITICAL
 
     def _send_state(self, now_ns: int) -> None:
         """Send a status text if the state or its reasons have changed, at a limited rate.
@@ -207,10 +211,11 @@ class PosePublisher:
         T_l_b = body_frame.body_pose(T_b_c, newest.T_w_c)
         twist = body_frame.body_twist(T_b_c, newest.velocity_c, newest.turn_rate_c)
         pose_covariance = velocity_covariance = UNKNOWN_COVARIANCE
-        if np.isfinite(newest.covariance).all():
-            pose_covariance = body_frame.local_covariance(T_b_c, T_l_b, newest.covariance)
-        if np.isfinite(newest.twist_covariance).all():
-            velocity_covariance = body_frame.body_covariance(T_b_c, newest.twist_covariance)
+        covariance, twist_covariance = newest.with_scale()
+        if np.isfinite(covariance).all():
+            pose_covariance = body_frame.local_covariance(T_b_c, T_l_b, covariance)
+        if np.isfinite(twist_covariance).all():
+            velocity_covariance = body_frame.body_covariance(T_b_c, twist_covariance)
         return Odometry(
             time_usec=newest.t_ns // 1000,
             position=tuple(T_l_b[:3, 3].tolist()),
@@ -220,7 +225,7 @@ class PosePublisher:
             pose_covariance=pose_covariance,
             velocity_covariance=velocity_covariance,
             reset_counter=self._reset_counter,
-            quality=quality(newest.covariance, status) if self._spacing_known else FAILED,
+            quality=quality(newest.covariance, newest.scale_log_sigma, status),
         )
 
     def _send(self, message: Message) -> None:

@@ -63,14 +63,15 @@ def image(eye: Eye, t_ns: int, data: bytes) -> CompressedImage:
 
 def odometry(sample: PoseSample) -> Odometry:
     """Convert a live pose: primary camera in the world, velocity and covariance in camera axes."""
+    covariance, twist_covariance = sample.with_scale()
     message = Odometry(
         timestamp=timestamp(sample.t_ns),
         frame_id=WORLD_FRAME,
         body_frame_id=camera_frame(Eye.PRIMARY),
         pose=poses(sample.T_w_c[None])[0],
         # Odometry marks an unknown covariance by zeros
-        pose_covariance=np.nan_to_num(sample.covariance).ravel().tolist(),
-        velocity_covariance=np.nan_to_num(sample.twist_covariance).ravel().tolist(),
+        pose_covariance=np.nan_to_num(covariance).ravel().tolist(),
+        velocity_covariance=np.nan_to_num(twist_covariance).ravel().tolist(),
     )
     v, w = message.linear_velocity, message.angular_velocity
     v.x, v.y, v.z = sample.velocity_c.tolist()

@@ -67,6 +67,8 @@ def unobserved(estimate: Estimate) -> tuple[str, ...]:
                     f"(limit {MAX_FOCAL_SIGMA_PERCENT:g} %), so that {estimate.focal_px[eye]:.1f} "
                     "px is a guess. Record a drive with turns."
                 )
+    if estimate.spacing_m and not estimate.metric and estimate.metre is not None:
+        notes.append(f"Lengths are not metric: {estimate.metre.reason}.")
     if not estimate.spacing_m:
         notes.append(
             "Lengths are in camera spacings, not in metres: give the distance between the cameras "
@@ -112,7 +114,7 @@ def report_data(
     color: (P, 3) RGB of estimate.points_w. figures: from `results.compare`. notes: sentences to
     add to those of `unobserved`.
     """
-    unit = "m" if estimate.spacing_m else "spacings"
+    unit = "m" if estimate.metric else "units" if estimate.spacing_m else "spacings"
     figures = dict(figures or {})
     truth_w = windows = None
     if truth is not None and len(truth.t_ns) and len(estimate.t_ns) >= MIN_POSES:

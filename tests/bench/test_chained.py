@@ -12,7 +12,7 @@ from bench.chained import chained, matched_submaps
 from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.results import compare
 from calm_edge.evaluation.truth import Truth
-from calm_edge.types import Landmarks, LocalizerUpdate, Prediction, Trajectory
+from calm_edge.types import Landmarks, LocalizerUpdate, Metre, Prediction, Trajectory
 from device.frame import Eye, Frame
 from tests.bench.baselines import chains
 from tests.evaluation.worlds import curve
@@ -43,7 +43,7 @@ def update(k: int) -> LocalizerUpdate:
     submap = DRIVE.submaps[k]
     prediction = Prediction(submap.cameras_raw, submap.T_s_c_raw, landmarks=landmarks(k))
     trajectory = Trajectory(np.arange(1), np.zeros(1, np.int64), np.eye(4)[None], np.eye(4), k)
-    return LocalizerUpdate(submap, prediction, trajectory)
+    return LocalizerUpdate(submap, prediction, trajectory, metre=Metre(0.01))
 
 
 UPDATES = [update(k) for k in range(len(DRIVE.submaps))]

@@ -30,6 +30,7 @@ WELL = HubStatus(
     frame_ns=(100 * S, 100 * S),
     pose_ns=100 * S,
     pose_lost=False,
+    no_metre="",
     pose_age_ms=20.0,
     windows_waiting=0,
     windows_overtaken=0,
@@ -118,7 +119,14 @@ def test_the_states_of_a_drive(scene: Scene) -> None:
     nothing.submaps = 1
     unposed = replace(WELL, counts=nothing.counts())
     assert scene.update(unposed) == "STARTING (waiting for the first pose)"
+    # a first pose that is not metric ends the start
+    first = RecordResult(frames=[10, 10], submaps=1, unscaled_poses=1)
+    counts = first.counts()
+    assert scene.update(replace(WELL, counts=counts, no_metre="no metre")) == "DEGRADED (no metre)"
     assert scene.update(WELL) == "RUNNING"
+    unscaled = replace(WELL, no_metre="no metre: the car stood still")
+    assert scene.update(unscaled) == "DEGRADED (no metre"
+    assert scene.kept.messages[-1]["reasons"] == ["no metre: the car stood still"]
     assert scene.update(replace(WELL, pose_ns=98 * S)) == "LOST (no pose for 2 s)"
     assert scene.update(replace(WELL, pose_lost=True)) == "LOST (no pose for 0 s)"
     assert scene.update(replace(WELL, windows_waiting=3)) == "LAGGING (3 windows wait to be solved)"
@@ -127,10 +135,11 @@ def test_the_states_of_a_drive(scene: Scene) -> None:
     assert scene.journal.lines[-2:] == ["stopping", "STOPPING"]
     # a tick follows, so that outputs act on the end at once and not only after the last window
     assert scene.kept.calls == [
-        "STARTING", "STARTING", "RUNNING", "LOST", "LOST", "LAGGING", "LAGGING", "STOPPING", "tick"
+        "STARTING", "STARTING", "DEGRADED", "RUNNING", "DEGRADED", "LOST", "LOST",
+        "LAGGING", "LAGGING", "STOPPING", "tick",
     ]  # fmt: skip
     assert [text.split()[0].rstrip(":") for text in scene.kept.logged] == [
-        "RUNNING", "LOST", "LAGGING", "STOPPING"
+        "DEGRADED", "RUNNING", "DEGRADED", "LOST", "LAGGING", "STOPPING"
     ]  # fmt: skip
 
 

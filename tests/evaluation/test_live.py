@@ -31,7 +31,8 @@ def samples(T: np.ndarray, lost: range = range(0), epoch_from: int = 10**9) -> l
         velocity = T_w_c[:3, :3].T @ beside / (2 * STEP_NS / 1e9)
         epoch = int(i >= epoch_from)
         status = PoseStatus.LIVE if i % 2 else PoseStatus.LAGGING
-        out.append(PoseSample(t, T_o_w @ T_w_c, velocity, np.eye(6), epoch, status))
+        sample = PoseSample(t, T_o_w @ T_w_c, velocity, np.eye(6), epoch, status)
+        out.append(replace(sample, twist_covariance=np.eye(6), scale_log_sigma=0.01))
     return out
 
 
@@ -54,6 +55,29 @@ def test_a_wrong_scale_shows_in_percent_and_can_be_passed() -> None:
     figures = compare(samples(small), stamps(N), stamps(N), T, scale=1 / 0.9)
     assert figures is not None and figures["span_percent"] < 1e-6
     assert figures["velocity_m_s"]["p50"] < 1e-9
+
+
+def test_the_claimed_sigma_is_that_of_both_poses_and_of_the_scale() -> None:
+    T = curve(N)
+    given = [replace(s, covariance=1e-4 * np.eye(6)) for s in samples(T)]
+    figures = compare(given, stamps(N), stamps(N), T)
+    steps = np.linalg.norm(T[10:, :3, 3] - T[:-10, :3, 3], axis=1)
+    # two positions of three axes each, the first turn's lever of two axes, and the scale
+    expected = np.sqrt(6e-4 + 2e-4 * steps**2 + (0.01 * steps) ** 2)
+    assert figures is not None
+    assert figures["span_sigma_m"] == pytest.approx(np.median(expected), rel=1e-3)
+    assert figures["velocity_sigma_m_s"] == pytest.approx(np.sqrt(3), rel=0.01)
+
+
+def test_poses_that_are_not_metric_are_not_compared() -> None:
+    T = curve(N)
+    given = samples(T)
+    for i in range(30):
+        given[i] = replace(given[i], status=PoseStatus.UNSCALED, T_w_c=7 * given[i].T_w_c)
+    figures = compare(given, stamps(N), stamps(N), T)
+    assert figures is not None
+    assert figures["first_s"] == pytest.approx(30 * STEP_NS / 1e9)
+    assert figures["span_m"]["max"] < 1e-9
 
 
 def test_a_drifting_heading_shows_in_degrees_per_second() -> None:

@@ -4,9 +4,10 @@ import numpy as np
 
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
-from calm_edge.types import LocalizerUpdate, Prediction, Submap, Trajectory
+from calm_edge.types import LocalizerUpdate, Metre, Prediction, Submap, Trajectory
 
 STEP_NS = 100_000_000
+METRE = Metre(0.01)
 
 
 def curve(n: int = 240) -> np.ndarray:
@@ -30,6 +31,7 @@ def update(
     submap_id: int = 0,
     scale: float = 1.0,
     stage_ms: dict[str, float] | None = None,
+    metre: Metre = METRE,
 ) -> LocalizerUpdate:
     """An update with the given trajectory and a sub-map of two primary and one assistant view."""
     optics = (focal[0], focal[0], focal[1])
@@ -48,6 +50,8 @@ def update(
         scale,
         T_w_c[-1],
         np.array(sigma),
+        scale_log_sigma=metre.log_sigma,
     )
     trajectory = Trajectory(np.arange(len(t_ns)), t_ns, T_w_c, np.eye(4), submap_id)
-    return LocalizerUpdate(submap, Prediction(cameras, eye), trajectory, stage_ms or {})
+    prediction = Prediction(cameras, eye)
+    return LocalizerUpdate(submap, prediction, trajectory, stage_ms or {}, metre=metre)

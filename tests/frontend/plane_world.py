@@ -16,6 +16,7 @@ from calm_edge.types import (
     Float32,
     Landmarks,
     LocalizerUpdate,
+    Metre,
     Prediction,
     Submap,
     Trajectory,
@@ -79,6 +80,7 @@ class PlaneWorld:
         raw_scale: float = 0.5,
         T_map_world: Float | None = None,
         with_depth: bool = False,
+        scale_log_sigma: float = 0.01,
     ) -> LocalizerUpdate:
         """Update of a perfect estimator for keyframes `ids` at T_w_c (N, 4, 4).
 
@@ -126,9 +128,10 @@ class PlaneWorld:
             raw_scale,
             T_map_world @ T_w_c[0],
             np.zeros(2),
+            scale_log_sigma=scale_log_sigma,
         )
         trajectory = Trajectory(np.array(ids, np.int64), stamps, T_map_world @ T_w_c, np.eye(4), 0)
-        return LocalizerUpdate(submap, prediction, trajectory)
+        return LocalizerUpdate(submap, prediction, trajectory, metre=Metre(0.01))
 
 
 def drive(n: int, step_m: float = 0.1, yaw_deg: float = 0.0) -> Float:

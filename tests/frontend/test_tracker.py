@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calm_edge.config import FrontendConfig
 from calm_edge.frontend.tracker import Tracker
 from calm_edge.geometry import se3
-from calm_edge.types import Float, PoseSample, PoseStatus
+from calm_edge.types import Float, Metre, PoseSample, PoseStatus
 from tests.frontend.plane_world import DEPTH, PlaneWorld, drive
 
 PERIOD_NS = 100_000_000
@@ -224,3 +226,44 @@ def test_at_30_hz_a_submap_may_be_as_late_as_at_10_hz() -> None:
     # the frames since are tracked, three per new frame
     assert len(live) >= 5
     np.testing.assert_allclose(live[-1].T_w_c, poses[129], atol=0.05)
+
+
+def test_a_pose_is_not_metric_until_a_submap_is() -> None:
+    """Pulling away: the first sub-map has no metre and a wrong scale, the next one has both."""
+    poses = drive(50)
+    tracker = Tracker(FrontendConfig())
+    feed(tracker, poses[:10])
+    ids, stamps = [0, 1, 2, 3], [stamp(3 * i) for i in range(4)]
+    wrong = poses[:10:3].copy()
+    wrong[:, :3, 3] = wrong[0, :3, 3] + 1.15 * (wrong[:, :3, 3] - wrong[0, :3, 3])
+    assert tracker.attach(WORLD.update(0, ids, stamps, wrong, scale_log_sigma=0.5))
+    before = feed(tracker, poses[10:24], 10)
+    assert all(s.status is PoseStatus.UNSCALED and s.scale_log_sigma == 0.5 for s in before)
+    ids, keyframes = [4, 5, 6, 7], [12, 15, 18, 21]
+    update = WORLD.update(1, ids, [stamp(i) for i in keyframes], poses[keyframes])
+    assert tracker.attach(update)
+    after = feed(tracker, poses[24:], 24)
+    assert all(s.status is PoseStatus.LIVE and s.scale_log_sigma == 0.01 for s in after)
+    # lengths of the two units are not mixed in one velocity
+    step = poses[-1, :3, :3].T @ (poses[-1] - poses[-2])[:3, 3] / 0.1
+    for sample in after:
+        if np.isfinite(sample.velocity_c).all():
+            np.testing.assert_allclose(sample.velocity_c, step, atol=0.2)
+    # the error of the scale grows with the path since the first metric pose
+    path = after[-1].T_w_c[:3, 3] - after[0].T_w_c[:3, 3]
+    grown = after[-1].T_w_c[:3, :3] @ after[-1].scale_offset
+    grown -= after[0].T_w_c[:3, :3] @ after[0].scale_offset
+    np.testing.assert_allclose(grown, 0.01 * path, atol=1e-9)
+    pose, twist = after[-1].with_scale()
+    assert pose[0, 0] > after[-1].covariance[0, 0] and np.isfinite(twist).all()
+
+
+def test_an_objection_of_the_drive_makes_a_submap_unscaled() -> None:
+    poses = drive(12)
+    tracker = Tracker(FrontendConfig())
+    feed(tracker, poses[:10])
+    update = WORLD.update(0, [0, 1, 2], [stamp(0), stamp(3), stamp(6)], poses[:9:3])
+    assert tracker.attach(replace(update, metre=Metre(reason="both pictures look alike")))
+    (sample, _) = feed(tracker, poses[10:], 10)
+    assert sample.status is PoseStatus.UNSCALED
+    assert np.isnan(sample.with_scale()[0]).all() and np.isfinite(sample.T_w_c).all()

@@ -70,6 +70,7 @@ def sample(ms: float, **changes: Any) -> PoseSample:
         "twist_covariance": np.diag([4.0, 5.0, 6.0, 7.0, 8.0, 9.0]),
         "epoch": 0,
         "status": PoseStatus.LIVE,
+        "scale_log_sigma": 1e-6,
     }
     return PoseSample(**fields | changes)
 
@@ -357,12 +358,49 @@ def test_an_unchanged_state_is_sent_once() -> None:
     assert len(bench.port.take("STATUSTEXT")) == 1
 
 
-def test_without_a_spacing_quality_is_failed_and_the_text_names_the_remedy() -> None:
+def test_without_a_spacing_no_pose_is_sent_and_the_text_names_the_remedy() -> None:
     bench = Bench(spacing_known=False)
-    (got,) = bench.at(0, sample(0))
-    assert got.quality == -1 and got.x == 7.0
+    assert bench.at(0, sample(0)) == []
+    (beat,) = bench.port.take("HEARTBEAT")
+    assert beat.system_status == peer.MAV_STATE_CRITICAL
     (text,) = bench.port.take("STATUSTEXT")
     assert text.severity == peer.MAV_SEVERITY_WARNING and "scale.spacing_m" in text.text
+
+
+def test_poses_without_a_metre_are_not_sent_and_the_reason_is() -> None:
+    bench = Bench()
+    reason = "no metre: both pictures look alike"
+    sent = []
+    for k in range(40):
+        unscaled = k < 12 or 20 <= k < 30
+        bench.publisher.report(*(("DEGRADED", (reason,)) if unscaled else ("RUNNING",)))
+        status = PoseStatus.UNSCALED if unscaled else PoseStatus.LIVE
+        sent += bench.at(100 * k, sample(100 * k, status=status))
+    at_ms = [(m.time_usec - START // 1000) // 1000 for m in sent]
+    assert at_ms == [*range(1200, 2000, 100), *range(3000, 4000, 100)]
+    # a new start, since nothing is known of the way without a metre
+    assert [m.reset_counter for m in sent] == [1] * 8 + [2] * 10
+    critical, active = peer.MAV_STATE_CRITICAL, peer.MAV_STATE_ACTIVE
+    beats = [m.system_status for m in bench.port.take("HEARTBEAT")]
+    assert beats == [critical, critical, critical, active]
+    texts = [(m.severity, m.text) for m in bench.port.take("STATUSTEXT")]
+    assert texts[0] == (peer.MAV_SEVERITY_WARNING, f"calm-edge degraded: {reason}"[:50])
+    assert texts[2] == (peer.MAV_SEVERITY_INFO, "calm-edge running")
+
+
+def test_covariances_hold_the_error_of_the_scale() -> None:
+    # body axes are the camera's z, x, y
+    T_w_c = compose(np.eye(3), np.array([0.0, 0.0, 100.0]))
+    offset = np.array([0.0, 0.0, 2.0])
+    given = {"T_w_c": T_w_c, "covariance": 1e-4 * np.eye(6), "twist_covariance": 1e-4 * np.eye(6)}
+    velocity = {"velocity_c": np.array([0.0, 0.0, 10.0])}
+    scaled = sample(0, **given, **velocity, scale_log_sigma=0.02, scale_offset=offset)
+    (got,) = Bench().at(0, scaled)
+    diagonal = [0, 6, 11]
+    assert np.allclose(np.array(got.pose_covariance)[diagonal], [4.0001, 1e-4, 1e-4])
+    assert np.allclose(np.array(got.velocity_covariance)[diagonal], [0.0401, 1e-4, 1e-4])
+    # not of the distance from the start, but of the present sigma
+    assert got.quality == round(100 / (1 + 0.2**2 + (0.01 / math.radians(0.25)) ** 2 + 0.4**2))
 
 
 def test_the_busiest_second_leaves_a_tenth_of_the_line_free() -> None:

@@ -52,6 +52,9 @@ def pose(i: int = 0) -> PoseSample:
         i,
         list(PoseStatus)[i % 3],
         turn_rate_c=rng.normal(size=3),
+        twist_covariance=np.cov(rng.normal(size=(6, 20))),
+        scale_log_sigma=0.02,
+        scale_offset=rng.normal(size=3),
     )
 
 

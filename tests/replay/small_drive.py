@@ -21,10 +21,10 @@ def poses(n: int) -> Float:
     return np.asarray(se3.inverse(T[0]) @ T)
 
 
-def write_drive(folder: Path, n: int = 40) -> Path:
+def write_drive(folder: Path, n: int = 40, spacing_m: float = SPACING_M) -> Path:
     """Write `n` frames per eye at 10 Hz, the assistant 17 ms later, as a sequence folder."""
     world = PlaneWorld()
-    T_w_p, T_p_a = poses(n), se3.exp(np.array([SPACING_M, 0, 0, 0, 0.02, 0]))
+    T_w_p, T_p_a = poses(n), se3.exp(np.array([spacing_m, 0, 0, 0, 0.02, 0]))
     at = np.arange(n, dtype=np.float64)
     late = se3.interpolate_at(at, T_w_p, at + ASSISTANT_DELAY_S * 10)
     T_start = drive(n, 0.12)[0]

@@ -91,12 +91,8 @@ def darkened(folder: Path) -> Path:
     return drive
 
 
-@pytest.fixture(scope="module")
-def received(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recording]:
-    folder = tmp_path_factory.mktemp("line")
-    drive = darkened(folder / "drive")
-    listener = Listener()
-    config = merge(config_for(drive), {"pose_output": {"port": listener.port}})
+def timed_source(drive: Path) -> Source:
+    """A replay whose clock follows the frames."""
     sequence, clock = SequenceFolder(drive), FrameClock(1)
 
     def cameras() -> tuple[Camera, Camera]:
@@ -111,8 +107,17 @@ def received(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recor
         )
         return primary, assistant
 
-    source = Source(cameras, clock, True, "drive")
-    serial = configured(config, clock.now_ns)
+    return Source(cameras, clock, True, "drive")
+
+
+@pytest.fixture(scope="module")
+def received(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], Recording]:
+    folder = tmp_path_factory.mktemp("line")
+    drive = darkened(folder / "drive")
+    listener = Listener()
+    config = merge(config_for(drive), {"pose_output": {"port": listener.port}})
+    source = timed_source(drive)
+    serial = configured(config, source.clock.now_ns)
     out = folder / "rec"
     result, _ = record(drive, out, lockstep=True, config=config, source=source, outputs=serial)
     listener.close()

@@ -16,6 +16,7 @@ from calm_edge.config import load
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.tick_latency import TickLatency
 from calm_edge.geometry.flow import corners, follow
+from calm_edge.types import PoseStatus
 from device.frame import Eye, Frame
 from tests.replay.small_drive import write_drive
 
@@ -69,7 +70,7 @@ def test_each_requirement_is_judged(
 ) -> None:
     result = RecordResult(frames=[30, 30], tick=TickLatency(100, 0.1, late_ms, 9.0))
     if age_ms is not None:
-        result.note_pose(False, age_ms)
+        result.note_pose(PoseStatus.LIVE, age_ms)
     made = table([Run("inference", 60, lost, share, 0.5, 1.0, result)], "command")
     assert [check.passed for check in made.checks] == kept
 
