@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
+from calm_edge.estimator.metre import UNKNOWN
 from calm_edge.kit.belief import product
 from calm_edge.types import Float, Hints, KitBelief, Overlap, Prediction
 
@@ -98,7 +99,7 @@ class KitMemory:
         if submap_id in self._evidence:
             del self._evidence[submap_id]
             self._total = self._of_epoch(self.epoch(None))
-        if prediction.kit is not None:
+        if prediction.kit is not None and teaches(prediction):
             self._evidence[submap_id] = prediction.kit
             if self.epoch(submap_id) == self.epoch(None):
                 self._total = product([self._total, prediction.kit])
@@ -172,10 +173,21 @@ class KitMemory:
             light = replace(prediction, depth=None, confidence=None)
             self._windows[submap_id] = _Window(light, hints, log_focal)
         for submap_id, prediction in solved.items():
-            if prediction.kit is not None:
+            self._evidence.pop(submap_id, None)
+            if prediction.kit is not None and teaches(prediction):
                 self._evidence[submap_id] = prediction.kit
         self._total = self._of_epoch(self.epoch(None))
         return solved
+
+
+def teaches(prediction: Prediction) -> bool:
+    """Whether evidence on the kit may be taken from a solved window.
+
+    Without parallax between the cameras there is none on the rig, and what the solver makes of it
+    is noise.
+    """
+    sigma = prediction.scale_log_sigma
+    return sigma is None or sigma < UNKNOWN
 
 
 def _log_focal(prediction: Prediction, hints: Hints) -> Float:

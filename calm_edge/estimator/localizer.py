@@ -312,7 +312,8 @@ class Localizer:
         self._replace()
         self._request()
         self._atlas.settle(self._optimiser)
-        self._kit_prior.save(self._memory.evidence())
+        if self.metre.metric:
+            self._kit_prior.save(self._memory.evidence())
         return self.trajectory()
 
     def trajectory(self) -> Trajectory:

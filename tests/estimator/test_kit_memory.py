@@ -51,6 +51,21 @@ def test_the_prior_of_a_window_is_the_evidence_of_the_others():
     assert KitMemory(Resolver(), 10).belief() is None
 
 
+def test_a_window_whose_scale_is_unknown_teaches_nothing_until_it_is_known():
+    unknown = dataclasses.replace(seen((500, 500), kit=9.0), scale_log_sigma=np.inf)
+    memory = KitMemory(Resolver(), 10)
+    memory.add(0, unknown, HINTS)
+    assert memory.evidence() is None
+    memory.add(1, seen((500, 500), kit=1.0), HINTS)
+    assert memory.evidence().mean == pytest.approx([1.0])
+    # the resolver gives evidence of 5 and no sigma
+    memory.resolve([0])
+    assert memory.evidence().mean == pytest.approx([3.0])
+    # and what became unknown is forgotten
+    memory.add(0, unknown, HINTS)
+    assert memory.evidence().mean == pytest.approx([1.0])
+
+
 def test_new_evidence_of_a_window_replaces_the_old():
     backbone = Resolver()
     memory = KitMemory(backbone, 10)

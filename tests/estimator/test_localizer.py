@@ -59,6 +59,19 @@ def test_without_a_spacing_the_world_is_in_spacings():
     assert position_error(live(updates).T_w_c, T_units).max() < 1e-9
 
 
+def test_a_drive_without_a_metre_saves_no_kit(monkeypatch):
+    saved = []
+    monkeypatch.setattr(localizer_module.KitPrior, "save", lambda *given: saved.append(given))
+    T = curved(40)
+    driven, _ = drive(T, ScriptedErrors())
+    driven.finish()
+    assert driven.metre.metric and len(saved) == 1
+    T[:, :3, 3] *= 1e-4
+    stood, _ = drive(T, ScriptedErrors())
+    stood.finish()
+    assert not stood.metre.metric and len(saved) == 1
+
+
 @pytest.mark.parametrize("late_ns", [17_000_000, -40_000_000])
 def test_unsynchronised_cameras_add_little_error(late_ns):
     T = curved(150)

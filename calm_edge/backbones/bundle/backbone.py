@@ -327,6 +327,6 @@ def _prediction(
         kit=evidence,
         assistant_late_s=float(state.theta[layout.TIME_OFFSET]),
         stamps_off_s=ties.late_s if ties.late_s.any() else None,
-        scale_log_sigma=known.scale_log_sigma(state, m),
+        scale_log_sigma=np.inf if evidence is None else known.scale_log_sigma(state, m),
         covariance=known.of_views(np.flatnonzero(m.eye == 0)).astype(np.float32),
     )
