@@ -122,7 +122,8 @@ class EstimatorWork:
             traceback.print_exc()
             return Processed(window.submap_id, None, f"{type(error).__name__}: {error}")
         if update is None:
-            return Processed(window.submap_id, None, self._localizer.skipped[-1].reason)
+            reason, metre = self._localizer.skipped[-1].reason, self._localizer.metre
+            return Processed(window.submap_id, None, reason, metre=metre)
         joined = update.loop_keyframe
         # the localizer may have added a loop keyframe to the window
         window = dataclasses.replace(window, loop_keyframe=joined)
@@ -134,7 +135,7 @@ class EstimatorWork:
             light = dataclasses.replace(update.prediction, depth=None, confidence=None)
             update = dataclasses.replace(update, prediction=light)
         record = of_window(window) if joined is not None else None
-        return Processed(window.submap_id, update, window=record)
+        return Processed(window.submap_id, update, window=record, metre=update.metre)
 
     def _densified(self, window: SubmapWindow, update: LocalizerUpdate) -> LocalizerUpdate:
         start = time.perf_counter()

@@ -6,7 +6,10 @@ import logging
 import queue
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from calm_edge.config import Config
 from calm_edge.daemon.child import Child
@@ -218,6 +221,9 @@ class Hub:
         return 0
 
     def _pose(self, sample: PoseSample) -> None:
+        if sample.status.usable and not np.isfinite(self.result.metre.log_sigma):
+            # what objects to the metre of the drive came after the sub-map of this pose
+            sample = replace(sample, status=PoseStatus.UNSCALED, scale_log_sigma=np.inf)
         now_ns = self.source.clock.now_ns()
         self.outputs.give(lambda output: output.pose(sample, now_ns))
         age_ms = None if self.lockstep else (now_ns - sample.t_ns) / 1e6
@@ -231,11 +237,12 @@ class Hub:
             raise DaemonError(self.estimator.refusal)
         if not isinstance(message, Processed):
             return
+        if message.metre is not None:
+            self.result.metre = message.metre
         if message.problem:
             self.say(f"window {message.submap_id}: {message.problem}")
         if (update := message.update) is not None:
             self.kit, self._stage_ms = update.kit, update.stage_ms
-            self.result.metre = update.metre
             for notice in update.notices:
                 self.say(notice)
             if (record := message.window) is not None:

@@ -17,11 +17,11 @@ class HubStatus:
     """Status of the hub at now_ns, on the clock of the frames' stamps.
 
     frame_ns: time of the last frame of each camera. pose_ns: time of the last live pose.
-    pose_lost: the newest pose has the status LOST. no_metre: why the newest pose is not metric
-    though the spacing is configured, else empty. pose_age_ms: largest age of a pose in this
-    second. windows_overtaken: number skipped to process newer ones. faults: one line for each part
-    that does not work. counts, drops: numbers of items, and of losses by cause, since the
-    start. queues: lengths by name. stage_ms: durations of the newest window's stages.
+    pose_lost: the newest pose has the status LOST. no_metre: why there is no sub-map, or why the
+    newest pose is not metric though the spacing is configured; else empty. pose_age_ms: largest age
+    of a pose in this second. windows_overtaken: number skipped to process newer ones. faults: one
+    line for each part that does not work. counts, drops: numbers of items, and of losses by cause,
+    since the start. queues: lengths by name. stage_ms: durations of the newest window's stages.
     """
 
     now_ns: int
@@ -88,7 +88,10 @@ def take_status(
 
 
 def _no_metre(result: RecordResult) -> str:
-    if not result.spacing_m or result.pose_status is not PoseStatus.UNSCALED:
+    reason = result.metre.reason
+    if not result.spacing_m:
         return ""
-    # the drive may have a metre that its newest sub-map lacks
-    return f"no metre: {result.metre.reason or 'the newest sub-map does not show it'}"
+    if result.pose_status is PoseStatus.UNSCALED:
+        # the drive may have a metre that its newest sub-map lacks
+        return f"no metre: {reason or 'the newest sub-map does not show it'}"
+    return f"no metre: {reason}" if reason and not result.submaps else ""

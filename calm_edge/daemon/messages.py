@@ -189,13 +189,15 @@ class Processed:
     """Result of a window.
 
     update: None if the window could not be solved. problem: the reason, otherwise empty. window:
-    record of the window with the loop keyframe that the estimator added, None without one.
+    record of the window with the loop keyframe that the estimator added, None without one. metre:
+    of the drive so far; None if unknown.
     """
 
     submap_id: int
     update: LocalizerUpdate | None
     problem: str = ""
     window: WindowRecord | None = None
+    metre: Metre | None = None
 
 
 @dataclass(frozen=True, slots=True)
