@@ -95,6 +95,9 @@ class Hints:
     eyes: (N,) Eye values. t_ns: (N,). hfov_deg: one per camera, None if unknown.
     kit: belief from earlier windows with the same kit, or None.
     sizes: (2, 2) width, height [px] of each camera's images, or None.
+    late_s: (N,) known offset of each stamp, exposure minus stamp; None if none is known.
+    late_sigma_s: sigma of that offset, common to all stamps of the assistant.
+    apart: whether `Prediction.T_s_c_apart` is wanted.
     loop: the last image is a loop keyframe, a primary view after those of the assistant (IV-D).
     n_overlap: number of leading primary images that the previous batch ended with. overlap: what
     that batch says of them, or None. n_shared: number of last primary images of which the next
@@ -110,10 +113,14 @@ class Hints:
     n_overlap: int = 0
     overlap: Overlap | None = None
     n_shared: int = 0
+    late_s: Float | None = None
+    late_sigma_s: float = 0.0
+    apart: bool = False
 
     def without_loop(self) -> Hints:
         """Hints of the window alone."""
-        return replace(self, eyes=self.eyes[:-1], t_ns=self.t_ns[:-1], loop=False)
+        late_s = None if self.late_s is None else self.late_s[:-1]
+        return replace(self, eyes=self.eyes[:-1], t_ns=self.t_ns[:-1], late_s=late_s, loop=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +178,8 @@ class Prediction:
     overlap: what this batch says of its last primary images, as asked for in the hints; or None.
     overlap_mismatch: chi-square of the hints' overlap against these images alone, by degree of
     freedom; None without one.
+    T_s_c_apart: poses of the window's own views in a frame and unit of their own, not tied by the
+    stamps: those of the assistant by its pictures alone, NaN where that fails; or None.
     loop_found: False if the loop keyframe could not be placed; its pose is then meaningless.
     notices: lines for the user; a line repeated by later batches is reported once.
     """
@@ -191,6 +200,7 @@ class Prediction:
     notices: tuple[str, ...] = ()
     scale_log_sigma: float | None = None
     covariance: Float32 | None = None
+    T_s_c_apart: Float | None = None
 
     def without_loop(self) -> Prediction:
         """Prediction of the window alone, without the landmarks triangulated for the loop view."""

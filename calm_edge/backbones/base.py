@@ -12,7 +12,12 @@ from calm_edge.types import CalmEdgeError, Float, Hints, Prediction
 
 
 class BackboneError(CalmEdgeError):
-    """The model cannot be loaded, or a batch cannot be reconstructed."""
+    """The model cannot be loaded, or a batch cannot be reconstructed.
+
+    T_s_c_apart: as in Prediction, of a window that is refused: wrong stamps may be the cause.
+    """
+
+    T_s_c_apart: Float | None = None
 
 
 class Backbone(Protocol):

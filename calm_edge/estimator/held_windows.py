@@ -48,6 +48,11 @@ class HeldWindows:
         while len(self._held) > self._limit:
             del self._held[next(iter(self._held))]
 
+    def forget_attempts(self) -> None:
+        """Make all held windows worth solving again, once the rig is known."""
+        never = np.full(2, np.inf)
+        self._held = {i: (window, never) for i, (window, _) in self._held.items()}
+
     def drop(self, submap_id: int) -> None:
         """Hold a window no longer, if it is held."""
         self._held.pop(submap_id, None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +19,8 @@ log = logging.getLogger(__name__)
 # A window is solved again if the newest log focal length differs by more than this (1 %) from the
 # one with which the window was solved.
 FOCAL_MOVED = 0.01
+# Corrections of stamps that differ by less are the same.
+SAME_INSTANT_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +125,24 @@ class KitMemory:
         """Newest solution of a window, without depth; None if it is not retained."""
         window = self._windows.get(submap_id)
         return None if window is None else window.prediction
+
+    def correct_stamps(self, late_s: Callable[[Hints], Float]) -> list[int]:
+        """Give all windows the known offsets of their stamps; return ids of those this changes.
+
+        late_s: gives `Hints.late_s`. Their evidence and overlap are dropped until they are solved
+        again.
+        """
+        changed = []
+        for submap_id, window in self._windows.items():
+            late, before = late_s(window.hints), window.hints.late_s
+            if np.abs(late - (0.0 if before is None else before)).max() > SAME_INSTANT_S:
+                hints = replace(window.hints, late_s=late)
+                prediction = replace(window.prediction, overlap=None)
+                self._windows[submap_id] = replace(window, hints=hints, prediction=prediction)
+                self._evidence.pop(submap_id, None)
+                changed.append(submap_id)
+        self._total = self._of_epoch(self.epoch(None))
+        return sorted(changed)
 
     def outdated(self) -> list[int]:
         """Ids of sub-maps solved with another focal length than the newest window.

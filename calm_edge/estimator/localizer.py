@@ -27,7 +27,9 @@ from calm_edge.estimator.kit_watch import KitWatch, Slip, Suspect
 from calm_edge.estimator.metre import DriveMetre
 from calm_edge.estimator.rectifier import Rectifier
 from calm_edge.estimator.replacement import Replacement
+from calm_edge.estimator.stamp_correction import StampCorrection
 from calm_edge.geometry import se3
+from calm_edge.geometry.alike import look_alike
 from calm_edge.kit import change, layout
 from calm_edge.kit.prior import KitPrior
 from calm_edge.loops.descriptor import descriptor_of
@@ -58,6 +60,7 @@ log = logging.getLogger(__name__)
 REPLACE_GROWTH = 1.1
 # Sub-maps placed again per window, so that its cost does not grow with the drive.
 REPLACED_PER_WINDOW = 8
+ALIKE = "both pictures look alike"
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +120,8 @@ class Localizer:
         self._restored: set[int] = set()
         self._told_epoch = 0
         self._watch = KitWatch()
+        self._stamps = StampCorrection()
+        self._retimed = False
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
@@ -180,12 +185,16 @@ class Localizer:
             if sigma is not None and unsettled(prediction):
                 self._held.hold(window, sigma)
             lines += self._kit_prior.contradicted(self._memory.evidence())
+            lines += (self._stamps.notice,) if self._stamps.notice else ()
             notices = self._new_notices(lines)
             self._memory.prior = self._kit_prior.belief
             self._stale |= solved.recalibrated
             grown = len(atlas) >= REPLACE_GROWTH * self._n_replaced
             if self._stale and grown and self._replacement is None:
                 self._begin_replacement(atlas.submaps)
+            if self._retimed:
+                self._retimed = False
+                self._resolve(self._memory.correct_stamps(self._stamps.late_s_or_zero))
             self._resolve(self._memory.outdated())
             if self._unhurried:
                 self.solve_again()
@@ -388,13 +397,12 @@ class Localizer:
         candidate = None
         with _timed(stage_ms, "decode"):
             images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
+        self._refuse_alike(window, images)
         if loops:
             with _timed(stage_ms, "loop"):
                 window, images, candidate = self._with_loop(window, images)
-        hints = self._hints(window, images)
-        hints = replace(hints, kit=hints.kit if kit is None else kit)
         with _timed(stage_ms, "infer"):
-            prediction = self._backbone.infer(images, hints)
+            prediction, hints = self._inferred(window, images, kit)
         raw = window_submap.raw_submap(window, hints, prediction)
         raw = replace(raw, kit_epoch=self._memory.epoch(window.submap_id))
         recalibrated = False
@@ -412,6 +420,44 @@ class Localizer:
             hints = hints.without_loop()
         return Reconstruction(window, hints, prediction, submap, closed, recalibrated)
 
+    def _refuse_alike(self, window: SubmapWindow, images: Sequence[Bytes]) -> None:
+        """Raise ScaleError if both cameras deliver the same pictures."""
+        n, m = len(window.primary), len(window.assistant)
+        alike = look_alike(images[:n], images[n : n + m])
+        self._metre.object_to("pictures", ALIKE if alike else None)
+        if alike:
+            raise scale.ScaleError(ALIKE)
+
+    def _inferred(
+        self, window: SubmapWindow, images: list[Bytes], kit: KitBelief | None
+    ) -> tuple[Prediction, Hints]:
+        """Solve a window; a second time if it shows that the assistant's stamps are wrong.
+
+        kit: belief to use, None for that of the drive so far.
+        """
+
+        def hinted() -> Hints:
+            hints = self._hints(window, images)
+            return hints if kit is None else replace(hints, kit=kit)
+
+        hints, failure = hinted(), None
+        try:
+            prediction = self._backbone.infer(images, hints)
+            apart = prediction.T_s_c_apart
+        except BackboneError as error:
+            apart, failure = error.T_s_c_apart, error
+        corrected = self._stamps.add(window.submap_id, hints, apart)
+        self._metre.object_to("stamps", self._stamps.objection)
+        if corrected:
+            self._held.forget_attempts()
+            self._retimed = True
+            # the window before was solved with the wrong stamps
+            hints = replace(hinted(), overlap=None)
+            prediction = self._backbone.infer(images, hints)
+        elif failure is not None:
+            raise failure
+        return prediction, hints
+
     def kit_sigma(self, submap_id: int) -> Float | None:
         """`kit_sigma` for solving this window now; None if the backbone estimates no kit."""
         if not isinstance(self._backbone, ResolvingBackbone):
@@ -426,7 +472,7 @@ class Localizer:
         sizes = window_submap.sizes(window, images)
         self._kit_prior.open(sizes)
         self._memory.prior = self._kit_prior.belief
-        return Hints(
+        hints = Hints(
             eyes=np.array([frame.eye for frame in frames], np.int64),
             t_ns=np.array([frame.t_ns for frame in frames], np.int64),
             hfov_deg=self._config.backbone.hfov_of_eye,
@@ -436,7 +482,9 @@ class Localizer:
             n_overlap=window.n_overlap,
             overlap=self._memory.overlap_before(window.submap_id),
             n_shared=self._config.overlap_shared,
+            apart=self._stamps.wanted(window.submap_id),
         )
+        return replace(hints, late_s=self._stamps.late_s(hints), late_sigma_s=self._stamps.sigma_s)
 
     def _with_loop(
         self, window: SubmapWindow, images: list[Bytes]

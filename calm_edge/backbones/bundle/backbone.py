@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import loop_view, overlap, posterior, stamps, window
+from calm_edge.backbones.bundle.apart import solved_apart
 from calm_edge.backbones.bundle.initialise import chained, driven, initial_state, triangulated
 from calm_edge.backbones.bundle.matching import Matching
 from calm_edge.backbones.bundle.overlap import OverlapPrior
@@ -127,11 +128,18 @@ class BundleBackbone:
         )
         with _solvable():
             m = window.measure(images, hints, belief.mean, rig_known, self._matching)
-            ties = rig_ties(m)
-            start = _first_guess(m, ties, belief, known)
-            solved = _solved(start, m, ties, belief, hints)
+        try:
+            with _solvable():
+                ties = rig_ties(m)
+                start = _first_guess(m, ties, belief, known)
+                solved = _solved(start, m, ties, belief, hints)
+        except BackboneError as error:
+            error.T_s_c_apart = _apart(m, belief) if hints.apart else None
+            raise
+        apart = _apart(m, belief) if hints.apart else None
+        solved = window.with_known_offset(solved, hints)
         notices = (*self._notices, *solved.notices)
-        return replace(solved, kit_sigma=sigma, notices=notices)
+        return replace(solved, kit_sigma=sigma, notices=notices, T_s_c_apart=apart)
 
     def kit_sigma(self, hints: Hints) -> Float:
         """Sigmas (2,) of the rig's rotation [rad] and of the log focals under `hints.kit`."""
@@ -151,6 +159,7 @@ class BundleBackbone:
         ties = rig_ties(m)
         with _solvable():
             solved = _solved(start, m, ties, belief, hints)
+        solved = window.with_known_offset(solved, hints)
         return replace(solved, kit_sigma=prediction.kit_sigma)
 
     def densify(
@@ -167,13 +176,25 @@ class BundleBackbone:
 
 
 def kit_belief(hints: Hints) -> KitBelief:
-    """Prior on the kit: product of the Gaussians layout.prior(hints.hfov_deg) and hints.kit."""
-    joint = product([layout.prior(hints.hfov_deg), hints.kit])
+    """Prior on the kit: product of the Gaussians layout.prior(hints.hfov_deg) and hints.kit.
+
+    The time offset is what is left of it after the known offsets of the stamps.
+    """
+    prior = layout.with_time_jitter(layout.prior(hints.hfov_deg), hints.late_sigma_s)
+    joint = product([prior, hints.kit])
     assert joint is not None
     length = np.linalg.norm(joint.mean[layout.RIG_CENTRE])
     if length > 1e-6:
         joint.mean[layout.RIG_CENTRE] /= length
     return joint
+
+
+def _apart(m: Measurements, belief: KitBelief) -> Float | None:
+    try:
+        with _solvable():
+            return solved_apart(m, AHEAD, _untempered(belief))
+    except BackboneError:
+        return None
 
 
 def _sigma(belief: KitBelief) -> Float:

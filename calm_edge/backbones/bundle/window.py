@@ -20,6 +20,7 @@ from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
 MIN_VIEWS_OF_A_POINT = 3
 MIN_POINTS = 40
 FARTHEST = 1e6  # distance [spacings] stored for points at infinity
+RESCALED = 0.3  # log of the spacing beyond which a window's start is brought to the right scale
 KEPT_PX = 5.0  # observations with a larger reprojection error are dropped
 
 
@@ -35,8 +36,18 @@ def split_eyes(hints: Hints) -> tuple[Int, Int]:
 
 
 def seconds(hints: Hints) -> Float:
-    """Stamps (N,) in seconds since the first."""
-    return np.asarray((hints.t_ns - hints.t_ns[0]) * 1e-9)
+    """Times of exposure (N,), as far as known, in seconds since the first stamp."""
+    stamped = np.asarray((hints.t_ns - hints.t_ns[0]) * 1e-9)
+    return stamped if hints.late_s is None else stamped + hints.late_s
+
+
+def with_known_offset(prediction: Prediction, hints: Hints) -> Prediction:
+    """Add the known offsets of the assistant's stamps to those that the window has found."""
+    if hints.late_s is None:
+        return prediction
+    known = hints.late_s[np.asarray(hints.eyes) == 1]
+    found = prediction.stamps_off_s
+    return replace(prediction, stamps_off_s=known if found is None else known + found)
 
 
 def measure(
@@ -129,6 +140,18 @@ def from_prediction(
         marks.view, marks.index, marks.uv.astype(np.float64), sigma,
         np.asarray(hints.eyes), seconds(hints), hints.sizes,
     )  # fmt: skip
-    X = np.c_[marks.points_s, np.ones(len(marks.points_s))]
+    length = _spacing(prediction.T_s_c, m)
+    X = np.c_[marks.points_s, np.full(len(marks.points_s), length)]
     X /= np.linalg.norm(X, axis=1, keepdims=True)
-    return m, State(se3.inverse(prediction.T_s_c), X, theta)
+    T_s_c = prediction.T_s_c.copy()
+    T_s_c[:, :3, 3] /= length
+    return m, State(se3.inverse(T_s_c), X, theta)
+
+
+def _spacing(T_s_c: Float, m: Measurements) -> float:
+    """Length of T_p_a at the times of exposure, which differs from 1 if these are corrected."""
+    primary = m.eye == 0
+    at = se3.interpolate_at(m.t[primary], T_s_c[primary], m.t[~primary])
+    T_p_a = se3.inverse(at) @ T_s_c[~primary]
+    length = float(np.linalg.norm(np.median(T_p_a[:, :3, 3], axis=0)))
+    return length if abs(np.log(max(length, 1e-3))) > RESCALED else 1.0
