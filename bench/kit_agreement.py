@@ -149,8 +149,12 @@ def agreement(command: str, clips: Sequence[Clip]) -> Table:
         left_out = normalised(f"{name}, one left out", *one_left_out(found).T)
         shown += [of_halves, left_out]
         # two differences, one an eye, have no rms to speak of
-        checks += [*of_halves.checks()[1:], *left_out.checks()]
-        notes.append(f"{name}: {len(found)} windows with evidence on the kit")
+        if len(left_out.ratio):
+            checks += [*of_halves.checks()[1:], *left_out.checks()]
+            said = "windows with evidence on the kit"
+        else:
+            said = "windows with evidence, none of which determines a focal"
+        notes.append(f"{name}: {len(found)} {said}")
     rows = tuple(one.row() for one in shown)
     title = "Focals of the parts of a real clip"
     return Table("honesty_clips", title, command, COLUMNS, rows, tuple(checks), tuple(notes))

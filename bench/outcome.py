@@ -20,7 +20,7 @@ import numpy as np
 
 from bench import claimed, graph_covariance, keyframe_steps, relative_poses, steps
 from bench.drives import ROOT, Prepare
-from bench.relative_poses import Common, ScaleHistory, Stretches
+from bench.relative_poses import Common, Stretches
 from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
 from calm_edge.evaluation.trajectory import path_length
@@ -201,7 +201,7 @@ def _measured(drive: Trial, checkout: Path, sequence: Path, recording: Path) -> 
     scale_sigma = claimed.scale_sigma(updates)
     focal_error, focal_sigma = _focals(figures, truth)
     common = Common(scale_sigma, focal_sigma[0] if focal_sigma else None)
-    live, final = _relative(recording, truth, claimed.scale_history(updates), common)
+    live, final = _relative(recording, truth, common)
     return Outcome(
         drive.name,
         path_m,
@@ -228,12 +228,12 @@ def _focals(figures: Mapping[str, Any], truth: Truth) -> tuple[Pair | None, Pair
 
 
 def _relative(
-    recording: Path, truth: Truth, history: ScaleHistory, common: Common
+    recording: Path, truth: Truth, common: Common
 ) -> tuple[dict[str, Stretches], dict[str, Stretches]]:
     """Stretches of the live poses and of the final ones."""
     source = Recording(recording)
     samples = sorted(source.poses(), key=lambda sample: sample.t_ns)
-    live = relative_poses.of_live(samples, truth, history)
+    live = relative_poses.of_live(samples, truth, with_scale=common.scale is not None)
     try:
         config = source.config
         drive = gather(source, config, _note)

@@ -18,7 +18,7 @@ from calm_edge.evaluation.trajectory import associate
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
 from calm_edge.offline.drive import Drive
-from calm_edge.types import Float, Int, PoseSample, PoseStatus
+from calm_edge.types import Float, Int, PoseSample
 
 SPAN_S = 1.0
 DISTANCE_M = 100.0
@@ -52,23 +52,6 @@ class Stretches:
 
     def to_json(self) -> dict[str, Any]:
         return {key: getattr(self, key).tolist() for key in self.__slots__}
-
-
-@dataclass(frozen=True, slots=True)
-class ScaleHistory:
-    """Sigma of the log scale as it was claimed during a drive.
-
-    t_ns: (U,) sorted stamps from which on sigma (U,) was claimed. A version that claims none has
-    sigma 0: then the covariances of its poses are all it claims.
-    """
-
-    t_ns: Int
-    sigma: Float
-
-    def at(self, t_ns: Int) -> Float:
-        """Sigmas (N,) at stamps (N,); inf before the first."""
-        row = np.searchsorted(self.t_ns, t_ns, side="right") - 1
-        return np.concatenate([self.sigma, [np.inf]])[row]
 
 
 def ends(along: Float, length: float, part: Int) -> tuple[Int, Int]:
@@ -106,28 +89,30 @@ def along_track(t_ns: Int, T_truth: Float) -> dict[str, tuple[Float, float]]:
 
 
 def of_live(
-    samples: Sequence[PoseSample], truth: Truth, scale: ScaleHistory
+    samples: Sequence[PoseSample], truth: Truth, with_scale: bool = True
 ) -> dict[str, Stretches]:
     """Stretches of the poses as published, with the covariances published with them.
 
     The errors of the two ends count as independent. The error of the scale is common to both, so
-    it is added for the way between them; nothing is claimed where it was unknown.
+    it is added for the way between them. with_scale: whether the version knows of it; if not, the
+    covariances of its poses are all it claims.
     """
-    live = [s for s in samples if s.status is not PoseStatus.LOST]
+    live = [s for s in samples if s.status.usable]
     a, b = associate(np.array([s.t_ns for s in live], np.int64), truth.t_ns)
     if not len(a):
         return {}
     T = np.stack([live[k].T_w_c for k in a])
     covariance = np.stack([live[k].covariance for k in a])
     epoch = np.array([live[k].epoch for k in a], np.int64)
+    scale_sigma = np.array([live[k].scale_log_sigma for k in a])
     t_ns, T_truth = truth.t_ns[b], truth.T_w_c[b]
     out = {}
     for name, (along, length) in along_track(t_ns, T_truth).items():
         i, j = ends(along, length, epoch)
         turn = se3.adjoint(se3.inverse(T[j]) @ T[i])
         total = covariance[j] + turn @ covariance[i] @ np.swapaxes(turn, -1, -2)
-        sigma = scale.at(t_ns[j])
-        total[:, :3, :3] += _of_scale(T, i, j, sigma)
+        if with_scale:
+            total[:, :3, :3] += _of_scale(T, i, j, scale_sigma[j])
         out[name] = _stretches(T, T_truth, i, j, total)
     return out
 

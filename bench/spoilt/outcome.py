@@ -21,7 +21,6 @@ from calm_edge.commands.console import LOSS, OK
 from calm_edge.evaluation.trajectory import path_length
 from calm_edge.recording.reader import Recording
 from calm_edge.trajectories import folded
-from calm_edge.types import PoseStatus
 
 # A path is right within this many sigmas, and without a sigma within this share.
 SIGMAS, WITHOUT_SIGMA = 3.0, 0.05
@@ -39,9 +38,9 @@ class Spoilt:
     exit_code, said: of `record`, and its last line but for its progress. path_m, true_m: estimated
     and true length of the path between the first and the last keyframe with a pose. scale_sigma:
     claimed sigma of the log scale, inf if unknown; None if not reported. states: of the daemon, as
-    sent to the autopilot, in order of appearance. live, lost: numbers of poses. odometry: number
-    of messages on the serial line. quality: largest of these; None without any. truth_log_sigma:
-    of true_m.
+    sent to the autopilot, in order of appearance. live, lost: numbers of poses, those without a
+    metre among the lost ones. odometry: number of messages on the serial line. quality: largest of
+    these; None without any. truth_log_sigma: of true_m.
     """
 
     drive: str
@@ -119,7 +118,7 @@ def _recorded(base: Base, case: Case, checkout: Path, work: Path) -> Spoilt:
     updates = list(source.updates())
     trajectory = folded(update.trajectory for update in updates)
     t_ns = np.zeros(0, np.int64) if trajectory is None else trajectory.t_ns
-    lost = [sample.status is PoseStatus.LOST for sample in source.poses()]
+    usable = [sample.status.usable for sample in source.poses()]
     qualities = line.qualities()
     return Spoilt(
         base.name,
@@ -130,8 +129,8 @@ def _recorded(base: Base, case: Case, checkout: Path, work: Path) -> Spoilt:
         true_path_m(base, case, t_ns),
         scale_sigma(updates),
         line.states(),
-        lost.count(False),
-        lost.count(True),
+        usable.count(True),
+        usable.count(False),
         len(qualities),
         max(qualities, default=None),
         base.truth_log_sigma,

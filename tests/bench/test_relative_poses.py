@@ -1,10 +1,12 @@
 """Relative poses over stretches of a drive, and the sigmas claimed for them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bench import relative_poses
-from bench.relative_poses import ScaleHistory, Stretches, ends
+from bench.relative_poses import Stretches, ends
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
 from calm_edge.types import PoseSample, PoseStatus
@@ -31,9 +33,6 @@ def test_a_drive_shorter_than_a_stretch_has_none():
     assert len(i) == len(j) == 0
 
 
-ALONE = ScaleHistory(np.array([0]), np.array([0.0]))
-
-
 def _samples(T, t_ns, sigma, status=PoseStatus.LIVE):
     covariance = np.diag(np.square(sigma))
     return [
@@ -48,7 +47,9 @@ def test_independent_errors_of_live_poses_have_normalised_errors_of_one():
     T_truth, t_ns = curve(n), stamps(n)
     sigma = np.array([0.02, 0.01, 0.05, 0.001, 0.002, 0.001])
     T = T_truth @ se3.exp(rng.normal(size=(n, 6)) * sigma)
-    found = relative_poses.of_live(_samples(T, t_ns, sigma), Truth(t_ns, T_truth), ALONE)["1 s"]
+    found = relative_poses.of_live(
+        _samples(T, t_ns, sigma), Truth(t_ns, T_truth), with_scale=False
+    )["1 s"]
     assert len(found.error) == 239
     ratio = found.error / found.sigma
     np.testing.assert_allclose(np.sqrt((ratio**2).mean(0)), 1.0, atol=0.15)
@@ -59,9 +60,11 @@ def test_the_error_of_the_scale_is_common_to_both_ends():
     T_truth, t_ns = curve(240), stamps(240)
     T = T_truth.copy()
     T[:, :3, 3] *= 1.02
-    known = ScaleHistory(np.array([0, t_ns[120]]), np.array([np.inf, 0.02]))
-    samples = _samples(T, t_ns, np.full(6, 1e-9))
-    found = relative_poses.of_live(samples, Truth(t_ns, T_truth), known)["1 s"]
+    samples = [
+        replace(sample, scale_log_sigma=np.inf if k < 120 else 0.02)
+        for k, sample in enumerate(_samples(T, t_ns, np.full(6, 1e-9)))
+    ]
+    found = relative_poses.of_live(samples, Truth(t_ns, T_truth))["1 s"]
     assert np.isnan(found.sigma[:11, :3]).all() and np.isfinite(found.sigma[:, 3:]).all()
     np.testing.assert_allclose(
         np.linalg.norm(found.error[12:, :3], axis=1),
@@ -70,10 +73,11 @@ def test_the_error_of_the_scale_is_common_to_both_ends():
     )
 
 
-def test_lost_poses_are_no_poses():
+@pytest.mark.parametrize("status", [PoseStatus.LOST, PoseStatus.UNSCALED])
+def test_lost_poses_and_those_without_a_metre_claim_nothing(status):
     T, t_ns = curve(30), stamps(30)
-    lost = _samples(T, t_ns, np.ones(6), PoseStatus.LOST)
-    assert relative_poses.of_live(lost, Truth(t_ns, T), ALONE) == {}
+    lost = _samples(T, t_ns, np.ones(6), status)
+    assert relative_poses.of_live(lost, Truth(t_ns, T)) == {}
 
 
 def test_stretches_survive_json():
