@@ -262,6 +262,13 @@ class Submap:
         late[self.n_primary : end] = self.assistant_late_ns + off
         return self.t_ns + late
 
+    @property
+    def late_ns(self) -> int:
+        """Mean time from the stamps of the assistant's views to their exposure; 0 without one."""
+        views = slice(self.n_primary, self.n_primary + len(self.assistant_ids))
+        late = (self.exposed_ns - self.t_ns)[views]
+        return round(float(late.mean())) if len(late) else 0
+
     def without_loop(self) -> Submap:
         """The window's views alone."""
         return replace(

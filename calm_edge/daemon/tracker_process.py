@@ -40,6 +40,8 @@ from device.frame import Eye, Frame, UnreadableImage
 # A primary frame that is older than the newest one received by more than this gets no pose. It is
 # less than the time between frames at 10 Hz: there, a frame is skipped once the next has arrived.
 LATE_NS = 80_000_000
+# Smaller time offsets of the assistant do not change which of its frames are chosen.
+LATE_STAMPS_NS = 20_000_000
 
 
 class TrackerWork:
@@ -78,6 +80,8 @@ class TrackerWork:
             case Attach():
                 update = halved(message.update) if self._reduction == 2 else message.update
                 taken = self._tracker.attach(update)
+                late_ns = update.submap.late_ns
+                self._builder.late_ns = late_ns if abs(late_ns) > LATE_STAMPS_NS else 0
                 return Attached(message.update.submap.id, taken, self._tracker.T_map_odom)
             case Lagging():
                 self._tracker.lagging = message.lagging

@@ -30,6 +30,9 @@ class WindowBuilder:
     A keyframe is associated once there is an assistant frame at or after its stamp, or the primary
     stream is `max_pair_gap_s` past it; so the result does not depend on the order of arrival. An
     assistant frame associated with two keyframes is one assistant keyframe (de-duplication).
+
+    late_ns: how much later than their stamps the assistant's frames are exposed; may be set at any
+    time.
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class WindowBuilder:
             )
         self.config = config
         self.n_assistant = first_assistant_id
+        self.late_ns = 0
         self._gap_ns = int(config.max_pair_gap_s * 1e9)
         self._seen: deque[Frame] = deque()
         self._open: deque[Keyframe] = deque()
@@ -60,7 +64,7 @@ class WindowBuilder:
         if self._seen and frame.t_ns <= self._seen[-1].t_ns:
             return ()
         self._seen.append(frame)
-        return self._settle(self._open[0].frame.t_ns if self._open else frame.t_ns)
+        return self._settle(self._open[0].frame.t_ns if self._open else self._exposed_ns(frame))
 
     def add_keyframe(self, keyframe: Keyframe) -> tuple[SubmapWindow, ...]:
         """Add a primary keyframe; returns the windows that it completes."""
@@ -93,7 +97,7 @@ class WindowBuilder:
         return (*windows, self._emit(min(reach, len(self._paired)), n_new))
 
     def _settle(self, t_ns: int) -> tuple[SubmapWindow, ...]:
-        newest = self._seen[-1].t_ns if self._seen else None
+        newest = self._exposed_ns(self._seen[-1]) if self._seen else None
         while self._open:
             stamp = self._open[0].frame.t_ns
             if (newest is None or newest < stamp) and t_ns - stamp < self._gap_ns:
@@ -101,14 +105,21 @@ class WindowBuilder:
             self._pair(self._open.popleft())
         if not self._open:
             # later keyframes have stamps of at least t_ns: keep what can still be the closest
-            while len(self._seen) > 1 and self._seen[1].t_ns <= t_ns - self._gap_ns:
+            end = t_ns - self._gap_ns
+            while len(self._seen) > 1 and self._exposed_ns(self._seen[1]) <= end:
                 self._seen.popleft()
         return self._emit_full()
 
     def _pair(self, keyframe: Keyframe) -> None:
-        stamp = keyframe.frame.t_ns
-        near = [f for f in self._seen if abs(f.t_ns - stamp) <= self._gap_ns]
-        closest = min(near, key=lambda f: (abs(f.t_ns - stamp), f.t_ns), default=None)
+        stamp, last = keyframe.frame.t_ns, self._last_assistant
+
+        def off_ns(frame: Frame) -> int:
+            return abs(self._exposed_ns(frame) - stamp)
+
+        # never back in time, if `late_ns` has changed
+        later = [f for f in self._seen if last is None or f.t_ns >= last.frame.t_ns]
+        near = [f for f in later if off_ns(f) <= self._gap_ns]
+        closest = min(near, key=lambda f: (off_ns(f), f.t_ns), default=None)
         assistant = None
         if closest is not None:
             assistant = self._last_assistant
@@ -117,6 +128,9 @@ class WindowBuilder:
                 self.n_assistant += 1
                 self._last_assistant = assistant
         self._paired.append((keyframe, assistant))
+
+    def _exposed_ns(self, frame: Frame) -> int:
+        return frame.t_ns + self.late_ns
 
     def _emit_full(self) -> tuple[SubmapWindow, ...]:
         windows: list[SubmapWindow] = []

@@ -138,3 +138,42 @@ def test_a_short_last_window_overlaps_by_more() -> None:
 def test_an_impossible_overlap_raises() -> None:
     with pytest.raises(WindowError, match="n_overlap = 15"):
         WindowBuilder(FrontendConfig(n_overlap=15))
+
+
+def late_pairs(late_ms: float, known_after: int) -> list[tuple[int, float]]:
+    """Frame numbers of assistant minus primary, in order, with stamps `late_ms` after exposure.
+
+    The builder is told of it at keyframe `known_after`.
+    """
+    builder = WindowBuilder(FrontendConfig())
+    events = [(100.0 * i, 0, i) for i in range(60)]
+    events += [(100.0 * i + late_ms, 1, i) for i in range(60)]
+    windows: list[SubmapWindow] = []
+    for t_ms, eye, i in sorted(events):
+        if eye:
+            windows += builder.add_assistant(assistant(i, t_ms))
+            continue
+        if i == known_after:
+            builder.late_ns = int(-late_ms * MS)
+        windows += builder.advance(int(t_ms * MS))
+        windows += builder.add_keyframe(primary(i, t_ms))
+    windows += builder.flush()
+    for window in windows:
+        stamps = [k.frame.t_ns for k in window.assistant]
+        assert stamps == sorted(set(stamps))
+        assert len({k.id for k in window.assistant}) == len(stamps)
+    last = windows[-2]
+    return [
+        (p.frame.sequence, a.frame.sequence)
+        for p, a in zip(last.primary[3:-5], last.assistant[3:], strict=False)
+    ]
+
+
+@pytest.mark.parametrize("late_ms", [-300.0, -100.0, 200.0, 400.0])
+@pytest.mark.parametrize("known_after", [0, 20])
+def test_frames_exposed_together_are_associated_once_the_stamps_are_known_to_be_late(
+    late_ms: float, known_after: int
+) -> None:
+    pairs = late_pairs(late_ms, known_after)
+    assert len(pairs) >= 5
+    assert all(p == a for p, a in pairs)
