@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,3 +58,27 @@ def test_positions_between_keyframes_are_interpolated():
     T, t_ns = curve()[:10], stamps(10)
     found = real.positions(Estimate("w", t_ns[::3], T[::3]), t_ns[:9])
     np.testing.assert_allclose(found, T[:9, :3, 3], atol=0.05)
+
+
+NAMES = [drive.name for drive in (real.WHOLE, real.PART, real.HINTED, real.NARROW)]
+
+
+def test_drives_without_a_result_miss_what_is_asked_of_them(tmp_path):
+    found = {name: Outcome(name, 1.0, 1.0, failed="no window") for name in NAMES}
+    rows, checks = real.measured(found, tmp_path)
+    assert len(checks) == 3 and not any(check.passed for check in checks)
+    assert all(row[1] is None for row in rows)
+
+
+def test_every_requirement_is_checked(monkeypatch, tmp_path):
+    found = {name: replace(_outcome(ate=0.2), drive=name) for name in NAMES}
+    T, t_ns = curve(), stamps(240)
+    monkeypatch.setattr(real, "read_estimate", lambda _: Estimate("r", t_ns, T))
+    lengths = np.linalg.norm(T[4:, :3, 3] - T[:-4, :3, 3], axis=1)
+    peer = real.stereo.Motions(np.arange(len(lengths)), 1.01 * lengths)
+    monkeypatch.setattr(real.stereo, "motions", lambda *_: peer)
+    monkeypatch.setattr(real, "SequenceFolder", lambda _: SimpleNamespace(t_ns=lambda _: t_ns))
+    checks = {check.what: check for check in real.measured(found, tmp_path)[1]}
+    assert all(check.passed for check in checks.values()) and len(checks) == 9
+    against = checks["karlsruhe_town: scale against calibrated stereo, %"]
+    assert against.measured == pytest.approx(-100 * math.log(1.01), abs=0.05)
