@@ -9,8 +9,9 @@ from calm_edge.types import Float, Hints
 
 # The correction follows the estimate if that has moved by the larger of this and its sigma.
 MOVED_S = 0.004
-# Once the offset is known to SETTLED_S, only every CHECK_EVERY-th window is examined, for a drift.
-SETTLED_S, CHECK_EVERY = 0.007, 4
+# Once the offset is known to SETTLED_S, or after FIRST_WINDOWS on straight roads, only every
+# CHECK_EVERY-th window is examined: for a drift, and because the poses take time.
+SETTLED_S, FIRST_WINDOWS, CHECK_EVERY = 0.007, 30, 4
 # An offset is told again if it has changed by this.
 TOLD_S = 0.05
 
@@ -36,7 +37,8 @@ class StampCorrection:
         if submap_id in self._seen:
             return False
         settled = self._estimator.result.sigma_s < SETTLED_S
-        return not settled or submap_id % CHECK_EVERY == 0
+        seldom = settled or len(self._seen) >= FIRST_WINDOWS
+        return not seldom or submap_id % CHECK_EVERY == 0
 
     def late_s(self, hints: Hints) -> Float | None:
         """`Hints.late_s` of a window; None if its stamps are not corrected."""

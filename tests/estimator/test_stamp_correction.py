@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calm_edge.estimator.stamp_correction import StampCorrection
+from calm_edge.estimator.stamp_correction import FIRST_WINDOWS, StampCorrection
 from calm_edge.types import Hints
 from tests.estimator.test_late_stamps import straight, town, windows
 
@@ -72,3 +72,16 @@ def test_a_window_counts_once():
     correction.add(0, hints_of(views[0]), poses)
     assert not correction.wanted(0)
     assert not correction.add(0, hints_of(views[0]), poses)
+
+
+def test_windows_are_examined_seldom_once_the_offset_is_known_or_after_many():
+    views = windows(town, 0.0)
+    correction, _ = corrected(views)
+    assert [k for k in range(100, 108) if correction.wanted(k)] == [100, 104]
+    straight_on, k = StampCorrection(), 0
+    for each in windows(straight, 0.0, seconds=40.0):
+        assert k >= FIRST_WINDOWS or straight_on.wanted(k)
+        straight_on.add(k, hints_of(each), np.concatenate([each.T_s_p, each.T_s_a]))
+        k += 1
+    assert k > FIRST_WINDOWS
+    assert [k for k in range(100, 108) if straight_on.wanted(k)] == [100, 104]
