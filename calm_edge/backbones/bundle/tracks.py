@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.backbones.bundle.first_sight import FirstSights
 from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
 from calm_edge.geometry.flow import Gray, LucasKanade, away_from, follow, neighbouring_flow
 from calm_edge.types import Float, Float32, Int
@@ -22,6 +23,8 @@ from calm_edge.types import Float, Float32, Int
 CORNERS_PER_VIEW = 320
 GRID = (8, 4)  # columns, rows of cells that get equal numbers of corners
 EPIPOLAR_PX = 1.0
+# A track that cannot be registered against its first sight any more ends after so many views.
+YOUNG_VIEWS = 2
 MATCHING = LucasKanade(
     window_px=17,
     levels=4,
@@ -131,13 +134,15 @@ def temporal_tracks(
     Yields for each picture the track ids (n,), uv (n, 2) px and sigma (n,) px.
     """
     uv = detect_corners(pictures[0], np.zeros((0, 2), np.float32))
-    ids = np.arange(len(uv))
+    ids, sights = np.arange(len(uv)), FirstSights()
+    sights.add(pictures[0], uv)
+    born = np.zeros(len(uv), np.int64)
     flow = np.zeros_like(uv)
     known = np.zeros(len(uv), bool)
     n_tracks = len(uv)
     sigma = np.full(len(uv), FOLLOWED_PX, np.float32)
     yield ids, uv, sigma
-    for source, target in pairwise(pictures):
+    for view, (source, target) in enumerate(pairwise(pictures), 1):
         if matching is None:
             moved, ok = _followed(source, target, uv, flow, known)
             sigma = np.full(len(uv), FOLLOWED_PX, np.float32)
@@ -146,10 +151,18 @@ def temporal_tracks(
             moved, ok, sigma = found.uv, found.sure, found.sigma_px
         inlier = np.flatnonzero(ok)
         inlier = inlier[on_epipolar_lines(uv[inlier], moved[inlier], EPIPOLAR_PX)]
-        flow, uv, ids = (moved - uv)[inlier], moved[inlier], ids[inlier]
+        sights.keep(inlier)
+        at, registered = sights.corrected(target, moved[inlier])
+        # while young a track has not drifted yet, and its last step may be blurred
+        kept = registered | (view - born[ids[inlier]] <= YOUNG_VIEWS)
+        inlier = inlier[kept]
+        sights.keep(np.flatnonzero(kept))
+        flow, uv, ids = at[kept] - uv[inlier], at[kept], ids[inlier]
         new = detect_corners(target, uv)
         ids = np.concatenate([ids, n_tracks + np.arange(len(new))])
         n_tracks += len(new)
+        born = np.concatenate([born, np.full(len(new), view)])
+        sights.add(target, new)
         known = np.r_[np.ones(len(uv), bool), np.zeros(len(new), bool)]
         flow = np.concatenate([flow, np.zeros_like(new)])
         uv = np.concatenate([uv, new])
