@@ -33,6 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Build the map; return 3 if the recording has losses, or a spacing but no metre."""
     from calm_edge.commands.console import say
     from calm_edge.config import merge, parse_assignment
+    from calm_edge.estimator.metre import NO_WINDOW
     from calm_edge.evaluation.truth import read_truth
     from calm_edge.mapping.cloud_file import read_cloud
     from calm_edge.offline.map_drive import KITTI, MAP, REPORT, TUM, make_cloud, write_trajectory
@@ -49,9 +50,12 @@ def run(arguments: argparse.Namespace) -> int:
         config = merge(config, parse_assignment(text))
     drive = gather(recording, config, say)
     if not drive.updates or drive.trajectory is None:
+        reasons = drive.losses + recording.losses
+        if drive.metre.reason not in ("", NO_WINDOW):
+            reasons.append(drive.metre.reason)
         raise CalmEdgeError(
             f"{arguments.recording}: no window could be solved; nothing to map "
-            f"({'; '.join(drive.losses + recording.losses) or 'too little motion or overlap'})"
+            f"({'; '.join(reasons) or 'too little motion or overlap'})"
         )
     out.mkdir(parents=True, exist_ok=True)
     n_points, seams = make_cloud(arguments.recording, recording, config, drive, out, say)

@@ -29,6 +29,7 @@ from calm_edge.types import (
     CalmEdgeError,
     KitBelief,
     LocalizerUpdate,
+    Metre,
     PoseSample,
     PoseStatus,
     SubmapWindow,
@@ -221,9 +222,7 @@ class Hub:
         return 0
 
     def _pose(self, sample: PoseSample) -> None:
-        if sample.status.usable and not np.isfinite(self.result.metre.log_sigma):
-            # what objects to the metre of the drive came after the sub-map of this pose
-            sample = replace(sample, status=PoseStatus.UNSCALED, scale_log_sigma=np.inf)
+        sample = unscaled_without(self.result.metre, sample)
         now_ns = self.source.clock.now_ns()
         self.outputs.give(lambda output: output.pose(sample, now_ns))
         age_ms = None if self.lockstep else (now_ns - sample.t_ns) / 1e6
@@ -269,3 +268,14 @@ class Hub:
             raise DaemonError(f"{self.source.description}: {problem}; replace or remove it")
         self.result.unreadable += 1
         self.say(problem)
+
+
+def unscaled_without(metre: Metre, sample: PoseSample) -> PoseSample:
+    """Return the sample as not metric if the drive has no metre.
+
+    What speaks against the lengths of a drive may be found after the sub-map of the pose was
+    solved, or in a window that could not be solved.
+    """
+    if not sample.status.usable or np.isfinite(metre.log_sigma):
+        return sample
+    return replace(sample, status=PoseStatus.UNSCALED, scale_log_sigma=np.inf)

@@ -74,9 +74,14 @@ class RecordResult:
 
     def no_metre(self) -> str:
         """Why the trajectory is not metric though the spacing was given; empty if it is."""
-        if not self.spacing_m or self.metre.metric:
+        metre = self.final_metre()
+        if not self.spacing_m or metre.metric:
             return ""
-        return self.metre.reason if self.windows else STOOD
+        return metre.reason or "no window was solved"
+
+    def final_metre(self) -> Metre:
+        """The metre of the drive, with a reason for the lack of windows."""
+        return self.metre if self.windows else Metre(reason=STOOD)
 
     def take_worst_age_ms(self) -> float | None:
         """Return the largest pose age since the last call; None without a pose."""
@@ -144,7 +149,7 @@ class RecordResult:
             "tracker_restarts": self.tracker_restarts,
             "lost_windows": list(self.lost_windows),
             "windows_left_to_map": list(self.windows_left_to_map),
-            "metre": self.metre.summary(),
+            "metre": self.final_metre().summary(),
             "finished": self.trajectory is not None,
             "unsolved_windows": list(self.unsolved_windows),
             "output_losses": dict(self.output_losses),

@@ -245,7 +245,12 @@ def from_recording(path: Path) -> Estimate:
         (first.sequence, first.t_ns) if first else None,
     )
     live = tuple(sorted(recording.poses(), key=lambda sample: sample.t_ns))
-    return dataclasses.replace(estimate, live=live)
+    metre = estimate.metre
+    if not estimate.submaps:
+        # without a sub-map only the result of `record` says why
+        for status in recording.json_messages(STATUS):
+            metre = _metre(path, status.get("metre")) or metre
+    return dataclasses.replace(estimate, live=live, metre=metre)
 
 
 def read_estimate(target: Path) -> Estimate:

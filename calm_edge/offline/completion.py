@@ -57,11 +57,11 @@ def completed(
     if logged.complete and not solved:
         return logged.drive(records)
     drive.trajectory = localizer.finish()
-    metre = localizer.metre
+    drive.metre = localizer.metre
     for submap in localizer.submaps:
         record, update = _result(submap, records, logged, solved, localizer, drive.trajectory)
         drive.windows.append(record)
-        drive.updates.append(replace(update, metre=metre))
+        drive.updates.append(replace(update, metre=drive.metre))
     if drive.trajectory is not None:
         drive.updates[-1] = replace(drive.updates[-1], trajectory=drive.trajectory)
     drive.unsolved = sorted(set(records) - {submap.id for submap in localizer.submaps})

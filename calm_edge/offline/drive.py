@@ -19,6 +19,7 @@ class Drive:
     """Solved windows of a drive in order of time, and the update of each at the same index.
 
     unsolved: ids of windows that could not be solved. losses: one line for each missing part.
+    metre: how well the drive's lengths are known.
     """
 
     windows: list[WindowRecord] = field(default_factory=list)
@@ -26,12 +27,7 @@ class Drive:
     trajectory: Trajectory | None = None
     unsolved: list[int] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
-
-    @property
-    def metre(self) -> Metre:
-        """How well the drive's lengths are known."""
-        metre = self.updates[-1].metre if self.updates else Metre()
-        return metre if metre.metric or metre.reason else Metre(reason=UNRECORDED)
+    metre: Metre = field(default_factory=Metre)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +46,11 @@ class Logged:
         """The drive as recorded."""
         unsolved = sorted(set(records) - set(self.updates))
         windows = [records[i] for i in self.updates]
-        return Drive(windows, list(self.updates.values()), self.trajectory, unsolved)
+        updates = list(self.updates.values())
+        metre = updates[-1].metre if updates else Metre()
+        if not (metre.metric or metre.reason):
+            metre = Metre(reason=UNRECORDED)
+        return Drive(windows, updates, self.trajectory, unsolved, metre=metre)
 
 
 def with_poses(prediction: Prediction, cameras: tuple[Camera, ...], T_s_c: Float) -> Prediction:

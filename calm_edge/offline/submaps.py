@@ -110,12 +110,12 @@ def _recompute(
         found[window.submap_id] = of_window(solved), replace(update, prediction=light)
         say(f"window {window.submap_id} computed again")
     drive.trajectory = localizer.finish()
-    metre = localizer.metre
+    drive.metre = localizer.metre
     for submap in localizer.submaps:
         record, update = found[submap.id]
         prediction = with_poses(update.prediction, submap.cameras_raw, submap.T_s_c_raw)
         drive.windows.append(record)
-        update = replace(update, submap=submap, prediction=prediction, metre=metre)
+        update = replace(update, submap=submap, prediction=prediction, metre=drive.metre)
         drive.updates.append(update)
     if drive.updates and drive.trajectory is not None:
         drive.updates[-1] = replace(drive.updates[-1], trajectory=drive.trajectory)

@@ -105,6 +105,20 @@ def test_without_a_metre_no_pose_is_sent_and_the_last_line_says_why(
         assert printed.err.splitlines()[-1] == SENTENCE
 
 
+def test_a_parked_car_has_no_metre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drive = write_drive(tmp_path / "drive", 12)
+    for eye in (0, 1):
+        first, *others = sorted((drive / f"cam{eye}").iterdir())
+        for picture in others:
+            picture.write_bytes(first.read_bytes())
+    result, _ = record(drive, tmp_path / "rec", lockstep=True)
+    assert result.windows == 0 and report(tmp_path / "rec", result) == 3
+    sentence = "no metre: the pictures do not move: the car stood still"
+    assert sentence in capsys.readouterr().err.splitlines()[-1]
+    assert main(["eval", str(tmp_path / "rec"), "--truth", str(drive)]) == 3
+    assert sentence in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_a_spacing_that_was_not_given_is_no_loss(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
