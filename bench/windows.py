@@ -26,9 +26,6 @@ from calm_edge.evaluation.truth import read_truth
 from calm_edge.recording.reader import Recording
 from calm_edge.types import LocalizerUpdate
 
-# Largest median sigma of a drive's scale, percent, on drives that turn (issue F).
-MOST_SIGMA = 2.0
-
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
