@@ -178,6 +178,8 @@ class Prediction:
     overlap: what this batch says of its last primary images, as asked for in the hints; or None.
     overlap_mismatch: chi-square of the hints' overlap against these images alone, by degree of
     freedom; None without one.
+    drawn: (2,) factors by which the hints' overlap changed the differences of translations and of
+    rotations from the previous batch; None without one.
     T_s_c_apart: poses of the window's own views in a frame and unit of their own, not tied by the
     stamps: those of the assistant by its pictures alone, NaN where that fails; or None.
     loop_found: False if the loop keyframe could not be placed; its pose is then meaningless.
@@ -196,6 +198,7 @@ class Prediction:
     kit_sigma: Float | None = None
     overlap: Overlap | None = None
     overlap_mismatch: float | None = None
+    drawn: Float | None = None
     loop_found: bool = True
     notices: tuple[str, ...] = ()
     scale_log_sigma: float | None = None
@@ -230,6 +233,7 @@ class Submap:
     stamps_off_ns: (A,) additional offset of each assistant view, or None.
     scale_log_sigma: sigma of the log of the sub-map's length, given the spacing; inf if unknown.
     kit_epoch: how often the kit had changed before it in this drive, e.g. by a mount that slipped.
+    drawn: (2,) as of the Prediction, or None.
     """
 
     id: int
@@ -248,6 +252,7 @@ class Submap:
     stamps_off_ns: Int | None = None
     scale_log_sigma: float = np.inf
     kit_epoch: int = 0
+    drawn: Float | None = None
 
     @property
     def n_primary(self) -> int:

@@ -93,7 +93,7 @@ class Atlas:
         if submap.kit_epoch:
             # the graph has one rig, that of the first epoch: where the assistant would have been
             T_s_a = T_s_a @ se3.inverse(_own_rig(submap)) @ graph.T_p_a
-        graph.add_submap(ids, T_w_s, T_s_p, *scale.resampled(t_a, T_s_a, t_p))
+        graph.add_submap(ids, T_w_s, T_s_p, *scale.resampled(t_a, T_s_a, t_p), submap.drawn)
         if self._submaps and not common:
             graph.add_bridge(self._submaps[-1].primary_ids[-1], ids[0])
         placed = replace(submap, n_overlap=len(common), T_w_s=T_w_s)

@@ -113,9 +113,14 @@ class KitMemory:
             del self._windows[min(self._windows)]
 
     def overlap_before(self, submap_id: int) -> Overlap | None:
-        """What the newest solution of the previous window says of the keyframes shared with it."""
+        """What the newest solution of the previous window says of the keyframes shared with it.
+
+        None if there is no such window, or if it is of another epoch: its poses hold for its kit.
+        """
         before = self._windows.get(submap_id - 1)
-        return before.prediction.overlap if before is not None else None
+        if before is None or self.epoch(submap_id - 1) != self.epoch(submap_id):
+            return None
+        return before.prediction.overlap
 
     def retained(self) -> list[int]:
         """Ids of the sub-maps that can be solved again."""

@@ -61,6 +61,7 @@ def _raw_fields(prediction: Prediction, n_primary: int) -> dict[str, Any]:
         "cameras_raw": prediction.cameras,
         "focal_log_sigma": focal,
         "scale_log_sigma": np.inf if scale_sigma is None else scale_sigma,
+        "drawn": prediction.drawn,
         "assistant_late_ns": round(prediction.assistant_late_s * 1e9),
         "stamps_off_ns": None if off_s is None else np.round(off_s * 1e9).astype(np.int64),
     }

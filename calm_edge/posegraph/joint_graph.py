@@ -36,6 +36,7 @@ class JointGraph:
         self._T_w_p: list[Float] = []
         self._edges: list[Edges] = []
         self._n_submaps = 0
+        self._drawn: list[Float] = []
         self._scale_variance = 0.0
         self._T_p_a_prior: Float | None = None
         self._T_p_a: Float = np.eye(4)
@@ -73,14 +74,20 @@ class JointGraph:
         self._T_p_a_prior = self._T_p_a = T_p_a
 
     def add_submap(
-        self, ids: tuple[int, ...], T_w_s: Float, T_s_p: Float, T_s_a: Float, seen: Int
+        self,
+        ids: tuple[int, ...],
+        T_w_s: Float,
+        T_s_p: Float,
+        T_s_a: Float,
+        seen: Int,
+        drawn: Float | None = None,
     ) -> None:
         """Add a sub-map's measurements between each keyframe and its `window` predecessors.
 
         Of both cameras (E_pri, E_ast of IV-C). ids: keyframe ids of T_s_p (N, 4, 4). T_s_a: (V, 4,
         4) assistant poses interpolated to the stamps of the primary views with index `seen` (V,).
         All rectified, world units. A keyframe that is in the graph already keeps its pose; a pair
-        of keyframes that lies in two sub-maps gets an edge from each.
+        of keyframes that lies in two sub-maps gets an edge from each. drawn: (2,) `Submap.drawn`.
         """
         for keyframe_id, T in zip(ids, T_w_s @ T_s_p, strict=True):
             if keyframe_id not in self._row:
@@ -106,6 +113,7 @@ class JointGraph:
             )
         )
         self._n_submaps += 1
+        self._drawn.append(np.ones(2) if drawn is None else drawn)
         self._scale_variance += _scale_variance(T_s_p[seen], T_s_a)
 
     def add_bridge(self, before_id: int, after_id: int) -> None:
@@ -156,6 +164,7 @@ class JointGraph:
             sigma_prior=np.sqrt(config.rig_prior_variance) * unit,
             spacing=self._spacing,
             scale_sigma=float(np.sqrt(self._scale_variance / max(self._n_submaps, 1))),
+            drawn=np.array(self._drawn).reshape(-1, 2),
         )
 
     def snapshot(self) -> Snapshot | None:

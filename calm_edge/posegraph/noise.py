@@ -43,9 +43,12 @@ def measured_noise(problem: Problem) -> Noise | None:
     """Noise from the differences of edges measured twice, of both cameras; None without any.
 
     Two measurements involve four views with independent errors, so a difference has 4 times the
-    variance of a view. A difference of translations also contains, perpendicular to the motion, the
-    rotation errors of the two earlier views times the distance, and along the motion the scale
-    errors of the two sub-maps. The scale sigma is at least `problem.scale_sigma`.
+    variance of a view. Where the later sub-map was drawn to the earlier one, the difference is
+    taken as it was before, so that the noise is that of sub-maps solved alone: over a drive, errors
+    that neighbours share add up to those of independent ones. A difference of translations also
+    contains, perpendicular to the motion, the rotation errors of the two earlier views times the
+    distance, and along the motion the scale errors of the two sub-maps. The scale sigma is at least
+    `problem.scale_sigma`.
     """
     edges = problem.edges
     first, second = measured_twice(edges)
@@ -54,11 +57,13 @@ def measured_noise(problem: Problem) -> Noise | None:
     B = np.concatenate([edges.T_j_i[second], edges.T_j_i_assistant[second[seen]]])
     if not len(A):
         return None
-    difference = B[:, :3, 3] - A[:, :3, 3]
+    later = np.concatenate([edges.submap[second], edges.submap[second][seen]])
+    drawn = problem.drawn[later]
+    difference = (B[:, :3, 3] - A[:, :3, 3]) / drawn[:, :1]
     length2 = np.maximum((A[:, :3, 3] ** 2).sum(-1), 1e-12)
     along = ((difference * A[:, :3, 3]).sum(-1) ** 2 / length2).mean()
     across = max((difference**2).sum(-1).mean() - along, 0.0) / 2
-    rotation = (se3.log(se3.inverse(A) @ B)[:, 3:] ** 2).mean() / 4
+    rotation = ((se3.log(se3.inverse(A) @ B)[:, 3:] / drawn[:, 1:]) ** 2).mean() / 4
     lever = 2 * rotation * length2.mean()
     # if the rotation errors explain all of `across`, attribute a tenth of it to translation
     translation = max(across - lever, across / 10) / 4

@@ -64,7 +64,8 @@ class Problem:
 
     T_p_a_prior: (4, 4). sigma, sigma_prior: (6,) of (translation, rotation) of edges and prior,
     world units and rad. spacing: world units per map unit. scale_sigma: sigma of a sub-map's log
-    scale, from the scatter of its camera spacings.
+    scale, from the scatter of its camera spacings. drawn: (S, 2) factors by which each sub-map's
+    differences of translations and of rotations from the previous one were shrunk (`Submap.drawn`).
     """
 
     edges: Edges
@@ -73,6 +74,7 @@ class Problem:
     sigma_prior: Float
     spacing: float
     scale_sigma: float
+    drawn: Float
 
 
 class Residuals(NamedTuple):

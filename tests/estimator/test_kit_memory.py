@@ -142,3 +142,6 @@ def test_the_overlap_is_that_of_the_newest_solution_of_the_window_before():
     memory.resolve([0, 1])
     assert backbone.asked[0] is None and backbone.asked[1].kit == [11.0]
     assert memory.overlap_before(2).kit == [12.0]
+    # nor across a change of the kit
+    memory.begin_epoch(2, None)
+    assert memory.overlap_before(2) is None and memory.overlap_before(1) is not None

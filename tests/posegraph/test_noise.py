@@ -62,3 +62,26 @@ def test_assumed_noise_is_half_the_configured_variance():
     noise = assumed_noise(graph_of(curved(15), spacing=2.0).problem())
     assert 2 * noise.translation**2 == pytest.approx(0.1 * 2.0**2)
     assert 2 * noise.rotation**2 == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_submaps_drawn_to_the_one_before_do_not_lower_the_noise(share):
+    rng, T, graph = np.random.default_rng(3), curved(1200), JointGraph(CONFIG)
+    graph.set_rig_prior(T_P_A)
+    noise, before = 0.01, None
+    for start in range(0, len(T) - 3, 12):
+        ids = tuple(range(start, min(start + 15, len(T))))
+        T_s = se3.inverse(T[start])
+        views = []
+        for k, T_s_c in enumerate((T_s @ T[list(ids)], T_s @ T[list(ids)] @ T_P_A)):
+            twist = noise * rng.normal(size=(len(ids), 6))
+            if before is not None:
+                twist[:3] = share * twist[:3] + (1 - share) * before[k]
+            views.append((T_s_c @ se3.exp(twist), twist[-3:]))
+        (T_s_p, own), (T_s_a, other) = views
+        drawn = None if before is None else np.full(2, share)
+        before = own, other
+        graph.add_submap(ids, np.eye(4), T_s_p, T_s_a, np.arange(len(ids)), drawn)
+    found = measured_noise(graph.problem())
+    assert found.translation == pytest.approx(noise, rel=0.15)
+    assert found.rotation == pytest.approx(noise, rel=0.15)

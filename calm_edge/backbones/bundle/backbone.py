@@ -235,11 +235,17 @@ def _solved(
     found = _prediction(m, belief, solution, ties)
     if mismatch is not None and mismatch > MAX_MISMATCH:
         found, before = replace(found, notices=(CONTRADICTED,)), None
-    weight = robust_weights(solution.residual, ROBUST_SCALES[-1])
+    if before is None and not hints.n_shared:
+        return found
+    state, weight = solution.state, robust_weights(solution.residual, ROBUST_SCALES[-1])
+    normal = overlap.measured(state, m, ties, weight)
     ahead = overlap.marginal(
-        solution.state, m, ties, weight, before, hints.t_ns, hints.n_shared, TEMPERING
+        normal, state, m, ties, weight, before, hints.t_ns, hints.n_shared, TEMPERING
     )
-    return replace(found, overlap=ahead, overlap_mismatch=mismatch)
+    drawn = None
+    if before is not None:
+        drawn = overlap.drawn(before, normal, state, _prior(belief, ties).information)
+    return replace(found, overlap=ahead, overlap_mismatch=mismatch, drawn=drawn)
 
 
 def _solve(
@@ -268,7 +274,8 @@ def _solve(
         start = solution.state
         if before is not None and mismatch is None:
             weight = robust_weights(solution.residual, ROBUST_SCALES[-1])
-            mismatch = overlap.mismatch(before, start, m, timed_ties, weight, belief)
+            normal = overlap.measured(start, m, timed_ties, weight)
+            mismatch = overlap.mismatch(before, normal, start, belief.information)
             joined = before if mismatch <= MAX_MISMATCH else None
     if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")

@@ -184,3 +184,10 @@ def tie_equations(state: State, m: Measurements, ties: RigTies) -> tuple[Float, 
         _scatter(H, tie_rows, J_t @ J)
         np.add.at(g, tie_rows, (J_t @ residual[..., None])[..., 0])
     return H, g
+
+
+def fix_spacing(H: Float, theta: Float, sigma: float) -> None:
+    """Fix the gauge |t_p_a| = 1 by a stiff prior along t_p_a; the solver rescales to exactly 1."""
+    row = np.zeros(layout.SIZE)
+    row[layout.RIG_CENTRE] = theta[layout.RIG_CENTRE] / sigma
+    H[-layout.SIZE :, -layout.SIZE :] += np.outer(row, row)

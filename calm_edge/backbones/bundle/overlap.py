@@ -16,16 +16,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calm_edge.backbones.bundle.normal_equations import Structure, normal_equations
+from calm_edge.backbones.bundle.normal_equations import (
+    Normal,
+    Structure,
+    fix_spacing,
+    normal_equations,
+)
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
-from calm_edge.types import Float, Hints, Int, KitBelief, Overlap
+from calm_edge.types import Float, Hints, Int, Overlap
 
 # Added to the diagonal of eliminated poses, so that one without measurements is invertible.
 _FLOOR = 1e-9
 # Largest sigma [spacings, rad] of a direction in which the poses count as known.
 _UNKNOWN_SIGMA = 1e3
+# Least factor that `drawn` reports, and the inverse of the largest.
+_MOST_DRAWN = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +49,12 @@ class OverlapPrior:
     def residual(self, state: State) -> Float:
         """Twists (6 F - 6,) from the mean for the state's kit to the poses, camera axes."""
         o = self.overlap
-        off = se3.log(self._T_k_first(state) @ o.T_first_k[1:]).reshape(-1)
-        return np.asarray(off - o.offset - o.by_kit @ (state.theta - o.kit))
+        return np.asarray(self.difference(state) - o.offset - o.by_kit @ (state.theta - o.kit))
+
+    def difference(self, state: State) -> Float:
+        """Twists (6 F - 6,) from the previous window's poses to these, camera axes."""
+        off = se3.log(self._T_k_first(state) @ self.overlap.T_first_k[1:])
+        return np.asarray(off.reshape(-1))
 
     def cost(self, state: State) -> float:
         """Squared Mahalanobis distance of a state."""
@@ -91,7 +102,13 @@ def prior(hints: Hints, tempering: float) -> OverlapPrior | None:
     return OverlapPrior(o, views, o.information / tempering)
 
 
+def measured(state: State, m: Measurements, ties: RigTies, weight: Float) -> Normal:
+    """Normal equations of a window's measurements alone. weight: (O,) robust weights."""
+    return normal_equations(state, m, ties, Structure.of(m, len(state.points)), weight, 0.0)
+
+
 def marginal(
+    normal: Normal,
     state: State,
     m: Measurements,
     ties: RigTies,
@@ -103,53 +120,70 @@ def marginal(
 ) -> Overlap | None:
     """What the window says of its last `n_shared` primary views; None if it has no more than these.
 
-    weight: (O,) robust weights. before: the prior that it was solved with. t_ns: (C,) stamps.
+    normal: `measured` at the solution. before: the prior that it was solved with. t_ns: (C,) stamps
+    of the views.
     """
     (primary,) = np.nonzero(m.eye == 0)
     shared = primary[-n_shared:]
     if n_shared < 2 or len(primary) <= n_shared:
         return None
-    of_all = normal_equations(state, m, ties, Structure.of(m, len(state.points)), weight, 0.0)
-    H, g = of_all.H, of_all.g
+    H, g = normal.H.copy(), normal.g.copy()
     if before is not None:
         before.add_to(H, g, state)
     again = np.concatenate([shared, _nearest_assistants(m, shared)])
     H_all, g_all = _reduced(H, g, np.arange(m.n_views), shared)
-    repeated, kept = _only(m, again), np.isin(m.view, again)
-    of_shared = normal_equations(
-        state, repeated, _ties_between(ties, again),
-        Structure.of(repeated, len(state.points)), weight[kept], 0.0,
-    )  # fmt: skip
+    kept = np.isin(m.view, again)
+    of_shared = measured(state, _only(m, again), _ties_between(ties, again), weight[kept])
     H_again, g_again = _reduced(of_shared.H, of_shared.g, again, shared)
     return _given_kit(H_all - H_again, g_all - g_again, state, shared, t_ns[shared], tempering)
 
 
-def mismatch(
-    overlap: OverlapPrior,
-    state: State,
-    m: Measurements,
-    ties: RigTies,
-    weight: Float,
-    belief: KitBelief,
-) -> float:
-    """Chi-square by degree of freedom of an overlap against a window solved without it.
+def mismatch(before: OverlapPrior, normal: Normal, state: State, kit: Float) -> float:
+    """Chi-square by degree of freedom of a prior against a window solved without it.
 
-    belief: on the kit, as in the window's solution. Pixels are counted fully here: what makes the
-    errors along a track correlated is common to both windows and cancels.
+    normal: `measured` at the solution. kit: (SIZE, SIZE) information on the kit. Pixels are counted
+    fully here: what makes the errors along a track correlated is common to both windows and
+    cancels.
     """
-    normal = normal_equations(state, m, ties, Structure.of(m, len(state.points)), weight, 0.0)
-    H = normal.H[6:, 6:] + _FLOOR * np.eye(len(normal.H) - 6)
-    H[-layout.SIZE :, -layout.SIZE :] += belief.information
-    J, e = overlap.jacobian(state)[:, 6:], overlap.residual(state)
-    values, vectors = np.linalg.eigh(overlap.information)
+    J, H_J = _moved(before, normal, state, kit)
+    spread, e = J @ H_J, before.residual(state)
+    values, vectors = np.linalg.eigh(before.information)
     known = values > _UNKNOWN_SIGMA**-2
     if not known.any():
         return 0.0
-    # whitened by the overlap's own sigma, so that directions unknown to it drop out
+    # whitened by the prior's own sigma, so that directions unknown to it drop out
     L = vectors[:, known] * np.sqrt(values[known])
-    spread = L.T @ J @ np.linalg.solve(H, J.T @ L)
     white = L.T @ e
-    return float(white @ np.linalg.solve(spread + np.eye(len(white)), white)) / len(white)
+    both = L.T @ spread @ L + np.eye(len(white))
+    return float(white @ np.linalg.solve(both, white)) / len(white)
+
+
+def drawn(before: OverlapPrior, normal: Normal, state: State, kit: Float) -> Float:
+    """How much the prior has drawn the shared poses to those of the previous window.
+
+    (2,) factors on the differences of translations and of rotations between both windows' poses; 1
+    for none, and by chance above. normal: `measured` at the solution. kit: (SIZE, SIZE)
+    information on the kit that the solver had.
+    """
+    left = before.difference(state)
+    J, H_J = _moved(before, normal, state, kit)
+    J[:, -layout.SIZE :] = 0  # of the poses alone: the residual also moves with the kit
+    back = J @ H_J @ before.information @ before.residual(state)
+    sizes = [np.linalg.norm(twist.reshape(-1, 2, 3), axis=(0, 2)) for twist in (left, left + back)]
+    return np.asarray(np.clip(sizes[0] / np.maximum(sizes[1], 1e-12), _MOST_DRAWN, 1 / _MOST_DRAWN))
+
+
+def _moved(before: OverlapPrior, normal: Normal, state: State, kit: Float) -> tuple[Float, Float]:
+    """Jacobian J of the prior's residual by all that is free, and H^-1 J^T.
+
+    H: of the window's measurements, the pixels counted fully, and of the kit.
+    """
+    H = normal.H.copy()
+    H[-layout.SIZE :, -layout.SIZE :] += kit
+    fix_spacing(H, state.theta, layout.SPACING_SIGMA)
+    H = H[6:, 6:] + _FLOOR * np.eye(len(H) - 6)
+    J = before.jacobian(state)[:, 6:]
+    return J, np.asarray(np.linalg.solve(H, J.T))
 
 
 def _given_kit(

@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from calm_edge.backbones.bundle.normal_equations import Normal, Structure, normal_equations
+from calm_edge.backbones.bundle.normal_equations import (
+    Normal,
+    Structure,
+    fix_spacing,
+    normal_equations,
+)
 from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.problem import (
     NEAREST,
@@ -80,13 +85,6 @@ def add_priors(
         overlap.add_to(H, g, state)
     fix_spacing(H, state.theta, layout.SPACING_SIGMA)
     return H, g
-
-
-def fix_spacing(H: Float, theta: Float, sigma: float) -> None:
-    """Fix the gauge |t_p_a| = 1 by a stiff prior along t_p_a; `_step` rescales to exactly 1."""
-    row = np.zeros(layout.SIZE)
-    row[layout.RIG_CENTRE] = theta[layout.RIG_CENTRE] / sigma
-    H[-layout.SIZE :, -layout.SIZE :] += np.outer(row, row)
 
 
 def _step(state: State, n_views: int, delta: Float, delta_points: Float) -> State:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle import backbone, overlap
-from calm_edge.backbones.bundle.normal_equations import Structure, normal_equations
+from calm_edge.backbones.bundle.normal_equations import fix_spacing
 from calm_edge.backbones.bundle.problem import State
-from calm_edge.backbones.bundle.solver import fix_spacing, kit_evidence, solve
+from calm_edge.backbones.bundle.solver import kit_evidence, solve
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
@@ -30,17 +30,17 @@ def hints_of(w, before=None, n_overlap=SHARED):
 def marginal_of(w, state, prior=None):
     weight = np.ones(len(w.m.view))
     t_ns = hints_of(w).t_ns
-    return overlap.marginal(state, w.m, w.ties, weight, prior, t_ns, SHARED, 1.0)
+    normal = measured(w, state)
+    return overlap.marginal(normal, state, w.m, w.ties, weight, prior, t_ns, SHARED, 1.0)
 
 
-def mismatch(prior, w, state, belief):
-    return overlap.mismatch(prior, state, w.m, w.ties, np.ones(len(w.m.view)), belief)
+def measured(w, state):
+    return overlap.measured(state, w.m, w.ties, np.ones(len(w.m.view)))
 
 
 def covariance(w, state, belief, prior):
     """Of the primary poses but the first."""
-    structure = Structure.of(w.m, len(state.points))
-    H = normal_equations(state, w.m, w.ties, structure, np.ones(len(w.m.view)), 0.0).H
+    H = measured(w, state).H
     H[-layout.SIZE :, -layout.SIZE :] += belief.information
     fix_spacing(H, state.theta, layout.SPACING_SIGMA)
     if prior is not None:
@@ -99,7 +99,8 @@ def drive(seed):
         found = solve(start, w.m, w.ties, belief, robust_scale=WIDE)
         off = 0.0
         if prior is not None:
-            off = mismatch(prior, w, found.state, belief)
+            alone = found.state
+            off = overlap.mismatch(prior, measured(w, alone), alone, belief.information)
             found = solve(found.state, w.m, w.ties, belief, overlap=prior, robust_scale=WIDE)
         before = marginal_of(w, found.state, prior)
         beliefs.append(kit_evidence(found, w.m, w.ties, WIDE, 1.0))
@@ -165,8 +166,7 @@ def test_both_windows_together_claim_hardly_more_than_all_measurements_at_once(p
     kit = KitBelief(made.truth.theta, 1e12 * np.eye(layout.SIZE))
 
     def of_shared(w, views, prior=None):
-        structure = Structure.of(w.m, len(w.truth.points))
-        H = normal_equations(w.truth, w.m, w.ties, structure, np.ones(len(w.m.view)), 0.0).H
+        H = measured(w, w.truth).H
         H[-layout.SIZE :, -layout.SIZE :] += kit.information
         if prior is not None:
             prior.add_to(H, np.zeros(len(H)), w.truth)
@@ -234,6 +234,29 @@ def test_a_wrong_window_does_not_reach_the_next(pair, factor):
     assert not np.array_equal(solved[1].T_s_c, solved[2].T_s_c)
 
 
+def test_how_far_the_poses_were_drawn_is_told(pair):
+    first, second, _ = pair
+    belief = KitBelief(theta_of(), np.diag(KIT_SIGMA**-2))
+    earlier = solve(
+        first.truth, first.m, first.ties, belief, robust_scale=WIDE, tolerance=1e-9
+    ).state
+    prior = overlap.prior(hints_of(second, marginal_of(first, earlier)), 1.0)
+    alone = solve(
+        second.truth, second.m, second.ties, belief, robust_scale=WIDE, tolerance=1e-9
+    ).state
+    tied = solve(
+        alone, second.m, second.ties, belief, overlap=prior, robust_scale=WIDE, tolerance=1e-9
+    ).state
+    found = overlap.drawn(prior, measured(second, tied), tied, belief.information)
+    for k in range(2):
+        size = [
+            np.linalg.norm(prior.difference(state).reshape(-1, 2, 3)[:, k])
+            for state in (tied, alone)
+        ]
+        assert abs(size[0] / size[1] - 1) > 0.05
+        assert found[k] == pytest.approx(size[0] / size[1], rel=0.02)
+
+
 def test_an_overlap_counts_only_for_the_keyframes_it_is_of(pair):
     _, second, handed = pair
     assert overlap.prior(hints_of(second, handed), 1.0) is not None
@@ -249,5 +272,8 @@ def test_a_window_of_nothing_but_shared_keyframes_hands_nothing_on(pair):
     t_ns = hints_of(first).t_ns
     weight = np.ones(len(first.m.view))
     for n in (0, 1, N):
-        found = overlap.marginal(first.truth, first.m, first.ties, weight, None, t_ns, n, 1.0)
+        normal = measured(first, first.truth)
+        found = overlap.marginal(
+            normal, first.truth, first.m, first.ties, weight, None, t_ns, n, 1.0
+        )
         assert found is None
