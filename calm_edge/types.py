@@ -102,6 +102,7 @@ class Hints:
     n_overlap: number of leading primary images that the previous batch ended with. overlap: what
     that batch says of them, or None. n_shared: number of last primary images of which the next
     batch wants an overlap; 0: none.
+    travel: (3,) direction of travel of earlier batches, unit vector in the primary's axes, or None.
     """
 
     eyes: Int
@@ -116,6 +117,7 @@ class Hints:
     late_s: Float | None = None
     late_sigma_s: float = 0.0
     apart: bool = False
+    travel: Float | None = None
 
     def without_loop(self) -> Hints:
         """Hints of the window alone."""

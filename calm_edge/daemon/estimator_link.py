@@ -88,6 +88,8 @@ class EstimatorLink:
         self.lost: list[int] = []
         self.left_to_map: list[int] = []
         self.unsolved: list[int] = []
+        # why the newest window gave no sub-map; empty if it gave one
+        self.refused = ""
         # number of windows that were solved only at a later attempt
         self.solved_late = 0
         self.restarts = 0
@@ -168,8 +170,10 @@ class EstimatorLink:
                 self._took_s = time.monotonic() - self._handed_s
                 self._in_hand = None
                 self._deaths_in_a_row = 0
+                self.refused = ""
                 if message.update is None:
                     self.unsolved.append(message.submap_id)
+                    self.refused = f"window {message.submap_id} gave no sub-map: {message.problem}"
             case Finished():
                 self.finished = message
                 late = {submap.id for submap in message.submaps} & {*self.unsolved}

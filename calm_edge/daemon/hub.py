@@ -150,9 +150,11 @@ class Hub:
         # their answers are waiting, and without these both would be killed as hanging
         self.estimator.pump()
         self.tracker.pump()
-        if self.estimator.lagging != self._lagging:
-            self._lagging = self.estimator.lagging
-            self.tracker.set_lagging(self._lagging and not self.lockstep)
+        # without a sub-map of the newest window poses continue an older one: they are not LIVE
+        late = self.estimator.lagging and not self.lockstep
+        if (lagging := late or bool(self.estimator.refused)) != self._lagging:
+            self._lagging = lagging
+            self.tracker.set_lagging(lagging)
         if not poses:
             self.outputs.tick(self.source.clock.now_ns())
         return poses

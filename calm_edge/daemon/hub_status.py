@@ -54,6 +54,7 @@ def take_status(
 ) -> HubStatus:
     """Return the status at now_ns, and reset the largest pose age in `result`."""
     links = {"estimator": estimator.given_up, "tracker": tracker.given_up}
+    refused = [estimator.refused] if estimator.refused else []
     given_up = [f"{name} failed, not restarted" for name, gone in links.items() if gone]
     return HubStatus(
         now_ns,
@@ -64,7 +65,7 @@ def take_status(
         result.take_worst_age_ms(),
         estimator.waiting,
         estimator.overtaken,
-        (*outputs.faults(), *given_up),
+        (*outputs.faults(), *given_up, *refused),
         result.counts(),
         {
             "images_not_recorded": writer.dropped_images,

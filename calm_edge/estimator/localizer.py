@@ -21,7 +21,9 @@ from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
 from calm_edge.config import Config
 from calm_edge.estimator import scale, window_submap
 from calm_edge.estimator.atlas import Atlas, SkippedWindow
+from calm_edge.estimator.direction_memory import DirectionMemory
 from calm_edge.estimator.held_windows import HeldWindows, unsettled
+from calm_edge.estimator.judgement import judge
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.estimator.kit_watch import KitWatch, Slip, Suspect
 from calm_edge.estimator.metre import DriveMetre
@@ -107,6 +109,7 @@ class Localizer:
             self._loops = PlaceLoops(config.loops, descriptor)
         self._optimiser = optimiser or Immediate()
         self._atlas = Atlas(config)
+        self._direction = DirectionMemory()
         self._metre = DriveMetre(config.scale.spacing)
         self._optimised = False
         self._stale = False
@@ -169,6 +172,8 @@ class Localizer:
         window, prediction, closed = solved.window, solved.prediction, solved.closed
         with _timed(stage_ms, "place"):
             atlas.add(solved.submap)
+            path = solved.submap.T_s_c[: solved.submap.n_primary]
+            self._direction.add(path, self._config.scale.spacing)
             if self._loops is not None:
                 self._loops.remember(window)
         with _timed(stage_ms, "resolve"):
@@ -411,6 +416,7 @@ class Localizer:
                 recalibrated = self._rectifier.update(raw, prediction.landmarks, images)
         with _timed(stage_ms, "rectify"):
             submap = self._rectifier.rectify(raw)
+        judge(submap, self._config.scale.spacing)
         closed = self._closure(window, submap, prediction, candidate)
         if window.loop_keyframe is not None and closed is None:
             if known:
@@ -483,6 +489,7 @@ class Localizer:
             overlap=self._memory.overlap_before(window.submap_id),
             n_shared=self._config.overlap_shared,
             apart=self._stamps.wanted(window.submap_id),
+            travel=self._direction.direction,
         )
         return replace(hints, late_s=self._stamps.late_s(hints), late_sigma_s=self._stamps.sigma_s)
 

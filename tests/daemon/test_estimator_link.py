@@ -206,3 +206,13 @@ def test_a_window_solved_at_last_is_not_unsolved(make_bench: MakeBench) -> None:
     submap.id = 1
     bench.link.accept(Finished((submap,), None, Metre()))
     assert bench.link.unsolved == [0, 2] and bench.link.solved_late == 1
+
+
+def test_the_newest_window_is_refused_until_one_is_solved(make_bench: MakeBench) -> None:
+    bench = make_bench(lockstep=True)
+    bench.windows(3)
+    assert bench.link.refused == ""
+    bench.link.accept(Processed(0, None, "too dark"))
+    assert bench.link.refused == "window 0 gave no sub-map: too dark"
+    bench.link.accept(Processed(1, Mock(), ""))
+    assert bench.link.refused == "" and bench.link.unsolved == [0]

@@ -229,6 +229,33 @@ def test_a_window_that_fails_is_bridged_at_constant_velocity(fails):
     assert position_error(trajectory.T_w_c, T[known]).max() < 1e-6
 
 
+class Thrown(Failing):
+    """A network that throws one keyframe of some windows far ahead."""
+
+    def infer(self, images, hints):
+        self.calls += 1
+        prediction = ScriptedBackbone.infer(self, images, hints)
+        if self.calls - 1 not in self.fails:
+            return prediction
+        T = prediction.T_s_c.copy()
+        T[7, :3, 3] += 60 * T[7, :3, 2]
+        return dataclasses.replace(prediction, T_s_c=T)
+
+
+def test_a_window_that_no_car_drives_is_bridged_whatever_the_backbone():
+    T = straight(75)
+    localizer = Localizer(METRES, Thrown(scene(T), ScriptedErrors(), fails={2}))
+    updates = [localizer.process(window) for window in windows(75)]
+    assert [k for k, update in enumerate(updates) if update is None] == [2]
+    assert localizer.skipped[0].reason == (
+        "the window is wrong: the velocity jumps between keyframes as no car's does"
+    )
+    trajectory = localizer.finish()
+    known = trajectory.keyframe_ids
+    assert 60 < len(known) < 75
+    assert position_error(trajectory.T_w_c, T[known]).max() < 1e-6
+
+
 def test_a_window_left_out_is_bridged_as_if_it_had_failed():
     T = straight(75)
     localizer = Localizer(METRES, Failing(scene(T), ScriptedErrors(), fails=set()))

@@ -34,19 +34,19 @@ ZOOMS, GUESS_VIEWS = (1.0, 1.25, 0.8), 3
 MIN_W, MIN_DEPTH = 1e-4, 1e-3
 
 
-def solved_apart(m: Measurements, direction: Float, prior: KitBelief) -> Float | None:
+def solved_apart(m: Measurements, travel: Float | None, prior: KitBelief) -> Float | None:
     """T_s_c (C, 4, 4) of all views, NaN where an assistant view cannot be placed.
 
     The unit of length is arbitrary. None if the primary's path fails or no view can be placed.
-    direction: (3,) initial direction of travel, camera axes. prior: on the kit. Raises
-    BackboneError, LinAlgError, cv2.error.
+    travel: (3,) direction of travel of earlier windows, camera axes, or None. prior: on the kit.
+    Raises BackboneError, LinAlgError, cv2.error.
     """
     P = int((m.eye == 0).sum())
     own = window.thinned(_of_primary(m), POINTS)
     theta = prior.mean.copy()
     # any rig will do: no view depends on it
     theta[layout.RIG_CENTRE] = [1.0, 0.0, 0.0]
-    poses = driven(own, theta, direction)
+    poses = next(driven(own, theta, travel))
     T = np.stack([poses[view] for view in range(P)])
     solved = solve(
         State(T, triangulated(own, T, theta), theta), own, rig_ties(own), prior,

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import numpy as np
@@ -18,13 +17,21 @@ from numpy.typing import NDArray
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import loop_view, overlap, posterior, stamps, window
 from calm_edge.backbones.bundle.apart import solved_apart
-from calm_edge.backbones.bundle.initialise import chained, driven, initial_state, triangulated
 from calm_edge.backbones.bundle.matching import Matching
+from calm_edge.backbones.bundle.motion import motion_prior
 from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
-from calm_edge.backbones.bundle.solver import Solution, kit_evidence, robust_weights, solve
+from calm_edge.backbones.bundle.solver import (
+    PosePrior,
+    Solution,
+    kit_evidence,
+    robust_weights,
+    solve,
+)
+from calm_edge.backbones.bundle.starts import Known, initial_states
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
+from calm_edge.geometry.car_motion import contradiction
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.loops.descriptor import PlaceDescriptor
@@ -43,27 +50,23 @@ FOCAL_FLOOR = 0.015
 # either pass stops; the first is only a start and need not be as exact.
 ROBUST_SCALES = (2.0, 0.5)
 TOLERANCES = (1e-3, 1e-4)
-# Unless the kit is known (layout.KIT_KNOWN), FOCAL_GUESSES times the prior's focals are tried.
-FOCAL_GUESSES = (1.0, 1.25, 0.75)
-GUESS_ITERATIONS = 15
-GUESS_POINTS = 200
-# Direction of travel in the primary's axes from which its estimation starts: forward.
-AHEAD = np.array([0.0, 0.0, 1.0])
-SEED_SHARES = (0.5, 0.3, 0.15)
-# A trial solution with a lower robust cost per observation than this, after GUESS_ITERATIONS, is
-# used without trying others.
-GOOD_START = 1.0
+# Largest sigma of the rig's rotation at which it guides the matching between the cameras and the
+# start; below layout.KIT_KNOWN rig and focals are taken as they are to start from.
+RIG_GUIDES_RAD = 0.04
+# A window whose solution is rejected is solved from this number of initial states at most.
+MAX_STARTS = 3
 # Largest median reprojection error [px]: above the first a window is rejected, above the second it
-# gives no evidence on the kit.
-MAX_MEDIAN_PX = 2.0
+# gives no evidence on the kit. It is also rejected if a tenth of the errors exceeds MAX_TAIL_PX:
+# of good windows it is below 2, of one from a wrong start with a median of 0.4 it was 8.
+MAX_MEDIAN_PX, MAX_TAIL_PX = 2.0, 5.0
 MAX_EVIDENCE_PX = 0.8
-# Where nearly all points are far, single steps have all but free lengths at small residuals. No car
-# changes its velocity between keyframes by more than both: spacings / s^2 (good windows stay below
-# 20, wrong ones exceed 60), and the share of the window's median speed (0.5, 1.3).
-MAX_ACCELERATION, MAX_VELOCITY_JUMP = 40.0, 0.7
 # Largest chi-square by degree of freedom of the overlap with the previous window at which it joins:
 # of twelve, 99.95 % are below where both windows are right. The paper's windows never join.
 MAX_MISMATCH = 3.0
+# Above this one of the two windows is wrong; as earlier ones agreed with the previous one, the new
+# one is rejected.
+HOPELESS_MISMATCH = 30.0
+HOPELESS = "bundle: it contradicts the previous window on the keyframes they share"
 CONTRADICTED = "windows contradict each other on the keyframes they share: solved apart"
 
 
@@ -122,21 +125,24 @@ class BundleBackbone:
         cv2.setRNGSeed(self._seed)
         belief = kit_belief(hints)
         sigma = self.kit_sigma(hints)
-        rig_known, known = (
-            bool(sigma[0] < layout.RIG_KNOWN_RAD),
-            bool(np.all(sigma < layout.KIT_KNOWN)),
-        )
+        guided, settled = bool(sigma[0] < RIG_GUIDES_RAD), bool(np.all(sigma < layout.KIT_KNOWN))
         with _solvable():
-            m = window.measure(images, hints, belief.mean, rig_known, self._matching)
+            m = window.measure(images, hints, belief.mean, guided, self._matching)
         try:
             with _solvable():
-                ties = rig_ties(m)
-                start = _first_guess(m, ties, belief, known)
-                solved = _solved(start, m, ties, belief, hints)
+                ties, before = rig_ties(m), overlap.prior(hints, TEMPERING)
+                # the previous window leads the start; whether it is right is judged later
+                poses: list[PosePrior] = [motion_prior(m, 1 / TEMPERING)]
+                if before is not None:
+                    poses.append(before)
+                known = Known(
+                    _prior(belief, ties), poses, float(sigma[1]), guided, settled, hints.travel
+                )
+                solved = _first_sound(initial_states(m, ties, known), m, ties, belief, hints)
         except BackboneError as error:
-            error.T_s_c_apart = _apart(m, belief) if hints.apart else None
+            error.T_s_c_apart = _apart(m, belief, hints)
             raise
-        apart = _apart(m, belief) if hints.apart else None
+        apart = _apart(m, belief, hints)
         solved = window.with_known_offset(solved, hints)
         notices = (*self._notices, *solved.notices)
         return replace(solved, kit_sigma=sigma, notices=notices, T_s_c_apart=apart)
@@ -189,10 +195,12 @@ def kit_belief(hints: Hints) -> KitBelief:
     return joint
 
 
-def _apart(m: Measurements, belief: KitBelief) -> Float | None:
+def _apart(m: Measurements, belief: KitBelief, hints: Hints) -> Float | None:
+    if not hints.apart:
+        return None
     try:
         with _solvable():
-            return solved_apart(m, AHEAD, _untempered(belief))
+            return solved_apart(m, hints.travel, _untempered(belief))
     except BackboneError:
         return None
 
@@ -224,6 +232,33 @@ def _solvable() -> Iterator[None]:
         raise BackboneError(
             "bundle: the pictures do not determine their poses (too few matches?)"
         ) from None
+
+
+def _first_sound(
+    starts: Sequence[State], m: Measurements, ties: RigTies, belief: KitBelief, hints: Hints
+) -> Prediction:
+    """Solve from the first start whose solution is not rejected; raises BackboneError.
+
+    If it contradicts the previous window, one from another start that does not is preferred.
+    """
+    apart, failure = None, None
+    for start in starts[:MAX_STARTS]:
+        try:
+            found = _solved(start, m, ties, belief, hints)
+        except BackboneError as error:
+            failure = failure or error
+            continue
+        mismatch = found.overlap_mismatch
+        if mismatch is None or mismatch <= MAX_MISMATCH:
+            return found
+        if mismatch > HOPELESS_MISMATCH:
+            failure = failure or BackboneError(HOPELESS)
+            continue
+        apart = apart or found
+    if apart is not None:
+        return apart
+    assert failure is not None
+    raise failure
 
 
 def _solved(
@@ -263,74 +298,30 @@ def _solve(
 
     Returns the solution, the rig ties of the second pass, and the overlap's mismatch, if any.
     """
-    mismatch, joined = None, None
+    mismatch = None
+    priors: tuple[PosePrior, ...] = (motion_prior(m, 1 / TEMPERING),)
     passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
     for robust_scale, tolerance, timed in passes:
         timed_ties = timed(ties, start)
         solution = solve(
             start, m, timed_ties, _prior(belief, timed_ties),
-            overlap=joined, robust_scale=robust_scale, tolerance=tolerance,
+            pose_priors=priors, robust_scale=robust_scale, tolerance=tolerance,
         )  # fmt: skip
         start = solution.state
         if before is not None and mismatch is None:
             weight = robust_weights(solution.residual, ROBUST_SCALES[-1])
             normal = overlap.measured(start, m, timed_ties, weight)
             mismatch = overlap.mismatch(before, normal, start, belief.information)
-            joined = before if mismatch <= MAX_MISMATCH else None
-    if np.median(solution.residual * m.sigma_px) > MAX_MEDIAN_PX:
+            if mismatch <= MAX_MISMATCH:
+                priors = (*priors, before)
+    median, tail = np.percentile(solution.residual * m.sigma_px, [50, 90])
+    if median > MAX_MEDIAN_PX or tail > MAX_TAIL_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
-    if not _drivable(solution.state, m):
-        raise BackboneError("bundle: the velocity jumps between keyframes as no car's does")
+    primary = np.flatnonzero(m.eye == 0)
+    why = contradiction(m.t[primary], se3.inverse(solution.state.T_c_s[primary]))
+    if why:
+        raise BackboneError(f"bundle: {why}")
     return solution, timed_ties, mismatch
-
-
-def _drivable(state: State, m: Measurements) -> bool:
-    """Whether the velocity of the primary changes between keyframes as a car's can."""
-    views = np.flatnonzero(m.eye == 0)
-    if len(views) < 3:
-        return True
-    dt = np.diff(m.t[views])
-    velocity = np.diff(se3.inverse(state.T_c_s[views])[:, :3, 3], axis=0) / dt[:, None]
-    jump = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-    usual = np.median(np.linalg.norm(velocity, axis=1))
-    hard = jump > MAX_ACCELERATION * (dt[1:] + dt[:-1]) / 2
-    return not np.any(hard & (jump > MAX_VELOCITY_JUMP * usual))
-
-
-def _first_guess(m: Measurements, ties: RigTies, belief: KitBelief, known: bool) -> State:
-    """Initial state: the best of several trial solutions, from the points seen in most views.
-
-    Its poses then triangulate all points. A chain of resections can drift, and a wrong focal can
-    trap the solver, so trials are compared by their cost after a few iterations. The first one
-    takes the primary's path for that of a car (travel.py); if its cost is high, incremental
-    structure from motion is tried too. known: rig and focals are known; else several focals are
-    tried.
-    """
-    few = window.thinned(m, GUESS_POINTS)
-    candidates: list[tuple[float, State]] = []
-    failure = BackboneError("bundle: no initial solution from any pair of keyframes")
-    for factor in FOCAL_GUESSES[:1] if known else FOCAL_GUESSES:
-        theta = belief.mean.copy()
-        theta[layout.LOG_FOCAL] += np.log(factor)
-        paths = [partial(driven, few, theta, AHEAD)]
-        paths += [partial(chained, few, theta, share) for share in SEED_SHARES]
-        for path in paths:
-            try:
-                start = initial_state(few, theta, known, path())
-            except BackboneError as error:
-                failure = error
-                continue
-            trial = solve(
-                start, few, stamps.freed(ties, start), _untempered(belief),
-                robust_scale=ROBUST_SCALES[0], max_iterations=GUESS_ITERATIONS,
-            )  # fmt: skip
-            candidates.append((trial.cost, trial.state))
-            if trial.cost < GOOD_START * len(few.uv):
-                break
-    if not candidates:
-        raise failure
-    best = min(candidates, key=lambda candidate: candidate[0])[1]
-    return State(best.T_c_s, triangulated(m, best.T_c_s, best.theta), best.theta)
 
 
 def _prediction(

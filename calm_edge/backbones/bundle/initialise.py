@@ -9,15 +9,23 @@ the distance of the first two views; then in spacings.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from enum import Enum, auto
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import travel
 from calm_edge.backbones.bundle.problem import Measurements, State
+from calm_edge.backbones.bundle.rig_search import (
+    MIN_RESECTION,
+    RESECTION_PX,
+    fitted_rig,
+    side_by_side,
+    spacing_of,
+    usable,
+)
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
 from calm_edge.geometry.triangulation import triangulate
@@ -25,18 +33,6 @@ from calm_edge.kit import layout
 from calm_edge.types import Float, Int
 
 MIN_COMMON = 30
-MIN_RESECTION = 10
-RESECTION_PX = 4.0
-# the spacing is searched such that NEAR_PERCENT % of the points are nearer than a depth [spacings]
-# within this range
-DEPTHS_IN_SPACINGS = (1.0, 2000.0)
-NEAR_PERCENT = 20
-N_SPACINGS = 60
-# sigma of the rotation of a rig that counts as known, and iterations to estimate its error
-RIG_SIGMA_RAD = 0.01
-RIG_ITERATIONS = 4
-# points with a larger |x / z| or |y / z| are not used for that estimate
-MAX_SLOPE = 2.0
 
 # T_c_s (4, 4) by view
 Poses = dict[int, Float]
@@ -108,24 +104,17 @@ def resection(points: Float, rays: Float, f: float, guess: Float | None) -> Floa
     return se3.compose(se3.so3_exp(rotation), translation)
 
 
-def _in_front(p_c: Float) -> Float:
-    """Move points (n, 3) behind the camera to the front of it, so that pixels stay finite."""
-    return np.concatenate([p_c[:, :2], np.maximum(p_c[:, 2:], 1e-6)], 1)
+def driven(m: Measurements, theta: Float, remembered: Float | None) -> Iterator[Poses]:
+    """Poses T_c_s of the primary views along the path of a car (travel.py), two guesses a course.
 
-
-def _usable(X: Float) -> np.ndarray:
-    """Mask of points at a finite, positive distance."""
-    return np.asarray(np.isfinite(X[:, 0]) & (X[:, 3] > 1e-4))
-
-
-def driven(m: Measurements, theta: Float, direction: Float) -> Poses:
-    """Poses T_c_s of the primary views, placed along the path of a car (travel.py).
-
-    theta: the kit, for the focal. direction: (3,) initial direction of travel, camera axes.
+    First with the steps from ratios of neighbouring ones, then with those of a constant speed.
+    theta: the kit, for the focal. remembered: (3,) direction of travel, camera axes, or None.
     """
-    f = _pinholes(m, theta)[0].fx
-    T_c_s = travel.path(travel.matches(m, normalised(m, theta), f), direction)
-    return dict(zip(np.flatnonzero(m.eye == 0).tolist(), T_c_s, strict=True))
+    matches = travel.matches(m, normalised(m, theta), _pinholes(m, theta)[0].fx)
+    primary = np.flatnonzero(m.eye == 0).tolist()
+    for course in travel.courses(matches, remembered):
+        for steps in (travel.signed_steps(matches, course), matches.dt / np.median(matches.dt)):
+            yield dict(zip(primary, course.path(steps), strict=True))
 
 
 def chained(m: Measurements, theta: Float, seed_share: float) -> Poses:
@@ -148,11 +137,22 @@ def chained(m: Measurements, theta: Float, seed_share: float) -> Poses:
     return poses
 
 
-def initial_state(m: Measurements, theta: Float, rig_known: bool, poses: Poses) -> State:
+class Rig(Enum):
+    """Where the rig of an initial state is from.
+
+    KNOWN: the kit. FITTED: the window. ABREAST: its rotation from the window, its position beside
+    the primary.
+    """
+
+    KNOWN = auto()
+    FITTED = auto()
+    ABREAST = auto()
+
+
+def initial_state(m: Measurements, theta: Float, rig: Rig, poses: Poses) -> State:
     """Poses of all views, points and kit; raises BackboneError where the matches do not suffice.
 
-    theta: the kit; its rig is used only when `rig_known`, else it is estimated here. poses: of the
-    primary views, in any unit.
+    theta: the kit. poses: of the primary views, in any unit.
     """
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
@@ -162,20 +162,22 @@ def initial_state(m: Measurements, theta: Float, rig_known: bool, poses: Poses) 
     T_s_p = se3.inverse(np.stack([poses[int(v)] for v in primary]))
     instants = m.t[assistant] + theta[layout.TIME_OFFSET]
     at = se3.interpolate_at(m.t[primary], T_s_p, instants)  # primary, when the assistant exposes
-    if rig_known:
-        T_p_a = layout.rig(theta)
-        spacing = _spacing(m, theta, X, assistant, at)
+    theta = theta.copy()
+    if rig is Rig.KNOWN:
+        spacing, _ = spacing_of(m, theta, X, assistant, at)
     else:
-        T_p_a, theta = _rig(m, theta, X, assistant, at, _resected(m, rays, X, assistant, at, f[1]))
+        found = _resected(m, rays, X, assistant, at, f[1])
+        T_p_a, theta = fitted_rig(m, theta, X, assistant, at, found)
         spacing = float(np.linalg.norm(T_p_a[:3, 3]))
-        T_p_a[:3, 3] /= spacing
+        theta[layout.RIG] = layout.rig_vector(T_p_a)
+    if rig is Rig.ABREAST:
+        theta, spacing = side_by_side(m, theta, X, assistant, at)
+    T_p_a = layout.rig(theta)
     # everything in spacings; the assistant's views start exactly on the rig
     out = np.empty((m.n_views, 4, 4))
     for views, T_s_c in ((primary, T_s_p), (assistant, at)):
         T_s_c[:, :3, 3] /= spacing
         out[views] = se3.inverse(T_s_c if views is primary else T_s_c @ T_p_a)
-    theta = theta.copy()
-    theta[layout.RIG] = layout.rig_vector(T_p_a)
     return State(out, triangulated(m, out, theta), theta)
 
 
@@ -209,7 +211,7 @@ def _resect(
     m: Measurements, rays: Float, X: Float, view: int, f: float, guess: Float | None
 ) -> Float | None:
     rows = _rows_of(m, view)
-    rows = rows[_usable(X[m.point[rows]])]
+    rows = rows[usable(X[m.point[rows]])]
     points = X[m.point[rows]]
     return resection(points[:, :3] / points[:, 3:], rays[rows], f, guess)
 
@@ -241,78 +243,3 @@ def _resected(
     if not found:
         raise BackboneError("bundle: no matches between the cameras; let them see the same scene")
     return found
-
-
-def _rig(
-    m: Measurements, theta: Float, X: Float, assistant: Int, at: Float, found: list[Float]
-) -> tuple[Float, Float]:
-    """T_p_a (4, 4), initial unit, and theta with the assistant's focal, both from all its views.
-
-    Resection alone turns an error of that focal into a shift of many spacings along the optical
-    axis, so rig and focal are fitted together, with the points fixed. found: T_p_a by resection of
-    single views. at: poses T_s_p of the primary at the exposures of the views `assistant`.
-    """
-    stack = np.stack(found)
-    rotation = se3.log(se3.inverse(stack)[:, None] @ stack[None])[..., 3:]
-    start = stack[int(np.argmin(np.median(np.linalg.norm(rotation, axis=2), axis=1)))]
-    uv, p_p = _seen_across(m, X, assistant, at)
-    camera = _pinholes(m, theta)[1]
-    unit = replace(camera, fx=1.0, fy=1.0)
-
-    def error_px(x: Float) -> Float:
-        f = np.exp(x[6]) * camera.fx
-        p_a = se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p))
-        predicted = unit.project(_in_front(p_a) * [f, f, 1.0])
-        return np.asarray(np.clip(predicted - uv, -1e3, 1e3).ravel())
-
-    fit = least_squares(error_px, np.zeros(7), loss="cauchy", f_scale=2.0, max_nfev=30)
-    theta = theta.copy()
-    theta[layout.LOG_FOCAL[1]] += fit.x[6]
-    return start @ se3.inverse(se3.exp(fit.x[:6])), theta
-
-
-def _spacing(m: Measurements, theta: Float, X: Float, assistant: Int, at: Float) -> float:
-    """The spacing in the initial unit when the rig is known, by a coarse and a fine line search.
-
-    The bundle adjustment converges only from about the right scale. The error of the rig's rotation
-    can exceed the parallax of a road, so it is estimated anew for each candidate. at: poses T_s_p
-    of the primary at the exposures of the views `assistant`.
-    """
-    uv, p_p = _seen_across(m, X, assistant, at)
-    camera, T_p_a = _pinholes(m, theta)[1], layout.rig(theta)
-    rotated = p_p @ T_p_a[:3, :3]
-    step = T_p_a[:3, :3].T @ T_p_a[:3, 3]
-
-    def cost(spacing: float) -> float:
-        p_a = _in_front(rotated - spacing * step)
-        error = camera.project(p_a) - uv
-        # a small rotation w on the left moves p_a by w x p_a
-        J = camera.project_jacobian(p_a) @ -se3.hat(p_a)
-        J[np.abs(p_a[:, :2]).max(1) > MAX_SLOPE * p_a[:, 2]] = 0
-        w = np.zeros(3)
-        for _ in range(RIG_ITERATIONS):
-            size = np.linalg.norm(error + J @ w, axis=1)
-            weight = 1 / (RESECTION_PX**2 + size**2)
-            H = np.einsum("nij,n,nik->jk", J, weight, J) + np.eye(3) / RIG_SIGMA_RAD**2
-            w = np.linalg.solve(H, -np.einsum("nij,n,ni->j", J, weight, error))
-        size = np.linalg.norm(error + J @ w, axis=1)
-        return float(np.log1p((size / RESECTION_PX) ** 2).sum() + w @ w / RIG_SIGMA_RAD**2)
-
-    coarse = np.percentile(p_p[:, 2], NEAR_PERCENT) / np.geomspace(*DEPTHS_IN_SPACINGS, N_SPACINGS)
-    best = int(np.argmin([cost(spacing) for spacing in coarse]))
-    if best == N_SPACINGS - 1:
-        raise BackboneError("bundle: the rig does not fit the matches between the cameras")
-    fine = np.geomspace(coarse[max(best - 1, 0)], coarse[best + 1], N_SPACINGS)
-    return float(fine[int(np.argmin([cost(spacing) for spacing in fine]))])
-
-
-def _seen_across(m: Measurements, X: Float, assistant: Int, at: Float) -> tuple[Float, Float]:
-    """Known points that the assistant observed: uv (n, 2) px, and p_p (n, 3) in the axes of the
-    primary at the assistant's exposure, initial unit. Raises BackboneError with too few."""
-    rows = np.flatnonzero(np.isin(m.view, assistant))
-    rows = rows[_usable(X[m.point[rows]])]
-    if len(rows) < MIN_RESECTION:
-        raise BackboneError("bundle: no matches between the cameras; let them see the same scene")
-    points = X[m.point[rows], :3] / X[m.point[rows], 3:]
-    T_p_s = se3.inverse(at)[np.searchsorted(assistant, m.view[rows])]
-    return m.uv[rows], (T_p_s[:, :3, :3] @ points[..., None])[..., 0] + T_p_s[:, :3, 3]

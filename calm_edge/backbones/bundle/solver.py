@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -13,7 +15,6 @@ from calm_edge.backbones.bundle.normal_equations import (
     fix_spacing,
     normal_equations,
 )
-from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.problem import (
     NEAREST,
     Measurements,
@@ -29,6 +30,18 @@ from calm_edge.kit import layout
 from calm_edge.types import Float, KitBelief
 
 BEHIND = 100.0  # residual [sigmas] of a point behind its view: counts as an outlier
+
+
+class PosePrior(Protocol):
+    """What is known of a window's poses beside its pictures; no part of its evidence on the kit."""
+
+    def cost(self, state: State) -> float:
+        """Squared length of the residuals in sigmas."""
+        ...
+
+    def add_to(self, H: Float, g: Float, state: State) -> None:
+        """Add the prior, linearised at the state, to normal equations of poses and kit."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +71,9 @@ def total_cost(
     ties: RigTies,
     prior: KitBelief,
     scale: float,
-    overlap: OverlapPrior | None = None,
+    pose_priors: Sequence[PosePrior] = (),
 ) -> float:
-    """Half the robust cost of pixels, rig ties, kit prior and overlap prior."""
+    """Half the robust cost of pixels, rig ties, and the priors on kit and poses."""
     length = whitened_lengths(state, m)
     pixels = scale**2 * np.log1p((length / scale) ** 2).sum()
     T = state.T_c_s
@@ -69,20 +82,20 @@ def total_cost(
         layout.rig(state.theta), float(state.theta[layout.TIME_OFFSET]), ties,
     )  # fmt: skip
     off = state.theta - prior.mean
-    poses = 0.0 if overlap is None else overlap.cost(state)
-    return 0.5 * float(pixels + (tie**2).sum() + off @ prior.information @ off + poses)
+    known = off @ prior.information @ off + sum(other.cost(state) for other in pose_priors)
+    return 0.5 * float(pixels + (tie**2).sum() + known)
 
 
 def add_priors(
-    normal: Normal, state: State, prior: KitBelief, overlap: OverlapPrior | None = None
+    normal: Normal, state: State, prior: KitBelief, pose_priors: Sequence[PosePrior] = ()
 ) -> tuple[Float, Float]:
-    """Add the priors on kit and overlap and the gauge to the reduced normal equations H, g."""
+    """Add the priors on kit and poses, and the gauge, to the reduced normal equations H, g."""
     H, g = normal.H.copy(), normal.g.copy()
     k = slice(len(g) - layout.SIZE, len(g))
     H[k, k] += prior.information
     g[k] += prior.information @ (state.theta - prior.mean)
-    if overlap is not None:
-        overlap.add_to(H, g, state)
+    for other in pose_priors:
+        other.add_to(H, g, state)
     fix_spacing(H, state.theta, layout.SPACING_SIGMA)
     return H, g
 
@@ -106,25 +119,25 @@ def solve(
     ties: RigTies,
     prior: KitBelief,
     *,
-    overlap: OverlapPrior | None = None,
+    pose_priors: Sequence[PosePrior] = (),
     robust_scale: float = 2.0,
     max_iterations: int = 30,
     tolerance: float = 1e-4,
 ) -> Solution:
     """Minimise pixels (Cauchy), rig ties and the priors from `state`, with view 0 fixed.
 
-    Levenberg-Marquardt with iteratively reweighted least squares. prior: on the kit. overlap: prior
-    on the first poses. robust_scale: of the Cauchy kernel [sigmas]. tolerance: relative decrease of
-    the cost at which to stop.
+    Levenberg-Marquardt with iteratively reweighted least squares. prior: on the kit. pose_priors:
+    on the poses. robust_scale: of the Cauchy kernel [sigmas]. tolerance: relative decrease of the
+    cost at which to stop.
     """
     structure = Structure.of(m, len(state.points))
     damping = 1e-3
-    cost = total_cost(state, m, ties, prior, robust_scale, overlap)
+    cost = total_cost(state, m, ties, prior, robust_scale, pose_priors)
     n = m.n_views
     for _ in range(max_iterations):
         weight = robust_weights(whitened_lengths(state, m), robust_scale)
         normal = normal_equations(state, m, ties, structure, weight, damping)
-        H, g = add_priors(normal, state, prior, overlap)
+        H, g = add_priors(normal, state, prior, pose_priors)
         H[np.diag_indices_from(H)] *= 1 + damping
         free = slice(6, len(g))
         delta = np.zeros(len(g))
@@ -138,7 +151,7 @@ def solve(
             damping *= 10
             continue
         trial = _step(state, n, delta, normal.point_step(delta))
-        trial_cost = total_cost(trial, m, ties, prior, robust_scale, overlap)
+        trial_cost = total_cost(trial, m, ties, prior, robust_scale, pose_priors)
         if trial_cost < cost:
             gain = (cost - trial_cost) / max(cost, 1e-12)
             state, cost = trial, trial_cost

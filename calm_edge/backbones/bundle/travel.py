@@ -20,18 +20,28 @@ from calm_edge.backbones.bundle.problem import Measurements
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
-ITERATIONS = 15
+ITERATIONS = 18
 # scale of the Cauchy weights of the epipolar residual: wide first, to reach a wrong direction, then
 # narrowed by this factor an iteration down to the noise of matches
-FIRST_PX, NARROWING, EPIPOLAR_PX = 20.0, 0.6, 0.7
+FIRST_PX, NARROWING, EPIPOLAR_PX = 20.0, 0.7, 0.7
+# points nearer to the direction of travel than this [rad] have a small weight at first, narrowed
+# alike: there the residual is far from linear, and a wrong direction would never leave them
+FIRST_RAD = 1.0
 # points that move less than this along the direction of travel count as far, with a small weight
 # that fixes the rotation of a car that stands
 FAR_PX, FAR_WEIGHT = 2.0, 0.02
 # lower bound of the angle between a point and the direction of travel: nearer points hardly move
 NEAREST_RAD = 0.01
-# sigmas of priors: angle between the direction of travel and its first guess; change of speed from
-# one step to the next, as a share of the median speed
-DIRECTION_SIGMA_RAD = 0.3
+# Angles [degrees] to the right of the optical axis at which the search for an unknown direction of
+# travel begins; each finds those within about 15 degrees, the outer ones up to twice as far.
+SEARCHED_DEG = (0.0, -30.0, 30.0)
+# A direction found there is tried too if its robust cost is below this share of that ahead, and the
+# cosine of its angle to the optical axis above MOST_ASIDE: sideways motion of points near the
+# horizon leaves too little across the direction of travel to compare.
+BETTER, MOST_ASIDE = 0.97, 0.4
+# sigmas of priors: angle between the direction of travel and its first guess, unknown or remembered
+# from earlier windows; change of speed from one step to the next, as a share of the median speed
+DIRECTION_SIGMA_RAD, REMEMBERED_SIGMA_RAD = 0.3, 0.03
 SPEED_SIGMA = 0.1
 # Cauchy scale [sigmas] of the equation that one point gives for two consecutive steps
 RATIO_SIGMAS = 1.0
@@ -74,24 +84,55 @@ def matches(m: Measurements, rays: Float, f: float) -> Matches:
     return Matches(bearing[rows_a], bearing[rows_b], of_pair, m.point[rows_a], dt, f)
 
 
-def path(m: Matches, start: Float) -> Float:
-    """T_c_s (V, 4, 4) of the V primary views; the unit is the median step between two of them.
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Direction of travel (3,), unit, camera axes, and turns (P, 3): rotation vectors of R_a_b.
 
-    start: (3,) unit vector, first guess of the direction of travel, camera axes.
+    a: earlier, b: later keyframe of each pair.
     """
-    direction, turns = directed_turns(m, start)
-    steps = signed_steps(m, direction, turns)
-    T = [np.eye(4)]
-    for w, step in zip(turns, steps, strict=True):
-        T.append(T[-1] @ se3.compose(se3.so3_exp(w), step * (se3.so3_exp(w / 2) @ direction)))
-    return np.asarray(se3.inverse(np.stack(T)))
+
+    direction: Float
+    turns: Float
+
+    def path(self, steps: Float) -> Float:
+        """T_c_s (P + 1, 4, 4) of a car that moves by signed steps (P,)."""
+        T = [np.eye(4)]
+        for w, step in zip(self.turns, steps, strict=True):
+            chord = step * (se3.so3_exp(w / 2) @ self.direction)
+            T.append(T[-1] @ se3.compose(se3.so3_exp(w), chord))
+        return np.asarray(se3.inverse(np.stack(T)))
 
 
-def directed_turns(m: Matches, start: Float) -> tuple[Float, Float]:
-    """Direction of travel (3,), camera axes, and R_a_b of each pair, rotation vectors (P, 3).
+def courses(m: Matches, remembered: Float | None) -> list[Course]:
+    """Courses that may be right: from the remembered direction of travel, or from any.
 
-    Gauss-Newton on the epipolar residuals. a: earlier, b: later view. On an arc, the chord from a
-    to b points in the direction of travel that the car has half way through the rotation.
+    remembered: (3,) unit vector, camera axes; None: searched from SEARCHED_DEG. Then a course far
+    from straight ahead comes first if it fits clearly better, and the one ahead is kept.
+    """
+    if remembered is not None:
+        return [_fitted(m, remembered, REMEMBERED_SIGMA_RAD)[1]]
+    angles = np.radians(SEARCHED_DEG)
+    starts = np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], 1)
+    tried = [_fitted(m, start, DIRECTION_SIGMA_RAD) for start in starts]
+    cost, ahead = tried[0]
+    aside = [t for t in tried[1:] if t[1].direction[2] > MOST_ASIDE]
+    best = min(aside, key=lambda t: t[0], default=tried[0])
+    return [best[1], ahead] if best[0] < BETTER * cost else [ahead]
+
+
+def _fitted(m: Matches, start: Float, sigma_rad: float) -> tuple[float, Course]:
+    """Robust cost and course, from one start with a prior of this sigma on the direction."""
+    found = directed_turns(m, start, sigma_rad)
+    basis = np.linalg.svd(found.direction[None])[2][1:]
+    across = _residuals(m, found.direction, basis, found.turns)[0]
+    return float(np.log1p((across / EPIPOLAR_PX) ** 2).sum()), found
+
+
+def directed_turns(m: Matches, start: Float, sigma_rad: float) -> Course:
+    """The course by Gauss-Newton on the epipolar residuals, from a direction `start`.
+
+    sigma_rad: of the start. On an arc, the chord from a to b points in the direction of travel that
+    the car has half way through the rotation.
     """
     P = len(m.dt)
     direction, turns = start, np.zeros((P, 3))
@@ -100,7 +141,9 @@ def directed_turns(m: Matches, start: Float) -> tuple[Float, Float]:
         scale_px = max(EPIPOLAR_PX, FIRST_PX * NARROWING**k)
         basis = np.linalg.svd(direction[None])[2][1:]
         across, along, J_d, J_w, J_along = _residuals(m, direction, basis, turns)
+        sine = _normal((se3.so3_exp(turns / 2) @ direction)[m.pair], m.a)[1]
         w_across = 1 / (1 + (across / scale_px) ** 2) / EPIPOLAR_PX**2
+        w_across /= 1 + (FIRST_RAD * NARROWING**k / sine) ** 2
         w_along = FAR_WEIGHT / (1 + (across**2 + along**2) / FAR_PX**2) ** 2 / FAR_PX**2
         J = np.concatenate([J_d, J_w], 1)
         rows = np.c_[np.broadcast_to([0, 1], (len(J), 2)), pose_of]
@@ -110,8 +153,8 @@ def directed_turns(m: Matches, start: Float) -> tuple[Float, Float]:
         weighted = w_along[:, None, None] * _outer(J_along)
         np.add.at(H, (pose_of[:, :, None], pose_of[:, None]), weighted)
         np.add.at(g, pose_of, (w_along * along)[:, None] * J_along)
-        H[:2, :2] += np.eye(2) / DIRECTION_SIGMA_RAD**2
-        g[:2] += basis @ (direction - start) / DIRECTION_SIGMA_RAD**2
+        H[:2, :2] += np.eye(2) / sigma_rad**2
+        g[:2] += basis @ (direction - start) / sigma_rad**2
         H += np.eye(len(H)) * 1e-3  # a pair that shares nothing keeps its turn
         step = np.linalg.solve(H, -g)
         direction = direction + step[:2] @ basis
@@ -120,7 +163,8 @@ def directed_turns(m: Matches, start: Float) -> tuple[Float, Float]:
         turns = se3.so3_log(se3.so3_exp(turn) @ se3.so3_exp(turns))
         if np.abs(step).max() < 1e-6 and scale_px == EPIPOLAR_PX:
             break
-    return direction, np.asarray(turns)
+    # both ends of the axis fit alike; the camera looks ahead rather than back
+    return Course(direction if direction[2] > 0 else -direction, np.asarray(turns))
 
 
 def _residuals(
@@ -160,7 +204,7 @@ def _outer(J: Float) -> Float:
     return np.asarray(J[:, :, None] * J[:, None])
 
 
-def signed_steps(m: Matches, direction: Float, turns: Float) -> Float:
+def signed_steps(m: Matches, along: Course) -> Float:
     """Lengths (P,) of the steps along the direction of travel, negative backwards; median one.
 
     A point whose angle to the direction grows from u to v over a step s is at the distance s sin(v)
@@ -170,9 +214,9 @@ def signed_steps(m: Matches, direction: Float, turns: Float) -> Float:
     the metric (Taubin, "Estimation of Planar Curves, Surfaces, and Nonplanar Space Curves", PAMI
     1991).
     """
-    P = len(m.dt)
+    P, turns = len(m.dt), along.turns
     moved = (se3.so3_exp(turns)[m.pair] @ m.b[..., None])[..., 0]
-    axis = (se3.so3_exp(turns / 2) @ direction)[m.pair]
+    axis = (se3.so3_exp(turns / 2) @ along.direction)[m.pair]
     normal, sin_u = _normal(axis, m.a)
     grown = ((moved - m.a) * np.cross(normal, m.a)).sum(1)
     sin_v = np.maximum(np.linalg.norm(np.cross(axis, moved), axis=1), NEAREST_RAD)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle.apart import solved_apart
-from calm_edge.backbones.bundle.backbone import AHEAD
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
 from tests.backbones.bundle.exact_window import theta_of, turn, window
+
+AHEAD = np.array([0.0, 0.0, 1.0])
 
 N = 12
 PRIOR = layout.prior((None, None))

@@ -5,6 +5,7 @@ import pytest
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import initialise
+from calm_edge.backbones.bundle.initialise import Rig
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
 from tests.backbones.bundle.exact_window import theta_of, turn, window
@@ -29,10 +30,10 @@ def guess_of(truth, factor):
     return theta
 
 
-def started(m, theta, rig_known, seed_share):
+def started(m, theta, rig, seed_share):
     """The initial state from a chain of resections."""
     poses = initialise.chained(m, theta, seed_share)
-    return initialise.initial_state(m, theta, rig_known, poses)
+    return initialise.initial_state(m, theta, rig, poses)
 
 
 def test_rays_undo_the_pinhole(exact):
@@ -51,14 +52,14 @@ def test_a_point_seen_once_starts_far_ahead(exact):
 
 
 def test_the_right_focals_give_the_true_state(exact):
-    state = started(exact.m, guess_of(exact.truth, 1.0), rig_known=False, seed_share=0.5)
+    state = started(exact.m, guess_of(exact.truth, 1.0), rig=Rig.FITTED, seed_share=0.5)
     assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
     assert np.allclose(state.theta, exact.truth.theta, atol=2e-3)
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_focals_wrong_by_a_fifth_give_a_state_to_start_from(exact, factor):
-    state = started(exact.m, guess_of(exact.truth, factor), rig_known=False, seed_share=0.5)
+    state = started(exact.m, guess_of(exact.truth, factor), rig=Rig.FITTED, seed_share=0.5)
     truth = exact.truth
     # the turn of 33 degrees looks longer to a shorter focal
     assert rotation_deg(state.T_c_s, truth.T_c_s).max() < 10
@@ -77,21 +78,39 @@ def test_focals_wrong_by_a_fifth_give_a_state_to_start_from(exact, factor):
 def test_the_assistants_focal_is_estimated_from_the_primarys_points(exact, factor):
     theta = guess_of(exact.truth, 1.0)
     theta[layout.LOG_FOCAL[1]] += np.log(factor)
-    state = started(exact.m, theta, rig_known=False, seed_share=0.5)
+    state = started(exact.m, theta, rig=Rig.FITTED, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta, atol=5e-3)
 
 
 def test_the_path_of_a_car_gives_the_true_state_too(exact):
-    poses = initialise.driven(exact.m, exact.truth.theta, np.array([0.0, 0.0, 1.0]))
-    state = initialise.initial_state(exact.m, exact.truth.theta, True, poses)
-    assert rotation_deg(state.T_c_s, exact.truth.T_c_s).max() < 0.5
-    moved = np.linalg.norm(se3.inverse(state.T_c_s)[:, :3, 3], axis=1)
-    true = np.linalg.norm(se3.inverse(exact.truth.T_c_s)[:, :3, 3], axis=1)
-    assert np.allclose(moved[true > 1] / true[true > 1], 1, atol=0.3)
+    paths = list(initialise.driven(exact.m, exact.truth.theta, None))
+    # steps by their ratios, then of a constant speed
+    assert len(paths) == 2
+    for poses in paths:
+        state = initialise.initial_state(exact.m, exact.truth.theta, Rig.KNOWN, poses)
+        assert rotation_deg(state.T_c_s, exact.truth.T_c_s).max() < 0.5
+        moved = np.linalg.norm(se3.inverse(state.T_c_s)[:, :3, 3], axis=1)
+        true = np.linalg.norm(se3.inverse(exact.truth.T_c_s)[:, :3, 3], axis=1)
+        assert np.allclose(moved[true > 1] / true[true > 1], 1, atol=0.3)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_assistant_abreast_of_the_primary_is_found_on_either_side(side):
+    theta = theta_of()
+    theta[layout.RIG_CENTRE] = np.array([0.995 * side, 0.04, 0.09])
+    theta[layout.RIG_CENTRE] /= np.linalg.norm(theta[layout.RIG_CENTRE])
+    made = window(turn(N), theta)
+    state = started(made.m, guess_of(made.truth, 1.0), rig=Rig.ABREAST, seed_share=0.5)
+    assert np.array_equal(state.theta[layout.RIG_CENTRE], [side, 0, 0])
+    assert rotation_deg(layout.rig(state.theta), layout.rig(theta)) < 1
+    length, true = (
+        np.linalg.norm(se3.inverse(T[N - 1])[:3, 3]) for T in (state.T_c_s, made.truth.T_c_s)
+    )
+    assert length == pytest.approx(true, rel=0.1)
 
 
 def test_a_known_rig_is_kept_and_sets_the_scale(exact):
-    state = started(exact.m, exact.truth.theta, rig_known=True, seed_share=0.5)
+    state = started(exact.m, exact.truth.theta, rig=Rig.KNOWN, seed_share=0.5)
     assert np.allclose(state.theta, exact.truth.theta)
     assert np.abs(state.T_c_s - exact.truth.T_c_s).max() < 0.05
 
@@ -102,7 +121,7 @@ def test_an_assistant_on_the_other_side_of_the_known_rig_raises(exact):
     with pytest.raises(
         BackboneError, match=r"^bundle: the rig does not fit the matches between the cameras$"
     ):
-        started(exact.m, theta, rig_known=True, seed_share=0.5)
+        started(exact.m, theta, rig=Rig.KNOWN, seed_share=0.5)
 
 
 def kept(m, rows):
@@ -112,16 +131,16 @@ def kept(m, rows):
 def test_without_matches_between_the_eyes_it_raises(exact):
     m = kept(exact.m, exact.m.eye[exact.m.view] == 0)
     with pytest.raises(BackboneError, match=r"^bundle: no matches between the cameras; let"):
-        started(m, exact.truth.theta, rig_known=False, seed_share=0.5)
+        started(m, exact.truth.theta, rig=Rig.FITTED, seed_share=0.5)
 
 
 def test_a_first_keyframe_without_matches_raises(exact):
     m = kept(exact.m, exact.m.view != 0)
     with pytest.raises(BackboneError, match=r"^bundle: the first keyframes share too few"):
-        started(m, exact.truth.theta, rig_known=False, seed_share=0.5)
+        started(m, exact.truth.theta, rig=Rig.FITTED, seed_share=0.5)
 
 
 def test_a_keyframe_without_matches_raises(exact):
     m = kept(exact.m, exact.m.view != 5)
     with pytest.raises(BackboneError, match=r"^bundle: a keyframe shares too few"):
-        started(m, exact.truth.theta, rig_known=False, seed_share=0.5)
+        started(m, exact.truth.theta, rig=Rig.FITTED, seed_share=0.5)

@@ -101,7 +101,7 @@ def drive(seed):
         if prior is not None:
             alone = found.state
             off = overlap.mismatch(prior, measured(w, alone), alone, belief.information)
-            found = solve(found.state, w.m, w.ties, belief, overlap=prior, robust_scale=WIDE)
+            found = solve(alone, w.m, w.ties, belief, pose_priors=(prior,), robust_scale=WIDE)
         before = marginal_of(w, found.state, prior)
         beliefs.append(kit_evidence(found, w.m, w.ties, WIDE, 1.0))
         C = covariance(w, found.state, belief, prior)
@@ -245,7 +245,13 @@ def test_how_far_the_poses_were_drawn_is_told(pair):
         second.truth, second.m, second.ties, belief, robust_scale=WIDE, tolerance=1e-9
     ).state
     tied = solve(
-        alone, second.m, second.ties, belief, overlap=prior, robust_scale=WIDE, tolerance=1e-9
+        alone,
+        second.m,
+        second.ties,
+        belief,
+        pose_priors=(prior,),
+        robust_scale=WIDE,
+        tolerance=1e-9,
     ).state
     found = overlap.drawn(prior, measured(second, tied), tied, belief.information)
     for k in range(2):

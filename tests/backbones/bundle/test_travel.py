@@ -42,10 +42,17 @@ def seen_from(T_w_c, seed=0, n=600):
     return m, rays
 
 
-def found(T_w_c, seed=0):
+def driven(m, rays, remembered=None):
+    """T_c_s of the course that is tried first."""
+    matches = travel.matches(m, rays, F_PX)
+    course = travel.courses(matches, remembered)[0]
+    return course.path(travel.signed_steps(matches, course))
+
+
+def found(T_w_c, seed=0, remembered=None):
     """Relative poses (P, 4, 4) as the start has them, and true ones."""
     m, rays = seen_from(T_w_c, seed)
-    T_s_c = se3.inverse(travel.path(travel.matches(m, rays, F_PX), np.array([0.0, 0.0, 1.0])))
+    T_s_c = se3.inverse(driven(m, rays, remembered))
     return se3.inverse(T_s_c[:-1]) @ T_s_c[1:], se3.inverse(T_w_c[:-1]) @ T_w_c[1:]
 
 
@@ -81,6 +88,24 @@ def test_a_camera_that_looks_past_the_direction_of_travel_by_four_degrees():
     assert np.degrees(np.arccos((moved * true).sum(1))).max() < 3
 
 
+@pytest.mark.parametrize("yaw_deg, pitch_deg", [(-15, 0), (15, 5), (25, -8), (-40, 0), (55, 0)])
+def test_a_mount_turned_far_from_the_direction_of_travel_is_found(yaw_deg, pitch_deg):
+    """40 degrees and more are outside the picture, whose edge is at 35."""
+    yaw, pitch = np.radians([yaw_deg, pitch_deg])
+    direction = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+    m, rays = seen_from(path_of(STEPS, np.linspace(-2, 3, 12), direction), seed=4)
+    course = travel.courses(travel.matches(m, rays, F_PX), None)[0]
+    assert np.degrees(np.arccos(course.direction @ direction)) < 2.5
+
+
+def test_a_remembered_direction_holds_where_the_pictures_say_little():
+    """Slow, and nearly all points far: a search ends anywhere."""
+    m, rays = seen_from(path_of(np.full(12, 0.05), np.zeros(12), AHEAD), seed=1)
+    courses = travel.courses(travel.matches(m, rays, F_PX), AHEAD)
+    assert len(courses) == 1
+    assert np.degrees(np.arccos(courses[0].direction @ AHEAD)) < 4
+
+
 def test_a_three_point_turn_changes_the_sign_of_its_steps():
     steps = np.r_[np.full(5, 1.5), 0.3, -0.3, np.full(5, -1.5)]
     T, T_true = found(path_of(steps, np.full(12, 4.0), AHEAD))
@@ -107,7 +132,7 @@ def test_neighbours_that_share_nothing_keep_no_turn():
     m, rays = seen_from(path_of(STEPS, np.zeros(12), AHEAD))
     point = np.where(m.view >= 6, m.point + 1000, m.point)
     split = Measurements(m.view, point, m.uv, m.sigma_px, m.eye, m.t, m.size)
-    T = travel.path(travel.matches(split, rays, F_PX), AHEAD)
+    T = driven(split, rays, AHEAD)
     assert np.isfinite(T).all()
     step = T[5] @ se3.inverse(T[6])
     assert np.allclose(step[:3, :3], np.eye(3), atol=1e-6)

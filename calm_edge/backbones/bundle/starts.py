@@ -1,0 +1,101 @@
+"""Initial states of a window: several, compared by their cost after a few iterations.
+
+A chain of resections can drift, and a wrong direction of travel, focal or spacing can trap the
+solver, so no start is taken because it is the only one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from calm_edge.backbones.base import BackboneError
+from calm_edge.backbones.bundle import stamps, window
+from calm_edge.backbones.bundle.initialise import (
+    Poses,
+    Rig,
+    chained,
+    driven,
+    initial_state,
+    triangulated,
+)
+from calm_edge.backbones.bundle.problem import Measurements, RigTies, State
+from calm_edge.backbones.bundle.solver import PosePrior, solve
+from calm_edge.kit import layout
+from calm_edge.types import Float, KitBelief
+
+# Factors on the prior's focals that are tried while their sigma exceeds FOCAL_OPEN.
+FOCAL_GUESSES, FOCAL_OPEN = (1.0, 1.25, 0.75), 0.2
+# Share of the window between the first pair of keyframes of each structure from motion.
+SEED_SHARES = (0.5, 0.3, 0.15)
+# Trials are solved with this many points and iterations, and scale of the Cauchy kernel [sigmas].
+POINTS, ITERATIONS, ROBUST_SCALE = 200, 15, 2.0
+# Two paths at least are tried, and no more after a robust cost per observation below this.
+ENOUGH_PATHS, GOOD_START = 2, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known of a window before it is solved.
+
+    kit: prior, weighed against pixels. poses: further priors, also of the previous window.
+    focal_sigma: of the log focals, the larger. rig: whether the prior's rotation of the rig is
+    exact enough to start from, and all: whether its focals are too. travel: (3,) direction of
+    travel, primary axes, or None.
+    """
+
+    kit: KitBelief
+    poses: Sequence[PosePrior]
+    focal_sigma: float
+    rig: bool
+    all: bool
+    travel: Float | None = None
+
+
+def initial_states(m: Measurements, ties: RigTies, known: Known) -> list[State]:
+    """All trials, the cheapest first, with all points; raises BackboneError if none succeeds."""
+    few = window.thinned(m, POINTS)
+    tried: list[tuple[float, State]] = []
+    failure = BackboneError("bundle: no initial solution from any pair of keyframes")
+    # the rig is fitted to the window unless it is known; where only its rotation is, all are tried
+    rigs = [Rig.KNOWN] if known.all else list(Rig) if known.rig else [Rig.FITTED, Rig.ABREAST]
+    for factor in FOCAL_GUESSES if known.focal_sigma > FOCAL_OPEN else FOCAL_GUESSES[:1]:
+        theta = known.kit.mean.copy()
+        theta[layout.LOG_FOCAL] += np.log(factor)
+        for count, path in enumerate(_paths(few, theta, known.travel), 1):
+            for rig in rigs:
+                try:
+                    tried.append(_trial(few, ties, known, initial_state(few, theta, rig, path())))
+                except BackboneError as error:
+                    failure = error
+            if count >= ENOUGH_PATHS and tried and min(tried, key=_cost)[0] < GOOD_START:
+                break
+    if not tried:
+        raise failure
+    states = [state for _, state in sorted(tried, key=_cost)]
+    return [replace(s, points=triangulated(m, s.T_c_s, s.theta)) for s in states]
+
+
+def _cost(trial: tuple[float, State]) -> float:
+    return trial[0]
+
+
+def _paths(m: Measurements, theta: Float, travel: Float | None) -> list[Callable[[], Poses]]:
+    """Ways to place the primary's views: as a car moves, then by structure from motion."""
+    paths = list(driven(m, theta, travel))
+    if travel is not None:
+        paths += driven(m, theta, None)
+    chains = [partial(chained, m, theta, share) for share in SEED_SHARES]
+    return [*(partial(dict[int, Float], path) for path in paths), *chains]
+
+
+def _trial(m: Measurements, ties: RigTies, known: Known, start: State) -> tuple[float, State]:
+    """Robust cost per observation, and state, after a few iterations."""
+    found = solve(
+        start, m, stamps.freed(ties, start), known.kit,
+        pose_priors=known.poses, robust_scale=ROBUST_SCALE, max_iterations=ITERATIONS,
+    )  # fmt: skip
+    return found.cost / len(m.uv), found.state
