@@ -125,7 +125,10 @@ class Attached:
 
 @dataclass(frozen=True, slots=True)
 class Lagging:
-    """Whether many windows wait for the estimator; poses then get the status LAGGING."""
+    """Whether many windows wait for the estimator, or the newest gave no sub-map.
+
+    Poses then get the status LAGGING.
+    """
 
     lagging: bool
 
