@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -54,7 +55,7 @@ TOLERANCES = (1e-3, 1e-4)
 # start; below layout.KIT_KNOWN rig and focals are taken as they are to start from.
 RIG_GUIDES_RAD = 0.04
 # A window whose solution is rejected is solved from this number of initial states at most.
-MAX_STARTS = 3
+MAX_STARTS = 4
 # Largest median reprojection error [px]: above the first a window is rejected, above the second it
 # gives no evidence on the kit. It is also rejected if a tenth of the errors exceeds MAX_TAIL_PX:
 # of good windows it is below 2, of one from a wrong start with a median of 0.4 it was 8.
@@ -136,9 +137,11 @@ class BundleBackbone:
                 if before is not None:
                     poses.append(before)
                 known = Known(
-                    _prior(belief, ties), poses, float(sigma[1]), guided, settled, hints.travel
-                )
-                solved = _first_sound(initial_states(m, ties, known), m, ties, belief, hints)
+                    _prior(belief, ties), poses, float(sigma[1]), guided, settled,
+                    hints.travel, follows=before is not None,
+                )  # fmt: skip
+                starts = initial_states(m, ties, known)
+                solved = _first_sound(starts, m, ties, belief, hints)
         except BackboneError as error:
             error.T_s_c_apart = _apart(m, belief, hints)
             raise
@@ -235,14 +238,14 @@ def _solvable() -> Iterator[None]:
 
 
 def _first_sound(
-    starts: Sequence[State], m: Measurements, ties: RigTies, belief: KitBelief, hints: Hints
+    starts: Iterator[State], m: Measurements, ties: RigTies, belief: KitBelief, hints: Hints
 ) -> Prediction:
     """Solve from the first start whose solution is not rejected; raises BackboneError.
 
     If it contradicts the previous window, one from another start that does not is preferred.
     """
     apart, failure = None, None
-    for start in starts[:MAX_STARTS]:
+    for start in islice(starts, MAX_STARTS):
         try:
             found = _solved(start, m, ties, belief, hints)
         except BackboneError as error:

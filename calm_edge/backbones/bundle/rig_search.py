@@ -21,7 +21,7 @@ RESECTION_PX = 4.0
 # within this range
 DEPTHS_IN_SPACINGS = (1.0, 2000.0)
 NEAR_PERCENT = 20
-N_SPACINGS = 60
+N_SPACINGS = 30
 # sigma of the rotation of a rig that counts as known, and iterations to estimate its error
 RIG_SIGMA_RAD = 0.01
 RIG_ITERATIONS = 4

@@ -6,7 +6,8 @@ solver, so no start is taken because it is the only one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -44,7 +45,7 @@ class Known:
     kit: prior, weighed against pixels. poses: further priors, also of the previous window.
     focal_sigma: of the log focals, the larger. rig: whether the prior's rotation of the rig is
     exact enough to start from, and all: whether its focals are too. travel: (3,) direction of
-    travel, primary axes, or None.
+    travel, primary axes, or None. follows: whether `poses` holds the previous window.
     """
 
     kit: KitBelief
@@ -53,11 +54,27 @@ class Known:
     rig: bool
     all: bool
     travel: Float | None = None
+    follows: bool = False
 
 
-def initial_states(m: Measurements, ties: RigTies, known: Known) -> list[State]:
-    """All trials, the cheapest first, with all points; raises BackboneError if none succeeds."""
+def initial_states(m: Measurements, ties: RigTies, known: Known) -> Iterator[State]:
+    """Initial states with all points, one after the other; raises BackboneError if there is none.
+
+    After a solved window the first path alone comes first, for the caller to take if its solution
+    agrees with that window, which is the usual case. All trials follow, the cheapest first.
+    """
     few = window.thinned(m, POINTS)
+    if known.follows and known.rig:
+        with suppress(BackboneError):
+            theta = known.kit.mean.copy()
+            path = next(iter(driven(few, theta, known.travel)))
+            state = _trial(few, ties, known, initial_state(few, theta, Rig.KNOWN, path))[1]
+            yield _whole(m, state)
+    for _, state in sorted(_trials(few, ties, known), key=_cost):
+        yield _whole(m, state)
+
+
+def _trials(few: Measurements, ties: RigTies, known: Known) -> list[tuple[float, State]]:
     tried: list[tuple[float, State]] = []
     failure = BackboneError("bundle: no initial solution from any pair of keyframes")
     # the rig is fitted to the window unless it is known; where only its rotation is, all are tried
@@ -75,8 +92,12 @@ def initial_states(m: Measurements, ties: RigTies, known: Known) -> list[State]:
                 break
     if not tried:
         raise failure
-    states = [state for _, state in sorted(tried, key=_cost)]
-    return [replace(s, points=triangulated(m, s.T_c_s, s.theta)) for s in states]
+    return tried
+
+
+def _whole(m: Measurements, state: State) -> State:
+    """The state of a trial with all points of the window."""
+    return replace(state, points=triangulated(m, state.T_c_s, state.theta))
 
 
 def _cost(trial: tuple[float, State]) -> float:

@@ -31,7 +31,7 @@ def exact_kit(made):
 
 
 def test_the_first_is_near_the_truth_and_all_have_all_points(made):
-    states = starts.initial_states(made.m, made.ties, known(made))
+    states = list(starts.initial_states(made.m, made.ties, known(made)))
     assert all(len(state.points) == len(made.truth.points) for state in states)
     off = se3.log(se3.inverse(made.truth.T_c_s) @ states[0].T_c_s)[:, 3:]
     assert np.degrees(np.linalg.norm(off, axis=1)).max() < 3
@@ -49,15 +49,33 @@ def test_none_is_taken_because_it_is_the_only_one(made, monkeypatch):
     sure = known(made, kit=exact_kit(made), focal_sigma=0.01, rig=True, all=True)
     # a first path of the lowest cost does not end the search
     monkeypatch.setattr(starts, "GOOD_START", 100.0)
-    assert len(starts.initial_states(made.m, made.ties, sure)) == 2
+    assert len(list(starts.initial_states(made.m, made.ties, sure))) == 2
     # with no good one all paths are tried, the cheapest first
     tried.clear()
     monkeypatch.setattr(starts, "GOOD_START", 0.0)
-    states = starts.initial_states(made.m, made.ties, sure)
+    states = list(starts.initial_states(made.m, made.ties, sure))
     assert len(states) == 2 + len(starts.SEED_SHARES)
     assert all(
         np.array_equal(state.T_c_s, start.T_c_s) for state, start in zip(states, tried, strict=True)
     )
+
+
+def test_after_a_solved_window_the_first_path_comes_alone_and_before_all_others(made, monkeypatch):
+    tried = []
+
+    def trial(m, ties, known, start):
+        tried.append(start)
+        return float(-len(tried)), start
+
+    monkeypatch.setattr(starts, "_trial", trial)
+    sure = known(made, kit=exact_kit(made), focal_sigma=0.01, rig=True, all=True, follows=True)
+    states = starts.initial_states(made.m, made.ties, sure)
+    first = next(states)
+    assert len(tried) == 1
+    assert np.array_equal(first.T_c_s, tried[0].T_c_s)
+    rest = list(states)
+    assert len(rest) == len(tried) - 1 >= starts.ENOUGH_PATHS
+    assert np.array_equal(rest[0].T_c_s, tried[-1].T_c_s)
 
 
 def test_without_matches_between_the_eyes_it_raises(made):
@@ -66,4 +84,4 @@ def test_without_matches_between_the_eyes_it_raises(made):
         made.m, **{k: getattr(made.m, k)[rows] for k in ("view", "point", "uv", "sigma_px")}
     )
     with pytest.raises(BackboneError, match="no matches between the cameras"):
-        starts.initial_states(m, made.ties, known(made))
+        list(starts.initial_states(m, made.ties, known(made)))
