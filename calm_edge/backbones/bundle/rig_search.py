@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle.problem import Measurements
@@ -22,6 +22,8 @@ RESECTION_PX = 4.0
 DEPTHS_IN_SPACINGS = (1.0, 2000.0)
 NEAR_PERCENT = 20
 N_SPACINGS = 30
+# of the log of the spacing, in the fine search
+SPACING_TOLERANCE = 1e-3
 # sigma of the rotation of a rig that counts as known, and iterations to estimate its error
 RIG_SIGMA_RAD = 0.01
 RIG_ITERATIONS = 4
@@ -116,10 +118,12 @@ def spacing_of(
     best = int(np.argmin([cost(spacing) for spacing in coarse]))
     if best == N_SPACINGS - 1:
         raise NO_FIT
-    fine = np.geomspace(coarse[max(best - 1, 0)], coarse[best + 1], N_SPACINGS)
-    costs = [cost(spacing) for spacing in fine]
-    best = int(np.argmin(costs))
-    return float(fine[best]), costs[best]
+    bounds = np.log(coarse[best + 1]), np.log(coarse[max(best - 1, 0)])
+    fine = minimize_scalar(
+        lambda x: cost(float(np.exp(x))), bounds=bounds, method="bounded",
+        options={"xatol": SPACING_TOLERANCE},
+    )  # fmt: skip
+    return float(np.exp(fine.x)), float(fine.fun)
 
 
 def _seen_across(m: Measurements, X: Float, assistant: Int, at: Float) -> tuple[Float, Float]:
