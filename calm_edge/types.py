@@ -62,11 +62,18 @@ class SubmapWindow:
 class KitBelief:
     """Gaussian over the constants of a kit: optics of both cameras, rig, and time offset.
 
-    mean: (D,). information: (D, D) inverse covariance. Entries as in `kit/layout.py`.
+    mean: (D,). information: (D, D) inverse covariance, or only the weight if `noise` is given.
+    Entries as in `kit/layout.py`. noise: (D, D) covariance of information times the mean's error,
+    as far as it is independent from window to window; None if it is the information. measured:
+    (D, D) part of the information that windows gave. common: of the error that all windows share,
+    the same covariance as a multiple of `measured`.
     """
 
     mean: Float
     information: Float
+    noise: Float | None = None
+    measured: Float | None = None
+    common: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

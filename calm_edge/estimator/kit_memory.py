@@ -16,9 +16,10 @@ from calm_edge.types import Float, Hints, KitBelief, Overlap, Prediction
 
 log = logging.getLogger(__name__)
 
-# A window is solved again if the newest log focal length differs by more than this (1 %) from the
-# one with which the window was solved.
-FOCAL_MOVED = 0.01
+# A window is solved again, which linearises its evidence anew, if the newest log focal length
+# differs from the one with which the window was solved by more than this and by two sigmas.
+FOCAL_MOVED = 0.02
+MOVED_SIGMAS = 2.0
 # Corrections of stamps that differ by less are the same.
 SAME_INSTANT_S = 1e-3
 
@@ -152,8 +153,8 @@ class KitMemory:
     def outdated(self) -> list[int]:
         """Ids of sub-maps solved with another focal length than the newest window.
 
-        That is, the log focal lengths of either camera differ by more than FOCAL_MOVED. A camera
-        counts only if the newest window's sigma of its log focal length is below FOCAL_MOVED.
+        That is, the log focal lengths of either camera differ by more than FOCAL_MOVED, and by
+        MOVED_SIGMAS of the newest window.
         """
         if not self._windows:
             return []
@@ -161,25 +162,21 @@ class KitMemory:
         sigma = newest.prediction.focal_log_sigma
         if sigma is None:
             return []
-        known = np.array(
-            [
-                np.min(sigma[newest.hints.eyes == eye], initial=np.inf) < FOCAL_MOVED
-                for eye in (0, 1)
-            ]
-        )
+        sigmas = [np.min(sigma[newest.hints.eyes == eye], initial=np.inf) for eye in (0, 1)]
+        limit = np.maximum(MOVED_SIGMAS * np.array(sigmas), FOCAL_MOVED)
         return [
             submap_id
             for submap_id, window in sorted(self._windows.items())
             if self.epoch(submap_id) == self.epoch(None)
-            and np.any(known & (np.abs(newest.log_focal - window.log_focal) > FOCAL_MOVED))
+            and np.any(np.abs(newest.log_focal - window.log_focal) > limit)
         ]
 
     def resolve(self, submap_ids: Iterable[int]) -> dict[int, Prediction]:
-        """Solve windows again with the evidence of the others as prior; omits those that fail."""
+        """Solve windows again with the newest evidence of the others as prior; omits failures."""
         solved: dict[int, Prediction] = {}
         if not (self._windows and isinstance(self._backbone, ResolvingBackbone)):
             return solved
-        log_focal = self._windows[max(self._windows)].log_focal
+        newest = self._windows[max(self._windows)].log_focal
         for submap_id in submap_ids:
             window = self._windows[submap_id]
             hints = replace(
@@ -187,20 +184,19 @@ class KitMemory:
                 kit=self.belief(without=submap_id),
                 overlap=self.overlap_before(submap_id),
             )
-            prediction = window.prediction
-            try:
-                prediction = self._backbone.resolve(window.prediction, hints)
-                solved[submap_id] = prediction
-            except BackboneError as error:
-                log.warning("sub-map %d keeps its earlier solution: %s", submap_id, error)
             # also after a failure store the newest focal length, so that `outdated` does not list
             # the window again with the same belief
+            prediction, log_focal = window.prediction, newest
+            try:
+                prediction = self._backbone.resolve(window.prediction, hints)
+                solved[submap_id], log_focal = prediction, _log_focal(prediction, hints)
+                self._evidence.pop(submap_id, None)
+                if prediction.kit is not None and teaches(prediction):
+                    self._evidence[submap_id] = prediction.kit
+            except BackboneError as error:
+                log.warning("sub-map %d keeps its earlier solution: %s", submap_id, error)
             light = replace(prediction, depth=None, confidence=None)
             self._windows[submap_id] = _Window(light, hints, log_focal)
-        for submap_id, prediction in solved.items():
-            self._evidence.pop(submap_id, None)
-            if prediction.kit is not None and teaches(prediction):
-                self._evidence[submap_id] = prediction.kit
         self._total = self._of_epoch(self.epoch(None))
         return solved
 

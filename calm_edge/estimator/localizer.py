@@ -62,6 +62,9 @@ log = logging.getLogger(__name__)
 REPLACE_GROWTH = 1.1
 # Sub-maps placed again per window, so that its cost does not grow with the drive.
 REPLACED_PER_WINDOW = 8
+# At the end of a drive all windows are solved again, and then, at most so many times, those whose
+# focal has moved since.
+RELINEARISED = 2
 ALIKE = "both pictures look alike"
 
 
@@ -323,6 +326,8 @@ class Localizer:
             pass
         outdated = {*self._memory.retained()} - self._restored | {*self._memory.outdated()}
         self._resolve(sorted(outdated))
+        for _ in range(RELINEARISED):
+            self._resolve(self._memory.outdated())
         self._replace()
         self._request()
         self._atlas.settle(self._optimiser)

@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
-from calm_edge.kit.belief import product
+from calm_edge.kit.belief import gaussian, product
 from calm_edge.kit.swap import swapped
 from calm_edge.types import Float, KitBelief
 
@@ -52,6 +52,7 @@ def faded(belief: KitBelief) -> KitBelief:
     so that Lambda may be singular. Raises ValueError if the belief has not layout.SIZE entries.
     """
     _check(belief)
+    belief = gaussian(belief)
     sigma = layout.drift_sigma()
     values, vectors = np.linalg.eigh(belief.information * sigma[:, None] * sigma)
     values = np.maximum(values, 0)
@@ -65,6 +66,7 @@ def without_rig(belief: KitBelief) -> KitBelief:
     rig = np.zeros(layout.SIZE, bool)
     rig[layout.RIG] = True
     others = np.eye(layout.SIZE)[:, ~rig]
+    belief = gaussian(belief)
     information = others @ marginal(belief.information, others) @ others.T
     return KitBelief(belief.mean.copy(), information)
 
@@ -120,7 +122,7 @@ def bounded(belief: KitBelief) -> KitBelief:
     information[layout.RIG] = 0
     joint = product([belief, KitBelief(mean=prior.mean, information=np.diag(information))])
     assert joint is not None
-    return joint
+    return gaussian(joint)
 
 
 def _change(text: str, part: tuple[float, int]) -> Change:

@@ -13,6 +13,7 @@ import numpy as np
 
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
+from calm_edge.kit.belief import blurred
 from calm_edge.types import Float, Int, KitBelief
 
 # Indices into theta: the optics of each eye (2, terms), then single terms of both eyes. The optics
@@ -34,7 +35,7 @@ DEFAULT_HFOV_DEG = 73.0
 LOG_FOCAL_SIGMA = 0.30
 HINTED_LOG_FOCAL_SIGMA = 0.01
 PRINCIPAL_POINT_SIGMA = 0.02
-RADIAL_SIGMA = 0.0003
+RADIAL_SIGMA = 0.02
 RIG_ROTATION_SIGMA_RAD = 0.5
 RIG_DIRECTION_SIGMA = 1.0
 SPACING_SIGMA = 1e-4
@@ -55,7 +56,7 @@ KIT_KNOWN = np.array([RIG_KNOWN_RAD, FOCAL_KNOWN])
 LOG_FOCAL_DRIFT = 0.015
 # A lens shifts in its mount by some pixels.
 PRINCIPAL_POINT_DRIFT = 0.003
-RADIAL_DRIFT = 0.0001
+RADIAL_DRIFT = 0.002
 # 0.3 degrees: vibration, and a windscreen that warms up
 RIG_ROTATION_DRIFT_RAD = 0.005
 # 5 mm for cameras half a metre apart
@@ -127,9 +128,5 @@ def rig_vector(T_p_a: Float) -> Float:
 
 
 def with_time_jitter(belief: KitBelief, sigma_s: float) -> KitBelief:
-    """Add sigma_s^2 to the variance of the time offset, in information form (Sherman-Morrison)."""
-    if sigma_s <= 0:
-        return belief
-    column = belief.information[:, TIME_OFFSET]
-    known = column[TIME_OFFSET] + sigma_s**-2
-    return KitBelief(belief.mean, belief.information - np.outer(column, column) / known)
+    """Add sigma_s^2 to the variance of the time offset."""
+    return blurred(belief, np.eye(SIZE)[TIME_OFFSET], sigma_s)

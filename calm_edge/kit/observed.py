@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.kit import layout
+from calm_edge.kit.belief import gaussian
 from calm_edge.kit.change import bounded, marginal
 from calm_edge.types import Float, KitBelief
 
@@ -20,6 +21,7 @@ def observed_part(belief: KitBelief) -> KitBelief | None:
 
     Their information becomes zero, and their mean that of the prior.
     """
+    belief = gaussian(belief)
     known, axes = bounded(belief), np.eye(layout.SIZE)
     direction = belief.mean[layout.RIG_CENTRE]
     sideways = axes[:, layout.RIG_CENTRE] @ np.linalg.svd(direction[None])[2][1:].T

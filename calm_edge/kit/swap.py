@@ -6,6 +6,7 @@ import numpy as np
 
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
+from calm_edge.kit.belief import gaussian
 from calm_edge.types import KitBelief
 
 
@@ -15,6 +16,7 @@ def swapped(belief: KitBelief) -> KitBelief:
     With T_p_a = (R, c) the rig becomes (R^T, -R^T c). The information is transformed to first
     order, by the Jacobian of the exchange.
     """
+    belief = gaussian(belief)
     theta, J = belief.mean, np.zeros((layout.SIZE, layout.SIZE))
     J[layout.OPTICS, layout.OPTICS[::-1]] = 1.0
     turn, centre = theta[layout.RIG_ROTATION], theta[layout.RIG_CENTRE]

@@ -72,8 +72,8 @@ def test_new_evidence_of_a_window_replaces_the_old():
     for submap_id, kit in enumerate((1.0, 2.0)):
         memory.add(submap_id, seen((500, 500), kit=kit), HINTS)
     assert set(memory.resolve([0, 1])) == {0, 1}
-    # each was solved with the first evidence of the other, whatever the order
-    assert backbone.asked == [2.0, 1.0]
+    # each was solved with the newest evidence of the other
+    assert backbone.asked == [2.0, 5.0]
     assert memory.belief().mean == pytest.approx([5.0])
     assert memory.belief().information[0, 0] == pytest.approx(2.0)
 
@@ -91,7 +91,7 @@ def test_a_focal_that_moved_in_either_eye_is_outdated(moved):
 def test_an_uncertain_focal_outdates_nothing():
     memory = KitMemory(Resolver(), 10)
     memory.add(0, seen((500, 500)), HINTS)
-    memory.add(1, seen((700, 700), sigma=0.05), HINTS)
+    memory.add(1, seen((700, 700), sigma=0.2), HINTS)
     assert memory.outdated() == []
     memory.add(2, dataclasses.replace(seen((700, 700)), focal_log_sigma=None), HINTS)
     assert memory.outdated() == []

@@ -18,33 +18,24 @@ from numpy.typing import NDArray
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import loop_view, overlap, posterior, stamps, window
 from calm_edge.backbones.bundle.apart import solved_apart
+from calm_edge.backbones.bundle.evidence import kit_evidence
 from calm_edge.backbones.bundle.matching import Matching
 from calm_edge.backbones.bundle.motion import motion_prior
 from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State, rig_ties
-from calm_edge.backbones.bundle.solver import (
-    PosePrior,
-    Solution,
-    kit_evidence,
-    robust_weights,
-    solve,
-)
+from calm_edge.backbones.bundle.solver import PosePrior, Solution, robust_weights, solve
 from calm_edge.backbones.bundle.starts import Known, initial_states
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
 from calm_edge.geometry.car_motion import contradiction
 from calm_edge.kit import layout
-from calm_edge.kit.belief import product
+from calm_edge.kit.belief import blurred, covariance, gaussian, product
 from calm_edge.loops.descriptor import PlaceDescriptor
 from calm_edge.types import Float, Hints, KitBelief, Prediction
 
-# Factor on a window's information on the kit, which is computed as if all observations were
-# independent; those along a track or within a texture are correlated. Fitted to the scatter of the
-# kits that different windows give.
+# Factor on the pixels' information in the overlap, which is computed as if all observations were
+# independent; those along a track or within a texture are correlated.
 TEMPERING = 0.02
-# Added to the reported sigma of log focal (root of the sum of squares) for effects that are not
-# modelled: distortion beyond k1, rolling shutter, errors of the stamps.
-FOCAL_FLOOR = 0.015
 # Scale of the Cauchy kernel [sigmas of a match] in the first and the second pass: wide first, so
 # that a poor start loses no match; then narrow, since wrong matches are biased: most give points
 # that are too near, which shrinks the scene. TOLERANCES: relative decrease of the cost at which
@@ -56,6 +47,10 @@ TOLERANCES = (1e-3, 1e-4)
 RIG_GUIDES_RAD = 0.04
 # A window whose solution is rejected is solved from this number of initial states at most.
 MAX_STARTS = 4
+# Factors on the information of the belief on the kit in either pass. HELD keeps the kit where it
+# is, while poses and points move, so that no window bends the rig to its own errors; there a window
+# that is solved again is linearised. A new window has a say of its own in its second pass.
+HELD, FREE = 50.0, 1.0
 # Largest median reprojection error [px]: above the first a window is rejected, above the second it
 # gives no evidence on the kit. It is also rejected if a tenth of the errors exceeds MAX_TAIL_PX:
 # of good windows it is below 2, of one from a wrong start with a median of 0.4 it was 8.
@@ -137,8 +132,8 @@ class BundleBackbone:
                 if before is not None:
                     poses.append(before)
                 known = Known(
-                    _prior(belief, ties), poses, float(sigma[1]), guided, settled,
-                    hints.travel, follows=before is not None,
+                    _prior(_stiffened(belief, HELD), ties), poses, float(sigma[1]), guided,
+                    settled, hints.travel, follows=before is not None,
                 )  # fmt: skip
                 starts = initial_states(m, ties, known)
                 solved = _first_sound(starts, m, ties, belief, hints)
@@ -164,10 +159,11 @@ class BundleBackbone:
             alone = self.resolve(prediction.without_loop(), hints.without_loop())
             return loop_view.placed_again(alone, prediction)
         belief = kit_belief(hints)
-        m, start = window.from_prediction(prediction, hints, belief.mean)
+        with_own = kit_belief(replace(hints, kit=product([hints.kit, prediction.kit])))
+        m, start = window.from_prediction(prediction, hints, with_own.mean)
         ties = rig_ties(m)
         with _solvable():
-            solved = _solved(start, m, ties, belief, hints)
+            solved = _solved(start, m, ties, belief, hints, with_own, HELD)
         solved = window.with_known_offset(solved, hints)
         return replace(solved, kit_sigma=prediction.kit_sigma)
 
@@ -185,7 +181,7 @@ class BundleBackbone:
 
 
 def kit_belief(hints: Hints) -> KitBelief:
-    """Prior on the kit: product of the Gaussians layout.prior(hints.hfov_deg) and hints.kit.
+    """Prior on the kit: product of layout.prior(hints.hfov_deg) and hints.kit.
 
     The time offset is what is left of it after the known offsets of the stamps.
     """
@@ -203,27 +199,42 @@ def _apart(m: Measurements, belief: KitBelief, hints: Hints) -> Float | None:
         return None
     try:
         with _solvable():
-            return solved_apart(m, hints.travel, _untempered(belief))
+            return solved_apart(m, hints.travel, _stiffened(belief, HELD))
     except BackboneError:
         return None
 
 
 def _sigma(belief: KitBelief) -> Float:
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(belief.information))))
+    return np.asarray(np.sqrt(np.diag(covariance(belief))))
 
 
-def _untempered(belief: KitBelief) -> KitBelief:
-    """Scale the information of a belief by 1 / TEMPERING.
+def _evidence(
+    solution: Solution, m: Measurements, ties: RigTies, belief: KitBelief
+) -> KitBelief | None:
+    """Evidence of a solved window on the kit; None if the residuals are too large.
 
-    As observations are correlated, pixels should have only TEMPERING times their weight. The solver
-    gives them all of it, so the prior is divided by TEMPERING instead: the solution is the same.
+    It is linear about the solution. What is quadratic in the step from there to the mean is taken
+    for as large as the step times its log focal, and added.
     """
-    return KitBelief(belief.mean, belief.information / TEMPERING)
+    if np.median(solution.residual * m.sigma_px) >= MAX_EVIDENCE_PX:
+        return None
+    evidence = kit_evidence(solution, m, ties, ROBUST_SCALES[-1])
+    evidence = layout.with_time_jitter(evidence, stamps.common_sigma_s(ties))
+    joint = product([belief, evidence])
+    assert joint is not None
+    step = joint.mean - solution.state.theta
+    return blurred(evidence, step, float(np.abs(step[layout.LOG_FOCAL]).max()))
 
 
-def _prior(belief: KitBelief, ties: RigTies) -> KitBelief:
-    """Prior on the kit that a window with these ties is solved with."""
-    return layout.with_time_jitter(_untempered(belief), stamps.common_sigma_s(ties))
+def _stiffened(belief: KitBelief, factor: float) -> KitBelief:
+    """Gaussian of the belief with `factor` times its information."""
+    held = gaussian(belief)
+    return KitBelief(held.mean, factor * held.information)
+
+
+def _prior(stiff: KitBelief, ties: RigTies) -> KitBelief:
+    """Prior on the kit that a window with these ties is solved with, from the stiffened belief."""
+    return layout.with_time_jitter(stiff, stamps.common_sigma_s(ties))
 
 
 @contextmanager
@@ -247,7 +258,7 @@ def _first_sound(
     apart, failure = None, None
     for start in islice(starts, MAX_STARTS):
         try:
-            found = _solved(start, m, ties, belief, hints)
+            found = _solved(start, m, ties, belief, hints, belief, FREE)
         except BackboneError as error:
             failure = failure or error
             continue
@@ -265,12 +276,22 @@ def _first_sound(
 
 
 def _solved(
-    start: State, m: Measurements, ties: RigTies, belief: KitBelief, hints: Hints
+    start: State,
+    m: Measurements,
+    ties: RigTies,
+    belief: KitBelief,
+    hints: Hints,
+    held: KitBelief,
+    factor: float,
 ) -> Prediction:
-    """Solve a window from an initial state; with what the next window may take over from it."""
+    """Solve a window from an initial state; with what the next window may take over from it.
+
+    held, factor: the belief that holds the kit meanwhile, and the factor on its information in the
+    second pass.
+    """
     before = overlap.prior(hints, TEMPERING)
-    solution, ties, mismatch = _solve(start, m, ties, belief, before)
-    found = _prediction(m, belief, solution, ties)
+    solution, ties, mismatch = _solve(start, m, ties, held, before, factor)
+    found = _prediction(m, belief, solution, ties, _stiffened(held, factor), factor)
     if mismatch is not None and mismatch > MAX_MISMATCH:
         found, before = replace(found, notices=(CONTRADICTED,)), None
     if before is None and not hints.n_shared:
@@ -282,7 +303,9 @@ def _solved(
     )
     drawn = None
     if before is not None:
-        drawn = overlap.drawn(before, normal, state, _prior(belief, ties).information)
+        drawn = overlap.drawn(
+            before, normal, state, _prior(_stiffened(held, factor), ties).information
+        )
     return replace(found, overlap=ahead, overlap_mismatch=mismatch, drawn=drawn)
 
 
@@ -292,8 +315,9 @@ def _solve(
     ties: RigTies,
     belief: KitBelief,
     before: OverlapPrior | None,
+    factor: float,
 ) -> tuple[Solution, RigTies, float | None]:
-    """Solve a window in two passes.
+    """Solve a window in two passes; factor: on the belief's information in the second.
 
     In the second pass the ties' exposure times are corrected for delay of the stamps (stamps.py),
     and the prior `before`, on the overlap with the previous window, joins if it agrees with the
@@ -303,18 +327,20 @@ def _solve(
     """
     mismatch = None
     priors: tuple[PosePrior, ...] = (motion_prior(m, 1 / TEMPERING),)
-    passes = zip(ROBUST_SCALES, TOLERANCES, (stamps.freed, stamps.corrected), strict=True)
-    for robust_scale, tolerance, timed in passes:
+    passes = zip(
+        ROBUST_SCALES, TOLERANCES, (HELD, factor), (stamps.freed, stamps.corrected), strict=True
+    )
+    for robust_scale, tolerance, stiff, timed in passes:
         timed_ties = timed(ties, start)
         solution = solve(
-            start, m, timed_ties, _prior(belief, timed_ties),
+            start, m, timed_ties, _prior(_stiffened(belief, stiff), timed_ties),
             pose_priors=priors, robust_scale=robust_scale, tolerance=tolerance,
         )  # fmt: skip
         start = solution.state
         if before is not None and mismatch is None:
             weight = robust_weights(solution.residual, ROBUST_SCALES[-1])
             normal = overlap.measured(start, m, timed_ties, weight)
-            mismatch = overlap.mismatch(before, normal, start, belief.information)
+            mismatch = overlap.mismatch(before, normal, start, gaussian(belief).information)
             if mismatch <= MAX_MISMATCH:
                 priors = (*priors, before)
     median, tail = np.percentile(solution.residual * m.sigma_px, [50, 90])
@@ -328,19 +354,22 @@ def _solve(
 
 
 def _prediction(
-    m: Measurements, belief: KitBelief, solution: Solution, ties: RigTies
+    m: Measurements,
+    belief: KitBelief,
+    solution: Solution,
+    ties: RigTies,
+    stiff: KitBelief,
+    factor: float,
 ) -> Prediction:
+    """Prediction of a solved window; stiff: the belief it was solved with, stiffened by factor."""
     state = solution.state
-    evidence = None
-    if np.median(solution.residual * m.sigma_px) < MAX_EVIDENCE_PX:
-        evidence = kit_evidence(solution, m, ties, ROBUST_SCALES[-1], TEMPERING)
-        evidence = layout.with_time_jitter(evidence, stamps.common_sigma_s(ties) / TEMPERING**0.5)
+    evidence = _evidence(solution, m, ties, belief)
     joint = product([belief, evidence])
     assert joint is not None
-    sigma = np.hypot(_sigma(joint)[layout.LOG_FOCAL], FOCAL_FLOOR)
+    sigma = np.hypot(_sigma(joint), joint.mean - state.theta)[layout.LOG_FOCAL]
     cameras = [lens.pinhole for lens in layout.cameras(state.theta, m.size)]
-    prior = _prior(belief, ties)
-    known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], 1 / TEMPERING)
+    prior = _prior(stiff, ties)
+    known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], factor)
     return Prediction(
         cameras=tuple(cameras[eye] for eye in m.eye),
         T_s_c=se3.inverse(state.T_c_s),

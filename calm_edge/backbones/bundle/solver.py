@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on one window, and the evidence of a solved window on the kit."""
+"""Levenberg-Marquardt on one window."""
 
 from __future__ import annotations
 
@@ -163,30 +163,3 @@ def solve(
             if damping > 1e8:
                 break
     return Solution(state, cost, whitened_lengths(state, m))
-
-
-def kit_evidence(
-    solution: Solution, m: Measurements, ties: RigTies, robust_scale: float, tempering: float
-) -> KitBelief:
-    """Gaussian on the kit from this window alone: poses and points marginalised out, no prior.
-
-    tempering: factor on the information. Residuals along one track are correlated, and counting
-    each as independent would understate the sigma.
-    """
-    state = solution.state
-    weight = robust_weights(solution.residual, robust_scale)
-    normal = normal_equations(state, m, ties, Structure.of(m, len(state.points)), weight, 0.0)
-    n = 6 * m.n_views
-    pose = slice(6, n)
-    H, g = normal.H, normal.g
-    # makes the information regular along t_p_a, whose length is the unit
-    fix_spacing(H, state.theta, layout.EVIDENCE_SPACING_SIGMA)
-    solved = np.linalg.solve(H[pose, pose] + 1e-9 * np.eye(n - 6), np.c_[H[pose, n:], g[pose]])
-    information = H[n:, n:] - H[n:, pose] @ solved[:, :-1]
-    gradient = g[n:] - H[n:, pose] @ solved[:, -1]
-    information = (information + information.T) / 2
-    values, vectors = np.linalg.eigh(information)
-    keep = values > 1e-9 * max(values.max(), 1e-12)
-    clean = (vectors[:, keep] * values[keep]) @ vectors[:, keep].T
-    mean = state.theta - (vectors[:, keep] / values[keep]) @ (vectors[:, keep].T @ gradient)
-    return KitBelief(mean=mean, information=tempering * clean)

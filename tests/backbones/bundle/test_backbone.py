@@ -108,7 +108,7 @@ def test_a_turn_determines_both_focals_and_their_sigmas(solved, turn):
     error, sigma = log_focal_error(solved, turn), solved.focal_log_sigma[[0, N]]
     assert np.abs(error).max() < 0.03
     assert (np.abs(error) < 3 * sigma).all()
-    assert (sigma > bundle.FOCAL_FLOOR).all() and (sigma < 0.1).all()
+    assert (sigma < 0.1).all()
     assert np.array_equal(solved.focal_log_sigma, sigma[turn.hints.eyes])
 
 
@@ -165,7 +165,8 @@ def test_resolving_under_a_sharper_kit_moves_the_focal_there(solved_straight, st
 
 def test_resolving_under_the_same_belief_changes_little(solved, turn):
     again = BACKBONE.resolve(solved, turn.hints)
-    assert np.allclose(log_focal_error(again, turn), log_focal_error(solved, turn), atol=2e-3)
+    moved = log_focal_error(again, turn) - log_focal_error(solved, turn)
+    assert (np.abs(moved) < 0.5 * solved.focal_log_sigma[[0, N]]).all()
     assert np.abs(again.T_s_c - solved.T_s_c)[:, :3, 3].max() < 0.1
 
 
@@ -250,7 +251,8 @@ def test_a_poor_fit_is_no_evidence_on_the_kit(solved, turn):
     uv = solved.landmarks.uv + 1.1 * rng.standard_normal(solved.landmarks.uv.shape)
     poor = BACKBONE.resolve(with_pixels(solved, uv), turn.hints)
     assert poor.kit is None and solved.kit is not None
-    assert poor.focal_log_sigma == pytest.approx(np.full(2 * N, np.hypot(0.30, bundle.FOCAL_FLOOR)))
+    # that of the prior, and how far the solution is from it
+    assert (poor.focal_log_sigma >= 0.30).all()
 
 
 def test_existing_depth_is_kept(solved, turn):

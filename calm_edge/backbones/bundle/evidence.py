@@ -1,0 +1,137 @@
+"""Evidence of a solved window on the kit, with a covariance that contains correlated errors.
+
+Errors of matches are correlated along a track, and among tracks that cross the same texture, edge
+or moving car. So the covariance is not that of independent observations but is measured on the
+residuals, summed over cells of the picture: A^-1 B A^-1 with A the curvature of the cost and B the
+scatter of the cells' gradients (Huber, The Behavior of Maximum Likelihood Estimates under
+Nonstandard Conditions, 1967; Liang and Zeger, Longitudinal Data Analysis, 1986).
+
+Cells cannot show what all windows share: shape of the lens, bias of the matches, shutter. A part of
+it looks like an error of the kit and never averages out. It is taken for COMMON of the matches'
+sigma over all of a drive's matches: so what it does to the focal depends on how far the motion
+moves pixels when the focal changes, which is far in a turn and hardly on a straight road.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calm_edge.backbones.bundle.normal_equations import (
+    Normal,
+    Structure,
+    fix_spacing,
+    normal_equations,
+)
+from calm_edge.backbones.bundle.problem import (
+    Measurements,
+    RigTies,
+    State,
+    reprojection,
+    tangent_basis,
+    tie_jacobians,
+)
+from calm_edge.backbones.bundle.solver import Solution, robust_weights
+from calm_edge.kit import layout
+from calm_edge.kit.belief import scaled
+from calm_edge.types import Float, Int, KitBelief
+
+# Cells a picture's width: tracks that start in one cell share their errors.
+CELLS_ACROSS = 16
+# Root mean square of that part, in sigmas of the matches; fitted to drives whose focal is known.
+COMMON = 0.02
+# Common part of the sigma of log focal above which a window has hardly a say.
+SHOWN = 0.05
+# Least ratio of the errors' variance to the matches' sigmas squared: 0.02 px.
+LEAST_EXCESS = 1e-3
+# Keeps the information regular where a pose is all but free [1 / spacings^2, 1 / rad^2].
+_FLOOR = 1e-9
+# Eigenvalues of the information below this share of the largest count as rounding errors.
+_ROUNDING = 1e-9
+
+
+def kit_evidence(
+    solution: Solution, m: Measurements, ties: RigTies, robust_scale: float
+) -> KitBelief:
+    """Gaussian on the kit from this window alone: poses and points marginalised out, no prior.
+
+    The mean is one Newton step from the solution. The curvature of the Cauchy kernel, averaged over
+    the direction of a residual, is its weight squared.
+    """
+    state, n = solution.state, 6 * m.n_views
+    weight = robust_weights(solution.residual, robust_scale)
+    structure = Structure.of(m, len(state.points))
+    normal = normal_equations(state, m, ties, structure, weight**2, 0.0)
+    H = normal.H[6:, 6:]
+    poses, kit = slice(0, n - 6), slice(n - 6, None)
+    by_pose = np.linalg.solve(H[poses, poses] + _FLOOR * np.eye(n - 6), H[poses, kit])
+    A = H[kit, kit] - H[kit, poses] @ by_pose
+
+    def reduced(rows: Float) -> Float:
+        """Gradients (R, D) by poses and kit -> (R, SIZE) by the kit, poses marginalised out."""
+        return np.asarray(rows[:, n:] - rows[:, 6:n] @ by_pose)
+
+    cells = reduced(_cell_gradients(state, m, normal, weight))
+    tie_rows, residual = _tie_rows(state, m, ties)
+    stiff = reduced(tie_rows)
+    gradient = cells.sum(0) + residual @ stiff
+    B = cells.T @ cells + stiff.T @ stiff
+    # how much larger the errors are than the matches' sigmas: the scale of the weights, not theirs
+    excess = max(float(np.mean(np.diag(B) / np.diag(A))), LEAST_EXCESS)
+    information, noise = (A + A.T) / 2 / excess, B / excess**2
+    # makes the information regular along t_p_a, whose length is the unit
+    for matrix in (information, noise):
+        fix_spacing(matrix, state.theta, layout.EVIDENCE_SPACING_SIGMA)
+    values, vectors = np.linalg.eigh(information)
+    known = vectors[:, values > _ROUNDING * max(values.max(), 1e-12)]
+    kept, projector = values[-known.shape[1] :], known @ known.T
+    mean = state.theta - (known / kept) @ (known.T @ gradient) / excess
+    kept_information = (known * kept) @ known.T
+    common = COMMON**2 * float(2 * (weight**2).sum() / excess)
+    belief = KitBelief(
+        mean, kept_information, projector @ noise @ projector, kept_information, common
+    )
+    bounded = np.linalg.inv(kept_information + layout.prior((None, None)).information)
+    hidden = common * bounded[layout.LOG_FOCAL, layout.LOG_FOCAL].max() / SHOWN**2
+    # many windows that hardly show the focal must not outvote one that does
+    return scaled(belief, (1 + hidden) ** -2)
+
+
+def _cell_gradients(state: State, m: Measurements, normal: Normal, weight: Float) -> Float:
+    """Gradients (G, D) of the pixels of each of G cells by poses and kit, points eliminated."""
+    jac = reprojection(state, m, tangent_basis(state.points))
+    whiten = jac.in_front / m.sigma_px
+    r = (jac.predicted - m.uv).T * whiten * weight
+    cell = _cells(m, len(state.points))
+    rows = np.zeros((cell.max() + 1, len(normal.g)))
+    poses = 6 * m.view[:, None] + np.arange(6)
+    columns = np.c_[poses, 6 * m.n_views + layout.OPTICS[m.eye[m.view]]]
+    by_camera = np.einsum("iko,ko->oi", jac.camera * whiten, r)
+    np.add.at(rows, (cell[m.point][:, None], columns), by_camera)
+    inner = np.zeros((len(cell), 3))
+    np.add.at(inner, m.point, np.einsum("iko,ko->oi", jac.point * whiten, r))
+    inner = np.einsum("mij,mi->mj", normal.root, inner)
+    np.subtract.at(rows, cell, np.einsum("dim,mi->md", normal.cross, inner))
+    return rows
+
+
+def _cells(m: Measurements, n_points: int) -> Int:
+    """Cell (M,) of the picture in which each point was first observed; both eyes numbered."""
+    seen, first = np.unique(m.point, return_index=True)
+    eye = m.eye[m.view[first]]
+    place = (m.uv[first] * (CELLS_ACROSS / m.size[eye, :1])).astype(np.int64)
+    key = np.c_[eye, place] @ [CELLS_ACROSS**4, CELLS_ACROSS**2, 1]
+    cell = np.zeros(n_points, np.int64)
+    cell[seen] = np.unique(key, return_inverse=True)[1]
+    return cell
+
+
+def _tie_rows(state: State, m: Measurements, ties: RigTies) -> tuple[Float, Float]:
+    """Derivatives (6 A, D) of the whitened ties by poses and kit, and their residuals (6 A,)."""
+    n = 6 * m.n_views
+    residual, J = tie_jacobians(state, ties)
+    rows = np.zeros((len(residual), 6, n + layout.SIZE))
+    views = np.stack([ties.before, ties.after, ties.assistant], 1)
+    kit = n + np.r_[layout.RIG, layout.TIME_OFFSET]
+    for row, of, block in zip(rows, views, J, strict=True):
+        row[:, np.r_[(6 * of[:, None] + np.arange(6)).ravel(), kit]] = block
+    return rows.reshape(-1, n + layout.SIZE), residual.ravel()
