@@ -1,15 +1,15 @@
 """Focal lengths from different parts of one drive against each other, by their statistical sigmas.
 
 For real clips, whose published calibration is not exact. What all windows of a drive have in common
-(lens, shutter, principal point) does not make its parts differ, so the part of a focal's sigma that
-stands for it is left out: the sigmas here are those of the evidence alone.
+(lens, shutter, principal point) does not make its parts differ, so the common part of the
+covariance of the evidence is left out: the sigmas here are statistical.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from heapq import merge
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from calm_edge.estimator.localizer import Localizer
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.kit import layout
-from calm_edge.kit.belief import product
+from calm_edge.kit.belief import covariance, product
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import Float, Hints, KitBelief, Prediction, SubmapWindow
 from device.frame import Eye
@@ -103,8 +103,8 @@ def focals(beliefs: Iterable[KitBelief]) -> tuple[Float, Float]:
     """Log focals (2,) of the product of beliefs with the prior of an unknown kit, and sigmas."""
     joint = product([layout.prior((None, None)), *beliefs])
     assert joint is not None
-    covariance = np.linalg.inv(joint.information)
-    return joint.mean[layout.LOG_FOCAL], np.sqrt(np.diag(covariance)[layout.LOG_FOCAL])
+    statistical = covariance(replace(joint, common=0.0))
+    return joint.mean[layout.LOG_FOCAL], np.sqrt(np.diag(statistical)[layout.LOG_FOCAL])
 
 
 def differences(parts: Sequence[tuple[Sequence[KitBelief], Sequence[KitBelief]]]) -> Float:

