@@ -60,6 +60,11 @@ def covariance(belief: KitBelief) -> Float:
     return np.asarray(inverse @ _total_noise(belief) @ inverse)
 
 
+def sigmas(belief: KitBelief) -> Float:
+    """Sigmas (D,) of the mean's error; 0 where `covariance` is 0."""
+    return np.asarray(np.sqrt(np.diag(covariance(belief))))
+
+
 def gaussian(belief: KitBelief) -> KitBelief:
     """The belief with the inverse of its `covariance` as information, and no noise of its own."""
     if belief.noise is None and belief.measured is None:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calm_edge.kit.belief import product
+from calm_edge.kit.belief import product, sigmas
 from calm_edge.types import KitBelief
 
 
@@ -57,3 +57,7 @@ def test_the_product_is_commutative_if_the_sum_has_full_rank():
 def test_beliefs_of_different_sizes_raise():
     with pytest.raises(ValueError, match="number of entries"):
         product([belief([1, 2], [1, 0]), belief([1], [1])])
+
+
+def test_sigmas_are_in_the_units_of_the_entries():
+    assert np.allclose(sigmas(belief([5, 7, 9], [4, 0, 0], [0, 0.5, 0])), [0.25, 2, 0])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from calm_edge.backbones.bundle import backbone, overlap
+from calm_edge.backbones.bundle import overlap, solution
 from calm_edge.backbones.bundle.normal_equations import fix_spacing
 from calm_edge.backbones.bundle.problem import State
 from calm_edge.backbones.bundle.solver import solve
@@ -147,7 +147,7 @@ def test_errors_of_a_hundred_tied_windows_are_as_large_as_claimed(tied):
         assert 0.8 < np.sqrt(np.mean([one[k].ahead for one in tied])) < 1.2
         if k:
             assert 0.6 < np.mean([one[k].mismatch for one in tied]) < 1.4
-    assert max(e.mismatch for e in every) < backbone.MAX_MISMATCH
+    assert max(e.mismatch for e in every) < solution.MAX_MISMATCH
 
 
 @pytest.fixture(scope="module")
@@ -232,15 +232,15 @@ def test_a_wrong_window_does_not_reach_the_next(pair, factor):
 
     def solved_with(w, before=None):
         hints = replace(hints_of(w, before), sizes=w.m.size)
-        return backbone._solved(w.truth, w.m, w.ties, belief, hints, belief, backbone.FREE)
+        return solution.solved(w.truth, w.m, w.ties, belief, hints, belief, solution.FREE)
 
     handed = solved_with(first).overlap
     T = handed.T_first_k.copy()
     T[:, :3, 3] *= factor
     wrong = replace(handed, T_first_k=T)
     solved = [solved_with(second, before) for before in (wrong, handed, None)]
-    assert solved[0].overlap_mismatch > backbone.MAX_MISMATCH > solved[1].overlap_mismatch
-    assert solved[0].notices == (backbone.CONTRADICTED,) and not solved[1].notices
+    assert solved[0].overlap_mismatch > solution.MAX_MISMATCH > solved[1].overlap_mismatch
+    assert solved[0].notices == (solution.CONTRADICTED,) and not solved[1].notices
     assert np.array_equal(solved[0].T_s_c, solved[2].T_s_c)
     assert np.array_equal(solved[0].overlap.information, solved[2].overlap.information)
     assert not np.array_equal(solved[1].T_s_c, solved[2].T_s_c)
