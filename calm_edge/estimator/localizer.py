@@ -9,10 +9,8 @@ matched before the kit was known (held_windows.py); windows that cannot be recon
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -23,30 +21,26 @@ from calm_edge.estimator import scale, window_submap
 from calm_edge.estimator.atlas import Atlas, SkippedWindow
 from calm_edge.estimator.direction_memory import DirectionMemory
 from calm_edge.estimator.held_windows import HeldWindows, unsettled
-from calm_edge.estimator.judgement import judge
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.estimator.kit_watch import KitWatch, Slip, Suspect
+from calm_edge.estimator.loop_closing import LoopClosing
 from calm_edge.estimator.metre import DriveMetre
 from calm_edge.estimator.rectifier import Rectifier
-from calm_edge.estimator.replacement import Replacement
+from calm_edge.estimator.replacement import Replacements
+from calm_edge.estimator.stage_time import timed
 from calm_edge.estimator.stamp_correction import StampCorrection
-from calm_edge.geometry import se3
-from calm_edge.geometry.alike import look_alike
-from calm_edge.kit import change, layout
+from calm_edge.estimator.window_solver import Reconstruction, WindowSolver
 from calm_edge.kit.prior import KitPrior
 from calm_edge.loops.descriptor import descriptor_of
-from calm_edge.loops.finder import LoopCandidate, LoopFinder, PlaceLoops
-from calm_edge.loops.same_place import KnownKit
+from calm_edge.loops.finder import LoopFinder, PlaceLoops
 from calm_edge.posegraph.optimiser import Immediate, Optimiser
 from calm_edge.types import (
-    Bytes,
     Float,
     GlobalIntrinsics,
     Hints,
     Int,
     KitBelief,
     LocalizerUpdate,
-    LoopClosure,
     Metre,
     Prediction,
     Submap,
@@ -57,31 +51,11 @@ from device.frame import UnreadableImage
 
 log = logging.getLogger(__name__)
 
-# All sub-maps are rectified and placed again, if the calibration has changed, once their number has
-# grown by this factor since the last time: calibration changes little late in a drive.
-REPLACE_GROWTH = 1.1
 # Sub-maps placed again per window, so that its cost does not grow with the drive.
 REPLACED_PER_WINDOW = 8
 # At the end of a drive all windows are solved again, and then, at most so many times, those whose
 # focal has moved since.
 RELINEARISED = 2
-ALIKE = "both pictures look alike"
-
-
-@dataclass(frozen=True, slots=True)
-class Reconstruction:
-    """A solved window that is not yet placed.
-
-    Without a loop view if `closed` is None. recalibrated: the sub-maps before it have to be
-    rectified again.
-    """
-
-    window: SubmapWindow
-    hints: Hints
-    prediction: Prediction
-    submap: Submap
-    closed: LoopClosure | None
-    recalibrated: bool
 
 
 class Localizer:
@@ -106,18 +80,16 @@ class Localizer:
         self._memory = KitMemory(backbone, config.backbone.resolve_windows)
         self._kit_prior = KitPrior(config)
         self._rectifier = Rectifier(config, isinstance(backbone, ResolvingBackbone))
-        self._loops = loops
         if loops is None and config.loops.enabled:
             descriptor = descriptor_of(backbone, config.loops.descriptor)
-            self._loops = PlaceLoops(config.loops, descriptor)
+            loops = PlaceLoops(config.loops, descriptor)
         self._optimiser = optimiser or Immediate()
         self._atlas = Atlas(config)
+        self._loops = LoopClosing(loops, self._atlas, config.scale.spacing)
+        self._replacements = Replacements(self._atlas, self._rectifier)
         self._direction = DirectionMemory()
         self._metre = DriveMetre(config.scale.spacing)
         self._optimised = False
-        self._stale = False
-        self._n_replaced = 0
-        self._replacement: Replacement | None = None
         self._noticed: set[str] = set()
         self._unhurried = unhurried
         self._held = HeldWindows()
@@ -128,6 +100,19 @@ class Localizer:
         self._watch = KitWatch()
         self._stamps = StampCorrection()
         self._retimed = False
+        self._solver = WindowSolver(
+            config,
+            backbone,
+            memory=self._memory,
+            kit_prior=self._kit_prior,
+            rectifier=self._rectifier,
+            loops=self._loops,
+            direction=self._direction,
+            metre=self._metre,
+            watch=self._watch,
+            stamps=self._stamps,
+            retimed=self._retime,
+        )
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
@@ -166,20 +151,19 @@ class Localizer:
         sigma = self.kit_sigma(window.submap_id)
         evidence = self._memory.evidence()
         try:
-            solved, suspected = self._solved(window, stage_ms)
+            solved, suspected = self._solver.solved(window, self._replacements.sources, stage_ms)
         except (BackboneError, scale.ScaleError, UnreadableImage) as error:
             self._skip(window, str(error))
             if sigma is not None:
                 self._held.hold(window, sigma)
             return None
         window, prediction, closed = solved.window, solved.prediction, solved.closed
-        with _timed(stage_ms, "place"):
+        with timed(stage_ms, "place"):
             atlas.add(solved.submap)
             path = solved.submap.T_s_c[: solved.submap.n_primary]
             self._direction.add(path, self._config.scale.spacing)
-            if self._loops is not None:
-                self._loops.remember(window)
-        with _timed(stage_ms, "resolve"):
+            self._loops.remember(window)
+        with timed(stage_ms, "resolve"):
             lines = prediction.notices
             if suspected and evidence is not None:
                 # its evidence counts only if the kit has changed
@@ -196,10 +180,9 @@ class Localizer:
             lines += (self._stamps.notice,) if self._stamps.notice else ()
             notices = self._new_notices(lines)
             self._memory.prior = self._kit_prior.belief
-            self._stale |= solved.recalibrated
-            grown = len(atlas) >= REPLACE_GROWTH * self._n_replaced
-            if self._stale and grown and self._replacement is None:
-                self._begin_replacement(atlas.submaps)
+            self._replacements.stale |= solved.recalibrated
+            if self._replacements.due:
+                self._replacements.begin(atlas.submaps)
             if self._retimed:
                 self._retimed = False
                 self._resolve(self._memory.correct_stamps(self._stamps.late_s_or_zero))
@@ -207,7 +190,7 @@ class Localizer:
             if self._unhurried:
                 self.solve_again()
             self._replace(REPLACED_PER_WINDOW)
-        with _timed(stage_ms, "optimise"):
+        with timed(stage_ms, "optimise"):
             if closed is not None:
                 atlas.add_loop(closed)
                 self._request()
@@ -253,13 +236,15 @@ class Localizer:
         is inserted in order. What is solved is placed with a later window or by `finish`. loops:
         search a loop for a window without a sub-map.
         """
-        submap_id, sources = window.submap_id, self._sources()
+        submap_id, sources = window.submap_id, self._replacements.sources
         known = submap_id in {submap.id for submap in sources}
         sigma = self.kit_sigma(submap_id)
         if sigma is not None:
             self._held.hold(window, sigma)
         try:
-            solved = self._reconstructed(window, {}, known=known, loops=loops and not known)
+            solved = self._solver.reconstructed(
+                window, sources, {}, known=known, loops=loops and not known
+            )
         except (BackboneError, scale.ScaleError, UnreadableImage) as error:
             log.warning("sub-map %d not solved again: %s", submap_id, error)
             return None
@@ -279,11 +264,10 @@ class Localizer:
         else:
             self._atlas.unskip(submap_id)
             raw = sorted([*sources, solved.submap], key=lambda submap: submap.id)
-            if self._loops is not None:
-                self._loops.remember(solved.window)
+            self._loops.remember(solved.window)
             if solved.closed is not None:
                 self._atlas.add_loop(solved.closed)
-        self._begin_replacement(raw)
+        self._replacements.begin(raw)
         return solved
 
     def restore(self, update: LocalizerUpdate, hints: Hints, *, final: bool) -> None:
@@ -303,12 +287,7 @@ class Localizer:
 
     def remember(self, window: SubmapWindow) -> None:
         """Make the keyframes of a restored window places of the loop search."""
-        if self._loops is not None:
-            # without a kit `find` only describes them
-            self._loops.find(
-                window, [keyframe.frame.bgr() for keyframe in window.keyframes()], None
-            )
-            self._loops.remember(window)
+        self._loops.restore(window)
 
     def finish(self, limit_s: float = np.inf) -> Trajectory | None:
         """Solve all windows with the final belief, then the joint optimum; None without sub-map.
@@ -320,8 +299,8 @@ class Localizer:
         self._optimiser = Immediate()
         if not len(self._atlas):
             return None
-        if self._rectifier.finish() or self._stale:
-            self._begin_replacement(self._sources())
+        if self._rectifier.finish() or self._replacements.stale:
+            self._replacements.begin(self._replacements.sources)
         while perf_counter() < end_s and self.solve_again(final=True):
             pass
         outdated = {*self._memory.retained()} - self._restored | {*self._memory.outdated()}
@@ -335,38 +314,18 @@ class Localizer:
             self._kit_prior.save(self._memory.evidence())
         return self.trajectory()
 
+    def kit_sigma(self, submap_id: int) -> Float | None:
+        """`kit_sigma` for solving this window now; None if the backbone estimates no kit."""
+        return self._solver.kit_sigma(submap_id)
+
     def trajectory(self) -> Trajectory:
         """All primary keyframes that have a pose, sorted by id."""
         return self._atlas.trajectory()
 
-    def _solved(
-        self, window: SubmapWindow, stage_ms: dict[str, float]
-    ) -> tuple[Reconstruction, bool]:
-        """Solve a window, with the rig free if it does not fit the belief on the kit.
-
-        Returns whether it contradicts the belief. Raises as `_reconstructed`.
-        """
-        sigma, evidence = self.kit_sigma(window.submap_id), self._memory.evidence()
-        belief = self._memory.belief()
-        if sigma is None or sigma[0] >= layout.RIG_KNOWN_RAD or belief is None:
-            return self._reconstructed(window, stage_ms), False
-        solved, failure = None, BackboneError("")
-        try:
-            solved = self._reconstructed(window, stage_ms)
-        except BackboneError as error:
-            failure = error
-        if solved is None or not KitWatch.fits(evidence, solved.prediction):
-            with suppress(BackboneError, scale.ScaleError):
-                free = self._reconstructed(window, stage_ms, kit=change.without_rig(belief))
-                if free.prediction.kit is not None:
-                    if not KitWatch.fits(evidence, free.prediction):
-                        return free, True
-                    solved = free
-        if solved is None:
-            raise failure
-        if solved.prediction.kit is not None:
-            self._watch.acquit()
-        return solved, False
+    def _retime(self) -> None:
+        """The time offset was corrected: windows solved before had wrong stamps."""
+        self._held.forget_attempts()
+        self._retimed = True
 
     def _slipped(self, slip: Slip) -> tuple[str, ...]:
         """Begin a new epoch of the kit; return the line for the user."""
@@ -377,10 +336,10 @@ class Localizer:
             self._again.add(suspect.submap_id)
         self._kit_prior.forget()
         epoch = self._memory.epoch(None)
-        self._begin_replacement(
+        self._replacements.begin(
             [
                 replace(s, kit_epoch=epoch if s.id >= first.submap_id else s.kit_epoch)
-                for s in self._sources()
+                for s in self._replacements.sources
             ]
         )
         after_s = (first.t_ns - int(self._atlas.submaps[0].t_ns[0])) // 1_000_000_000
@@ -388,164 +347,6 @@ class Localizer:
         return (
             f"the kit changed {when} into the drive: {slip.text}; it is learned again from there",
         )
-
-    def _reconstructed(
-        self,
-        window: SubmapWindow,
-        stage_ms: dict[str, float],
-        *,
-        known: bool = False,
-        loops: bool = True,
-        kit: KitBelief | None = None,
-    ) -> Reconstruction:
-        """Solve and rectify a window; raises BackboneError, ScaleError, UnreadableImage.
-
-        known: it has a sub-map already. loops: search a loop. kit: instead of the belief.
-        """
-        if self._loops is None:
-            window = replace(window, loop_keyframe=None)
-        candidate = None
-        with _timed(stage_ms, "decode"):
-            images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
-        self._refuse_alike(window, images)
-        if loops:
-            with _timed(stage_ms, "loop"):
-                window, images, candidate = self._with_loop(window, images)
-        with _timed(stage_ms, "infer"):
-            prediction, hints = self._inferred(window, images, kit)
-        raw = window_submap.raw_submap(window, hints, prediction)
-        raw = replace(raw, kit_epoch=self._memory.epoch(window.submap_id))
-        recalibrated = False
-        if not known:
-            with _timed(stage_ms, "search"):
-                recalibrated = self._rectifier.update(raw, prediction.landmarks, images)
-        with _timed(stage_ms, "rectify"):
-            submap = self._rectifier.rectify(raw)
-        judge(submap, self._config.scale.spacing)
-        closed = self._closure(window, submap, prediction, candidate)
-        if window.loop_keyframe is not None and closed is None:
-            if known:
-                raise BackboneError("bundle: the loop keyframe could not be placed again")
-            window = replace(window, loop_keyframe=None)
-            prediction, submap = prediction.without_loop(), submap.without_loop()
-            hints = hints.without_loop()
-        return Reconstruction(window, hints, prediction, submap, closed, recalibrated)
-
-    def _refuse_alike(self, window: SubmapWindow, images: Sequence[Bytes]) -> None:
-        """Raise ScaleError if both cameras deliver the same pictures."""
-        n, m = len(window.primary), len(window.assistant)
-        alike = look_alike(images[:n], images[n : n + m])
-        self._metre.object_to("pictures", ALIKE if alike else None)
-        if alike:
-            raise scale.ScaleError(ALIKE)
-
-    def _inferred(
-        self, window: SubmapWindow, images: list[Bytes], kit: KitBelief | None
-    ) -> tuple[Prediction, Hints]:
-        """Solve a window; a second time if it shows that the assistant's stamps are wrong.
-
-        kit: belief to use, None for that of the drive so far.
-        """
-
-        def hinted() -> Hints:
-            hints = self._hints(window, images)
-            return hints if kit is None else replace(hints, kit=kit)
-
-        hints, failure = hinted(), None
-        try:
-            prediction = self._backbone.infer(images, hints)
-            apart = prediction.T_s_c_apart
-        except BackboneError as error:
-            apart, failure = error.T_s_c_apart, error
-        corrected = self._stamps.add(window.submap_id, hints, apart)
-        self._metre.object_to("stamps", self._stamps.objection)
-        if corrected:
-            self._held.forget_attempts()
-            self._retimed = True
-            # the window before was solved with the wrong stamps
-            hints = replace(hinted(), overlap=None)
-            prediction = self._backbone.infer(images, hints)
-        elif failure is not None:
-            raise failure
-        return prediction, hints
-
-    def kit_sigma(self, submap_id: int) -> Float | None:
-        """`kit_sigma` for solving this window now; None if the backbone estimates no kit."""
-        if not isinstance(self._backbone, ResolvingBackbone):
-            return None
-        nothing = np.zeros(0, np.int64)
-        kit = self._memory.belief(without=submap_id)
-        hints = Hints(nothing, nothing, self._config.backbone.hfov_of_eye, kit)
-        return self._backbone.kit_sigma(hints)
-
-    def _hints(self, window: SubmapWindow, images: list[Bytes]) -> Hints:
-        frames = [keyframe.frame for keyframe in window.keyframes()]
-        sizes = window_submap.sizes(window, images)
-        self._kit_prior.open(sizes)
-        self._memory.prior = self._kit_prior.belief
-        hints = Hints(
-            eyes=np.array([frame.eye for frame in frames], np.int64),
-            t_ns=np.array([frame.t_ns for frame in frames], np.int64),
-            hfov_deg=self._config.backbone.hfov_of_eye,
-            kit=self._memory.belief(without=window.submap_id),
-            sizes=sizes,
-            loop=window.loop_keyframe is not None,
-            n_overlap=window.n_overlap,
-            overlap=self._memory.overlap_before(window.submap_id),
-            n_shared=self._config.overlap_shared,
-            apart=self._stamps.wanted(window.submap_id),
-            travel=self._direction.direction,
-        )
-        return replace(hints, late_s=self._stamps.late_s(hints), late_sigma_s=self._stamps.sigma_s)
-
-    def _with_loop(
-        self, window: SubmapWindow, images: list[Bytes]
-    ) -> tuple[SubmapWindow, list[Bytes], LoopCandidate | None]:
-        """Append an earlier image of the same place to the batch, if one is found (IV-D).
-
-        A window from a recording that has a loop keyframe keeps it, unless loops are disabled.
-        """
-        if self._loops is None:
-            return window, images, None
-        candidate = self._loops.find(window, images, self._known_kit())
-        if candidate is None or window.loop_keyframe is not None:
-            return window, images, None
-        joined = replace(window, loop_keyframe=candidate.keyframe)
-        return joined, [*images, candidate.keyframe.frame.bgr()], candidate
-
-    def _known_kit(self) -> KnownKit | None:
-        if not len(self._atlas):
-            return None
-        newest = self._atlas.submaps[-1]
-        cameras = newest.cameras[0], newest.cameras[newest.n_primary]
-        return KnownKit(cameras, self._atlas.T_p_a)
-
-    def _closure(
-        self,
-        window: SubmapWindow,
-        submap: Submap,
-        prediction: Prediction,
-        candidate: LoopCandidate | None,
-    ) -> LoopClosure | None:
-        """Loop closure with the pose that the backbone computed for the loop keyframe.
-
-        None if there is no such keyframe or pose, or if the pose disagrees with the approximate one
-        of the candidate, from matches of the two images.
-        """
-        match = window.loop_keyframe
-        if match is None or not prediction.loop_found:
-            return None
-        if not any(match.id in submap.primary_ids for submap in self._sources()):
-            return None
-        T_s_match = submap.T_s_c[-1]
-        apart = np.linalg.norm(submap.T_s_c[: submap.n_primary, :3, 3] - T_s_match[:3, 3], axis=1)
-        query = candidate.query_view if candidate is not None else int(apart.argmin())
-        T_match_query = se3.inverse(T_s_match) @ submap.T_s_c[query]
-        spacing = self._config.scale.spacing
-        if candidate is not None and not candidate.agrees(se3.inverse(T_match_query), spacing):
-            log.info("sub-map %d: loop closure with keyframe %d rejected", submap.id, match.id)
-            return None
-        return LoopClosure(submap.primary_ids[query], match.id, T_match_query)
 
     def _new_notices(self, lines: Sequence[str]) -> tuple[str, ...]:
         """Select the lines that have not been reported yet in this drive."""
@@ -562,35 +363,17 @@ class Localizer:
         """Solve windows again with the current belief; then all sub-maps are placed again."""
         solved = self._memory.resolve(submap_ids)
         if solved:
-            raw = [window_submap.solved_again(s, solved.get(s.id)) for s in self._sources()]
-            self._begin_replacement(raw)
-
-    def _sources(self) -> tuple[Submap, ...]:
-        """All sub-maps with their newest raw poses, also those not yet placed again."""
-        return self._replacement.sources if self._replacement else self._atlas.submaps
-
-    def _begin_replacement(self, submaps: Sequence[Submap]) -> None:
-        """Begin to rectify the sub-maps from their raw poses and to place them again."""
-        self._stale, self._n_replaced = False, len(submaps)
-        calibration = self._rectifier.calibration
-        rectify = partial(self._rectifier.rectify, calibration=calibration)
-        self._replacement = Replacement(self._atlas, submaps, rectify)
+            raw = [
+                window_submap.solved_again(s, solved.get(s.id)) for s in self._replacements.sources
+            ]
+            self._replacements.begin(raw)
 
     def _replace(self, most: int | None = None) -> None:
         """Place up to `most` further sub-maps again, None for all."""
-        if self._replacement is not None and self._replacement.advance(most):
-            self._replacement = None
-            if self._optimised:
-                self._request()
+        if self._replacements.advance(most) and self._optimised:
+            self._request()
 
     def _request(self) -> None:
         if self._config.posegraph.optimise:
             self._atlas.request_optimum(self._optimiser)
             self._optimised = True
-
-
-@contextmanager
-def _timed(stage_ms: dict[str, float], stage: str) -> Iterator[None]:
-    start = perf_counter()
-    yield
-    stage_ms[stage] = (perf_counter() - start) * 1e3

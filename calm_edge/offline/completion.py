@@ -10,7 +10,8 @@ import numpy as np
 
 from calm_edge.config import Config
 from calm_edge.estimator.held_windows import unsettled, worth_solving
-from calm_edge.estimator.localizer import Localizer, Reconstruction
+from calm_edge.estimator.localizer import Localizer
+from calm_edge.estimator.window_solver import Reconstruction
 from calm_edge.offline.drive import Drive, Logged, with_poses
 from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording

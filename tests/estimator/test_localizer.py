@@ -27,10 +27,6 @@ def drive(T, errors, config=METRES, **cut):
     return localizer, updates
 
 
-def with_loop_to(keyframe, window):
-    return dataclasses.replace(window, loop_keyframe=keyframe)
-
-
 def live(updates):
     """Trajectory of the updates so far."""
     return folded(update.trajectory for update in updates)
@@ -85,7 +81,7 @@ def test_optimising_a_noisy_loop_lowers_its_error(late_ns):
     T = circle(150)
     noise = dataclasses.replace(NOISE, rotation_sigma_rad=0.004)
     cut = windows(150, assistant_late_ns=late_ns)
-    joined = [*cut[:-1], with_loop_to(cut[0].primary[0], cut[-1])]
+    joined = [*cut[:-1], dataclasses.replace(cut[-1], loop_keyframe=cut[0].primary[0])]
     localizer = Localizer(METRES, ScriptedBackbone(scene(T), noise))
     updates = [localizer.process(window) for window in cut]
     before = position_error(live(updates).T_w_c, T)
@@ -149,49 +145,6 @@ def test_same_windows_give_the_same_bytes():
         localizer, updates = drive(curved(60), NOISE, assistant_late_ns=17_000_000)
         runs.append(live(updates).T_w_c.tobytes() + localizer.finish().T_w_c.tobytes())
     assert runs[0] == runs[1]
-
-
-def test_the_loop_view_closes_a_loop_and_does_not_affect_the_scale():
-    T = circle(150)
-    cut = windows(150)
-    localizer = Localizer(METRES, ScriptedBackbone(scene(T)))
-    for window in cut[:-1]:
-        localizer.process(window)
-    update = localizer.process(with_loop_to(cut[0].primary[0], cut[-1]))
-    assert len(update.submap.T_s_c) == 31 - 15 * 2 + 2 * len(cut[-1].primary)
-    assert update.submap.scale == pytest.approx(1.0, abs=1e-9)
-    assert update.loop.match_id == 0
-    expected = se3.inverse(T[0]) @ T[update.loop.query_id]
-    assert np.allclose(update.loop.T_match_query, expected, atol=1e-9)
-    assert update.trajectory.epoch == 1 and len(update.trajectory.t_ns) == 150
-
-
-def test_a_loop_to_a_place_without_a_pose_is_no_loop():
-    T = circle(60)
-    cut = windows(60)
-    localizer = Localizer(METRES, ScriptedBackbone(scene(T)))
-    localizer.process(cut[0])
-    update = localizer.process(with_loop_to(cut[-1].primary[-1], cut[1]))
-    assert update.loop is None and update.loop_keyframe is None
-    assert len(update.submap.T_s_c) == len(update.prediction.T_s_c) == 30
-
-
-def test_without_loops_a_recorded_loop_keyframe_is_left_out():
-    class Counting(ScriptedBackbone):
-        views = ()
-
-        def infer(self, images, hints):
-            self.views += ((len(images), len(hints.t_ns)),)
-            return super().infer(images, hints)
-
-    T, cut = circle(60), windows(60)
-    backbone = Counting(scene(T))
-    localizer = Localizer(merge(METRES, {"loops": {"enabled": False}}), backbone)
-    localizer.process(cut[0])
-    update = localizer.process(with_loop_to(cut[0].primary[0], cut[1]))
-    assert backbone.views == ((30, 30), (30, 30))
-    assert update.loop is None and update.loop_keyframe is None
-    assert update.trajectory.epoch == 0 and len(update.submap.T_s_c) == 30
 
 
 class Failing(ScriptedBackbone):
@@ -391,8 +344,8 @@ def test_a_late_calibration_is_applied_to_all_at_the_end_at_the_latest(monkeypat
     localizer = Localizer(METRES, ScriptedBackbone(scene(curved(150))))
     moved = []
     monkeypatch.setattr(localizer._rectifier, "update", lambda *_: True)
-    begin = localizer._begin_replacement
-    monkeypatch.setattr(localizer, "_begin_replacement", lambda s: (moved.append(len(s)), begin(s)))
+    replacements, begin = localizer._replacements, localizer._replacements.begin
+    monkeypatch.setattr(replacements, "begin", lambda s: (moved.append(len(s)), begin(s)))
     for window in windows(150):
         localizer.process(window)
     # the ninth takes two windows: the tenth waits for it

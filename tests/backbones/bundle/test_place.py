@@ -88,8 +88,8 @@ def test_loops_use_the_backbones_network_by_default(place):
 def test_the_localizer_uses_the_configured_descriptor(place):
     learned, gradients = Config(), merge(Config(), {"loops": {"descriptor": "gradients"}})
     own = BundleBackbone(BackboneConfig(), places=place)
-    assert Localizer(learned, own)._loops._descriptor is place
-    assert isinstance(Localizer(gradients, own)._loops._descriptor, GradientLayout)
+    assert Localizer(learned, own)._loops._finder._descriptor is place
+    assert isinstance(Localizer(gradients, own)._loops._finder._descriptor, GradientLayout)
     with pytest.raises(ConfigError, match=r"loops\.descriptor"):
         Localizer(
             merge(Config(), {"loops": {"descriptor": "learned"}}), BundleBackbone(BackboneConfig())
