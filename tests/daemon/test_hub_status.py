@@ -20,7 +20,7 @@ ALIKE = Metre(reason="both pictures look alike")
 def no_metre(**result: Any) -> str:
     link: Any = SimpleNamespace(
         given_up=False, waiting=0, overtaken=0, left_to_map=[], lost=[], unsolved=[], in_flight=0,
-        frames_lost=0, attaching=0,
+        frames_lost=0, attaching=0, refused="",
     )  # fmt: skip
     outputs: Any = SimpleNamespace(faults=lambda: (), lost=dict)
     status = take_status(
