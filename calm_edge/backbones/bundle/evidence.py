@@ -21,6 +21,8 @@ from calm_edge.backbones.bundle.normal_equations import (
     Structure,
     fix_spacing,
     normal_equations,
+    tie_equations,
+    track_gradients,
 )
 from calm_edge.backbones.bundle.problem import (
     Measurements,
@@ -28,7 +30,6 @@ from calm_edge.backbones.bundle.problem import (
     State,
     reprojection,
     tangent_basis,
-    tie_jacobians,
 )
 from calm_edge.backbones.bundle.solver import Solution, robust_weights
 from calm_edge.geometry import se3
@@ -70,15 +71,12 @@ def kit_evidence(
     by_pose = np.linalg.solve(H[poses, poses] + _FLOOR * np.eye(n - 6), H[poses, kit])
     A = H[kit, kit] - H[kit, poses] @ by_pose
 
-    def reduced(rows: Float) -> Float:
-        """Gradients (R, D) by poses and kit -> (R, SIZE) by the kit, poses marginalised out."""
-        return np.asarray(rows[:, n:] - rows[:, 6:n] @ by_pose)
-
-    cells = reduced(_cell_gradients(state, m, normal, weight))
-    tie_rows, residual = _tie_rows(state, m, ties)
-    stiff = reduced(tie_rows)
-    gradient = cells.sum(0) + residual @ stiff
-    B = cells.T @ cells + stiff.T @ stiff
+    # a gradient by poses and kit, times this, is that by the kit with the poses marginalised out
+    reduced = np.concatenate([np.zeros((6, layout.SIZE)), -by_pose, np.eye(layout.SIZE)])
+    cells = _cell_gradients(state, m, normal, weight) @ reduced
+    by_ties = tie_equations(state, m, ties)
+    gradient = cells.sum(0) + by_ties[1] @ reduced
+    B = cells.T @ cells + reduced.T @ by_ties[0] @ reduced
     # how much larger the errors are than the matches' sigmas: the scale of the weights, not theirs
     excess = max(float(np.mean(np.diag(B) / np.diag(A))), LEAST_EXCESS)
     information, noise = (A + A.T) / 2 / excess, B / excess**2
@@ -116,18 +114,10 @@ def _turn_px(state: State, m: Measurements) -> float:
 def _cell_gradients(state: State, m: Measurements, normal: Normal, weight: Float) -> Float:
     """Gradients (G, D) of the pixels of each of G cells by poses and kit, points eliminated."""
     jac = reprojection(state, m, tangent_basis(state.points))
-    whiten = jac.in_front / m.sigma_px
-    r = (jac.predicted - m.uv).T * whiten * weight
+    of_points = track_gradients(m, jac, normal, weight * (jac.predicted - m.uv).T)
     cell = _cells(m, len(state.points))
-    rows = np.zeros((cell.max() + 1, len(normal.g)))
-    poses = 6 * m.view[:, None] + np.arange(6)
-    columns = np.c_[poses, 6 * m.n_views + layout.OPTICS[m.eye[m.view]]]
-    by_camera = np.einsum("iko,ko->oi", jac.camera * whiten, r)
-    np.add.at(rows, (cell[m.point][:, None], columns), by_camera)
-    inner = np.zeros((len(cell), 3))
-    np.add.at(inner, m.point, np.einsum("iko,ko->oi", jac.point * whiten, r))
-    inner = np.einsum("mij,mi->mj", normal.root, inner)
-    np.subtract.at(rows, cell, np.einsum("dim,mi->md", normal.cross, inner))
+    rows = np.zeros((cell.max() + 1, len(of_points)))
+    np.add.at(rows, cell, of_points.T)
     return rows
 
 
@@ -140,15 +130,3 @@ def _cells(m: Measurements, n_points: int) -> Int:
     cell = np.zeros(n_points, np.int64)
     cell[seen] = np.unique(key, return_inverse=True)[1]
     return cell
-
-
-def _tie_rows(state: State, m: Measurements, ties: RigTies) -> tuple[Float, Float]:
-    """Derivatives (6 A, D) of the whitened ties by poses and kit, and their residuals (6 A,)."""
-    n = 6 * m.n_views
-    residual, J = tie_jacobians(state, ties)
-    rows = np.zeros((len(residual), 6, n + layout.SIZE))
-    views = np.stack([ties.before, ties.after, ties.assistant], 1)
-    kit = n + np.r_[layout.RIG, layout.TIME_OFFSET]
-    for row, of, block in zip(rows, views, J, strict=True):
-        row[:, np.r_[(6 * of[:, None] + np.arange(6)).ravel(), kit]] = block
-    return rows.reshape(-1, n + layout.SIZE), residual.ravel()

@@ -13,6 +13,7 @@ import numpy as np
 
 from calm_edge.backbones.bundle.problem import (
     Measurements,
+    ReprojectionJacobians,
     RigTies,
     State,
     reprojection,
@@ -162,6 +163,26 @@ def normal_equations(
 
     by_ties = tie_equations(state, m, ties)
     return Normal(H + by_ties[0], g + by_ties[1], root, cross, gradient)
+
+
+def track_gradients(
+    m: Measurements, jac: ReprojectionJacobians, normal: Normal, error: Float
+) -> Float:
+    """Each of the M points' part (D, M) of the gradient by poses and kit, the point eliminated.
+
+    error: (2, O) px, times the weights.
+    """
+    D, n_points = len(normal.g), normal.root.shape[0]
+    whiten = jac.in_front / m.sigma_px**2
+    by_camera = np.einsum("iko,ko->io", jac.camera, error * whiten)
+    by_point = np.einsum("iko,ko->io", jac.point, error * whiten)
+    rows = unknowns(m)[m.view].T
+    out = np.zeros((D, n_points))
+    np.add.at(out, (rows, m.point), by_camera)
+    own = np.stack([np.bincount(m.point, part, n_points) for part in by_point])
+    return np.asarray(
+        out - np.einsum("dkm,mjk,jm->dm", normal.cross, normal.root, own, optimize=True)
+    )
 
 
 def tie_equations(state: State, m: Measurements, ties: RigTies) -> tuple[Float, Float]:

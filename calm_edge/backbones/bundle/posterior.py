@@ -19,15 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from calm_edge.backbones.bundle.normal_equations import (
-    Normal,
     Structure,
     normal_equations,
     tie_equations,
-    unknowns,
+    track_gradients,
 )
 from calm_edge.backbones.bundle.problem import (
     Measurements,
-    ReprojectionJacobians,
     RigTies,
     State,
     project,
@@ -106,8 +104,8 @@ def posterior(
     A = add_priors(bare, state, prior)[0]
 
     error = (jac.predicted - m.uv).T
-    tracks = _gradients(m, jac, bare, weight * error)
-    common = _gradients(m, jac, bare, slope * _common_error(solution, m).T).sum(1)
+    tracks = track_gradients(m, jac, bare, weight * error)
+    common = track_gradients(m, jac, bare, slope * _common_error(solution, m).T).sum(1)
     B = TRACKS_ALIKE * tracks @ tracks.T + np.outer(common, common)
     B += tie_equations(state, m, ties)[0]
     B[-layout.SIZE :, -layout.SIZE :] += stiffness * prior.information
@@ -116,24 +114,6 @@ def posterior(
     inverse = np.linalg.inv(A[6:, 6:] + _FLOOR * np.eye(len(A) - 6))
     covariance[6:, 6:] = inverse @ B[6:, 6:] @ inverse
     return Posterior(covariance)
-
-
-def _gradients(m: Measurements, jac: ReprojectionJacobians, normal: Normal, error: Float) -> Float:
-    """Each track's part (D, M) of the gradient, its point eliminated.
-
-    error: (2, O) px, times the weights.
-    """
-    D, n_points = len(normal.g), normal.root.shape[0]
-    whiten = jac.in_front / m.sigma_px**2
-    by_camera = np.einsum("iko,ko->io", jac.camera, error * whiten)
-    by_point = np.einsum("iko,ko->io", jac.point, error * whiten)
-    rows = unknowns(m)[m.view].T
-    out = np.zeros((D, n_points))
-    np.add.at(out, (rows, m.point), by_camera)
-    own = np.stack([np.bincount(m.point, part, n_points) for part in by_point])
-    return np.asarray(
-        out - np.einsum("dkm,mjk,jm->dm", normal.cross, normal.root, own, optimize=True)
-    )
 
 
 def _common_error(solution: Solution, m: Measurements) -> Float:

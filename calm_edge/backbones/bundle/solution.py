@@ -97,7 +97,8 @@ def solved(
     """
     before = overlap.prior(hints, TEMPERING)
     solution, ties, mismatch = _solve(start, m, ties, held, before, factor)
-    found = _prediction(m, belief, solution, ties, stiffened(held, factor), factor)
+    prior = kit_prior(stiffened(held, factor), ties)
+    found = _prediction(m, belief, solution, ties, prior, factor)
     if mismatch is not None and mismatch > MAX_MISMATCH:
         found, before = replace(found, notices=(CONTRADICTED,)), None
     if before is None and not hints.n_shared:
@@ -109,9 +110,7 @@ def solved(
     )
     drawn = None
     if before is not None:
-        drawn = overlap.drawn(
-            before, normal, state, kit_prior(stiffened(held, factor), ties).information
-        )
+        drawn = overlap.drawn(before, normal, state, prior.information)
     return replace(found, overlap=ahead, overlap_mismatch=mismatch, drawn=drawn)
 
 
@@ -175,17 +174,19 @@ def _prediction(
     belief: KitBelief,
     solution: Solution,
     ties: RigTies,
-    stiff: KitBelief,
+    prior: KitBelief,
     factor: float,
 ) -> Prediction:
-    """Prediction of a solved window; stiff: the belief it was solved with, stiffened by factor."""
+    """Prediction of a solved window.
+
+    prior: on the kit, as in the solution. factor: by which it is stiffer than what is known.
+    """
     state = solution.state
     evidence = _evidence(solution, m, ties, belief)
     joint = product([belief, evidence])
     assert joint is not None
     sigma = np.hypot(sigmas(joint), joint.mean - state.theta)[layout.LOG_FOCAL]
     cameras = [lens.pinhole for lens in layout.cameras(state.theta, m.size)]
-    prior = kit_prior(stiff, ties)
     known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], factor)
     return Prediction(
         cameras=tuple(cameras[eye] for eye in m.eye),
