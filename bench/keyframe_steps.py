@@ -27,7 +27,7 @@ STANDING_M = 0.02
 class Steps(NamedTuple):
     """What became of the primary keyframes of a drive.
 
-    placed: share of them in a sub-map. The others are said to be lost, or bridged by constant
+    placed: share of them in a sub-map. The others are reported as lost, or bridged by constant
     velocity. garbage: share of garbage among the steps within sub-maps.
     """
 

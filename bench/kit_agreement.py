@@ -135,7 +135,7 @@ def one_left_out(windows: Sequence[KitBelief]) -> Float:
 
 
 def agreement(command: str, clips: Sequence[Clip]) -> Table:
-    """Table of the agreement within clips; those that are not on disk are left out, and said."""
+    """Table of the agreement within clips; a note names those not on disk."""
     shown: list[Normalised] = []
     checks: list[Check] = []
     notes = ["log focals, both eyes; sigmas of the evidence alone, see bench/kit_agreement"]

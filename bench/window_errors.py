@@ -18,7 +18,7 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, LocalizerUpdate, Metre, Prediction, Submap
 
 SPAN_S = 1.0
-# A shorter true path, in spacings, has no relative error worth the name: the car stood.
+# A shorter true path, in spacings, has no meaningful relative error: the car stood.
 LEAST_SPACINGS = 2.0
 
 

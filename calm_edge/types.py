@@ -106,8 +106,8 @@ class Hints:
     late_sigma_s: sigma of that offset, common to all stamps of the assistant.
     apart: whether `Prediction.T_s_c_apart` is wanted.
     loop: the last image is a loop keyframe, a primary view after those of the assistant (IV-D).
-    n_overlap: number of leading primary images that the previous batch ended with. overlap: what
-    that batch says of them, or None. n_shared: number of last primary images of which the next
+    n_overlap: number of leading primary images that the previous batch ended with. overlap: its
+    estimate of them, or None. n_shared: number of last primary images of which the next
     batch wants an overlap; 0: none.
     travel: (3,) direction of travel of earlier batches, unit vector in the primary's axes, or None.
     """
@@ -184,7 +184,7 @@ class Prediction:
     view; None if its stamps need no correction of their own.
     kit_sigma: (2,) of the belief on the kit by which the pictures were matched, as in
     `ResolvingBackbone.kit_sigma`; None if the backbone has no such belief.
-    overlap: what this batch says of its last primary images, as asked for in the hints; or None.
+    overlap: estimate of the last primary images for the next batch (`Hints.n_shared`), or None.
     overlap_mismatch: chi-square of the hints' overlap against these images alone, by degree of
     freedom; None without one.
     drawn: (2,) factors by which the hints' overlap changed the differences of translations and of

@@ -114,7 +114,7 @@ class KitMemory:
             del self._windows[min(self._windows)]
 
     def overlap_before(self, submap_id: int) -> Overlap | None:
-        """What the newest solution of the previous window says of the keyframes shared with it.
+        """Estimate, by the newest solution of the previous window, of the keyframes shared with it.
 
         None if there is no such window, or if it is of another epoch: its poses hold for its kit.
         """

@@ -1,4 +1,4 @@
-"""What a window says of the keyframes that the next one shares, as a prior for that one.
+"""Marginal of a window over the keyframes that the next one shares, as a prior for that one.
 
 Fixed-lag smoothing (Leutenegger et al., "Keyframe-based visual-inertial odometry using nonlinear
 optimization", IJRR 2015, section 4): the keyframes that leave are marginalised out. The next window
@@ -118,7 +118,7 @@ def marginal(
     n_shared: int,
     tempering: float,
 ) -> Overlap | None:
-    """What the window says of its last `n_shared` primary views; None if it has no more than these.
+    """Marginal over the last `n_shared` primary views; None if the window has no more than these.
 
     normal: `measured` at the solution. before: the prior that it was solved with. t_ns: (C,) stamps
     of the views.
