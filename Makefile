@@ -14,11 +14,11 @@ setup: .venv/.stamp
 
 DECLARED := pyproject.toml constraints.txt deploy/setup.sh
 .venv/.stamp: $(DECLARED)
-	@deploy/setup.sh oak,report && touch $@
+	@deploy/setup.sh oak && touch $@
 
 # what tests and lints besides
 .venv/.stamp-dev: $(DECLARED)
-	@deploy/setup.sh oak,report,dev && touch .venv/.stamp $@
+	@deploy/setup.sh oak,dev && touch .venv/.stamp $@
 
 demo: setup
 	@rm -rf $(DEMO_OUT) && mkdir -p $(DEMO_OUT)

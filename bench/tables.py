@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from calm_edge.evaluation.table import pretty
+from calm_edge.evaluation.table import aligned, pretty
 from calm_edge.report import page
 from calm_edge.types import CalmEdgeError
 
@@ -53,13 +53,7 @@ class Table:
 
 def print_rows(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> None:
     """Print a table with a header to stdout."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(*columns, title=title or None)
-    for row in rows:
-        table.add_row(*(pretty(value) for value in row))
-    Console().print(table)
+    print("\n".join([*([title] if title else []), *aligned(rows, columns)]))
 
 
 def publish(table: Table, out: Path = OUT) -> int:

@@ -3,7 +3,7 @@
 # in the versions of constraints.txt. Safe to run again; asks nothing. PYTHON picks the interpreter.
 set -eu
 cd "$(dirname "$0")/.."
-extras=${1:-oak,report}
+extras=${1:-oak}
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 

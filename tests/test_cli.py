@@ -20,7 +20,7 @@ from calm_edge.mapping import cloud_file
 from calm_edge.recording.writer import RecordingWriter
 from tests.replay.small_drive import write_drive
 
-HEAVY = ("cv2", "numpy", "scipy", "gtsam", "mcap", "depthai", "matplotlib", "rich", "serial")
+HEAVY = ("cv2", "numpy", "scipy", "gtsam", "mcap", "depthai", "serial")
 
 
 @pytest.fixture(scope="module")
@@ -215,22 +215,21 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
     assert "already holds" in only_line(capsys)
 
 
-def test_map_without_matplotlib_writes_all_but_the_report(
+def test_map_and_eval_need_no_library_for_drawings_and_tables(
     recorded: Path,
+    drive: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for name in ("matplotlib", "PIL", "rich"):
+        monkeypatch.setitem(sys.modules, name, None)
     out = tmp_path / "map"
     assert main(["map", str(recorded), "--out", str(out)]) == 0
-    assert {path.name for path in out.iterdir()} == {
-        "map.ply",
-        "trajectory.tum",
-        "trajectory.kitti",
-        "summary.json",
-    }
-    assert "report.html: not written; matplotlib is missing" in capsys.readouterr().err
+    assert "The trajectory from above" in (out / "report.html").read_text()
+    capsys.readouterr()
+    assert main(["eval", str(out), "--truth", str(drive)]) == 0
+    assert "ate_sim3_m" in capsys.readouterr().out
 
 
 def test_a_truncated_recording_is_mapped_with_loss(

@@ -72,7 +72,7 @@ def test_no_shipped_file_names_a_path_outside_the_package(wheel: zipfile.ZipFile
 
 def test_the_command_and_the_extras_are_declared(wheel: zipfile.ZipFile) -> None:
     assert metadata(wheel)["Version"] == calm_edge.__version__
-    assert {"oak", "report", "systemd"} < set(metadata(wheel).get_all("Provides-Extra", []))
+    assert {"oak", "systemd"} < set(metadata(wheel).get_all("Provides-Extra", []))
     (name,) = (name for name in wheel.namelist() if name.endswith("entry_points.txt"))
     assert "calm-edge = calm_edge.cli:main" in wheel.read(name).decode()
 

@@ -21,7 +21,7 @@ from bench.tables import Check, Table
 from calm_edge.config import Config, merge
 from calm_edge.estimator import localizer as localizer_module
 from calm_edge.estimator.localizer import Localizer
-from calm_edge.report import curves
+from calm_edge.report import chart
 from calm_edge.types import CalmEdgeError, Float, Hints, KitBelief, Prediction, Submap
 
 # Sub-map from which all buffers of limited size are full: the 1,000 places of the loop finder, and
@@ -198,30 +198,18 @@ def table(course: Course, command: str) -> Table:
 
 def plot(course: Course) -> str:
     """SVG plot of processor time per sub-map, in all and of the longest stages, and of memory."""
-    figure, axes = curves._figure(10, 4.2)
     live = course.live_ms
-    x = np.arange(len(live))
-    axes.plot(
-        x, live, ".", color=curves.MUTED, alpha=0.3, markersize=2, label="a sub-map, no model"
-    )
-    axes.plot(x, _running(live), color=curves.ESTIMATE, linewidth=1.8, label="mean of 51")
+    x = np.arange(len(live), dtype=np.float64)
+    shown = chart.limits(x), (0.0, 1.6 * float(np.percentile(live, 99)))
+    times = chart.Chart(*shown, ("sub-map", "processor ms"), 400)
+    times.line(x, live, chart.MUTED, "a sub-map, no model", width=0.8, opacity=0.4)
+    times.line(x, _running(live), chart.ESTIMATE, "mean of 51", width=2)
     longest = sorted(course.stage_ms, key=lambda stage: -course.stage_ms[stage].mean())[:3]
-    for stage, style in zip(longest, ("--", "-.", ":"), strict=False):
-        line = _running(course.stage_ms[stage])
-        axes.plot(x, line, style, color=curves.MUTED, linewidth=1.2, label=stage)
-    axes.set_ylim(0, 1.6 * float(np.percentile(live, 99)))
-    axes.set_xlabel("sub-map", color=curves.MUTED)
-    axes.set_ylabel("processor ms", color=curves.MUTED)
-    right = axes.twinx()
-    right.plot(x, course.rss / 1e6, color=curves.TRUTH, linewidth=1.6, label="memory (right)")
-    right.set_ylim(0, MOST_MB)
-    right.spines[:].set_visible(False)
-    right.tick_params(colors=curves.TRUTH, labelsize=9)
-    right.set_ylabel("MB", color=curves.TRUTH)
-    figure.legend(
-        loc="outside upper center", ncols=3, frameon=False, fontsize=9, labelcolor=curves.INK
-    )
-    return curves._svg(figure)
+    for stage, dash in zip(longest, ("7 4", "7 4 2 4", "2 3"), strict=False):
+        times.line(x, _running(course.stage_ms[stage]), chart.MUTED, stage, dash=dash)
+    memory = chart.Chart(shown[0], (0.0, MOST_MB), ("sub-map", "memory, MB"), 220)
+    memory.line(x, course.rss / 1e6, chart.TRUTH, width=2)
+    return chart.stacked((times, memory), "processor time and memory over a long drive")
 
 
 def _running(values: Float, reach: int = 25) -> Float:

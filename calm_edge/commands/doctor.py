@@ -19,7 +19,11 @@ NEEDED = {
     "scipy": "no reconstruction",
     "gtsam": "no trajectory",
     "mcap": "no recording",
+    "mcap_protobuf": "no recording",
     "foxglove_schemas_protobuf": "no recording",
+    "google.protobuf": "no recording",
+    "lz4": "no recording",
+    "zstandard": "no recording",
     "onnxruntime": f"no networks; {PLAIN}",
 }
 OPTIONAL = {
@@ -27,7 +31,6 @@ OPTIONAL = {
     "systemd": "no watchdog and no readiness under systemd (pip install systemd-python, "
     "after apt-get install gcc pkg-config libsystemd-dev python3-dev)",
     "depthai": "no OAK cameras (pip install depthai, or the package calm-edge-oak)",
-    "matplotlib": "no report.html (pip install matplotlib)",
 }
 FREE_GB = 2.0
 
@@ -43,7 +46,7 @@ def findings(out: Path) -> Iterator[tuple[bool, str]]:
     """Yield (True if fatal, one line with consequence and remedy) for each missing requirement."""
     for table, fatal in ((NEEDED, True), (OPTIONAL, False)):
         for module, cost in table.items():
-            if find_spec(module) is None:
+            if not installed(module):
                 yield fatal, f"{module}: not installed: {cost}"
     yield from _default_model()
     cores = len(os.sched_getaffinity(0))
@@ -59,6 +62,14 @@ def findings(out: Path) -> Iterator[tuple[bool, str]]:
             yield True, f"{out}: not writable"
     if not list(Path("/dev").glob("video*")):
         yield False, "no /dev/video*: only replays (--sequence, --replay) can be recorded"
+
+
+def installed(module: str) -> bool:
+    """Whether a module can be found; importing it is left to the commands."""
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False
 
 
 def _default_model() -> Iterator[tuple[bool, str]]:

@@ -6,7 +6,6 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,9 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     losses = [*recording.losses, *drive.losses]
     recorded = arguments.recording.resolve()
     title = f"{recorded.parent.name}/{recorded.name}"
-    drawn = find_spec("matplotlib") is not None
-    if drawn:
-        write_report(title, estimate, color, drive, truth, losses, out)
+    write_report(title, estimate, color, drive, truth, losses, out)
     print(f"map         {out / MAP} ({n_points:,} points)")
     if seams is not None:
         print(
@@ -76,10 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
     print_metre(drive.metre, config.scale.spacing_m)
-    if drawn:
-        print(f"report      {out / REPORT}")
-    else:
-        say(f"{out / REPORT}: not written; matplotlib is missing (pip install matplotlib)")
+    print(f"report      {out / REPORT}")
     print(f"took        {time.monotonic() - started:.0f} s")
     if drive.unsolved:
         say(f"windows {drive.unsolved} could not be solved; constant velocity is assumed")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import shutil
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 
@@ -27,14 +29,28 @@ def json_text(result: Mapping[str, Any]) -> str:
     return json.dumps(result, allow_nan=False)
 
 
+def aligned(rows: Iterable[Sequence[Any]], columns: Sequence[str] = ()) -> list[str]:
+    """Lines of a table in columns two spaces apart, each as wide as its widest value.
+
+    Values are formatted by `pretty`. columns: names, underlined, above the rows.
+    """
+    cells = [[pretty(value) for value in row] for row in rows]
+    if columns:
+        cells.insert(0, list(columns))
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    if columns:
+        cells.insert(1, ["-" * width for width in widths])
+    return [
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in cells
+    ]
+
+
 def print_result(result: Mapping[str, Any], title: str = "") -> None:
     """Print a table on stdout with one row per figure."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title or None, show_header=False, box=None, pad_edge=False)
-    table.add_column(style="dim", no_wrap=True)
-    table.add_column(justify="left")
-    for name, value in result.items():
-        table.add_row(name, pretty(value))
-    Console().print(table)
+    if title:
+        print(title)
+    width = max(shutil.get_terminal_size((100, 24)).columns, 60)
+    indent = " " * (max(map(len, result)) + 2)
+    for line in aligned(result.items()):
+        print(textwrap.fill(line, width, subsequent_indent=indent, break_long_words=False))

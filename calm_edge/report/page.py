@@ -6,25 +6,33 @@ import html
 from collections.abc import Sequence
 
 _STYLE = """
-:root{color-scheme:light}*{box-sizing:border-box}
-body{margin:0;background:#f5f6f8;color:#1f2933;font:16px/1.55 system-ui,-apple-system,"Segoe UI",
-Roboto,sans-serif}
+:root{color-scheme:light dark;--paper:#f5f6f8;--card:#fff;--line:#e3e7eb;--soft:#eef1f4;
+--ink:#1f2933;--muted:#52606d;--grid:#e3e7eb;--good:#19734a;--bad:#b42318;--warn:#fff8e6;
+--warn-line:#f2dca6;--estimate:#0b6bcb;--truth:#d9822b;--assistant:#a03d8f}
+@media (prefers-color-scheme:dark){:root{--paper:#14181d;--card:#1c2229;--line:#2c343d;
+--soft:#262d35;--ink:#e6eaee;--muted:#9aa6b2;--grid:#2c343d;--good:#5cc795;--bad:#ff8a7a;
+--warn:#33290f;--warn-line:#5e4d1c;--estimate:#5aa9f5;--truth:#f0a860;--assistant:#d98ac9}}
+*{box-sizing:border-box}
+body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.55 system-ui,-apple-system,
+"Segoe UI",Roboto,sans-serif}
 main{max-width:1120px;margin:0 auto;padding:40px 24px 80px}
 h1{font-size:30px;margin:0 0 4px;letter-spacing:-.01em}h2{font-size:20px;margin:0 0 4px}
-p.lead,p.note{color:#52606d;margin:0 0 18px}
-section{background:#fff;border:1px solid #e3e7eb;border-radius:12px;padding:22px 24px;margin:22px 0}
-section{overflow-x:auto}
+p.lead,p.note{color:var(--muted);margin:0 0 18px}
+section{background:var(--card);border:1px solid var(--line);border-radius:12px;padding:22px 24px;
+margin:22px 0;overflow-x:auto}
 img,svg{display:block;width:100%;height:auto;border-radius:6px}img+img{margin-top:12px}
 table{border-collapse:collapse;width:100%;font-variant-numeric:tabular-nums}
-td{padding:7px 10px;border-bottom:1px solid #eef1f4;vertical-align:top}
-td:first-child{color:#52606d}.pairs td:first-child{width:42%}
-th{padding:7px 10px;text-align:left;font-weight:600;border-bottom:2px solid #e3e7eb}
-.bad{color:#b42318}.good{color:#19734a}code{background:#eef1f4;border-radius:4px;padding:1px 5px;
-font-size:14px}tr:last-child td{border-bottom:0}
-ul{margin:8px 0 0;padding-left:22px}.warn{background:#fff8e6;border-color:#f2dca6}
+td{padding:7px 10px;border-bottom:1px solid var(--soft);vertical-align:top}
+td:first-child{color:var(--muted)}.pairs td:first-child{width:42%}
+.stages td:first-child{width:24%}.stages td.number{width:12%;white-space:nowrap}
+.bar{height:14px;margin-top:5px;min-width:1px;border-radius:3px;background:var(--estimate)}
+th{padding:7px 10px;text-align:left;font-weight:600;border-bottom:2px solid var(--line)}
+.bad{color:var(--bad)}.good{color:var(--good)}code{background:var(--soft);border-radius:4px;
+padding:1px 5px;font-size:14px}tr:last-child td{border-bottom:0}
+ul{margin:8px 0 0;padding-left:22px}.warn{background:var(--warn);border-color:var(--warn-line)}
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(170px,1fr));gap:14px;margin:22px 0}
-.card{background:#fff;border:1px solid #e3e7eb;border-radius:12px;padding:14px 18px}
-.card b{display:block;font-size:24px;font-weight:650}.card span{color:#52606d;font-size:14px}
+.card{background:var(--card);border:1px solid var(--line);border-radius:12px;padding:14px 18px}
+.card b{display:block;font-size:24px;font-weight:650}.card span{color:var(--muted);font-size:14px}
 """
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from calm_edge.evaluation.table import pretty
-from calm_edge.report import curves, map_image, page
+from calm_edge.report import chart, curves, map_image, page
 from calm_edge.types import Bytes, Float, Float32
 from device.frame import jpeg
 
@@ -49,12 +49,6 @@ class ReportData:
     notes: tuple[str, ...] = ()
 
 
-def _embedded(svg: str, alt: str) -> str:
-    """Embed an SVG as an <img> with a data URL, so that ids of several SVGs do not collide."""
-    code = base64.b64encode(svg.encode()).decode()
-    return f'<img alt="{html.escape(alt)}" src="data:image/svg+xml;base64,{code}">'
-
-
 def _photo(image: Bytes) -> str:
     data = jpeg(np.ascontiguousarray(image[..., ::-1]))
     return "data:image/jpeg;base64," + base64.b64encode(data).decode()
@@ -71,14 +65,14 @@ def _map_from_above(view: map_image.TopDown, path: Float, unit: str) -> str:
     line = " ".join(f"{u:.1f},{v:.1f}" for u, v in view.to_pixels(path))
     bar = _bar_length(width * view.pixel)
     end = 24 + bar / view.pixel
-    stroke = f'fill="none" stroke="{curves.ESTIMATE}" stroke-linejoin="round"'
+    stroke = f'fill="none" stroke="{chart.ESTIMATE}" stroke-linejoin="round"'
     return (
         f'<svg viewBox="0 0 {width} {height + 56}" role="img" aria-label="map from above">'
         f'<image width="{width}" height="{height}" href="{_photo(view.image)}"/>'
         f'<polyline points="{line}" {stroke} stroke-width="2.5" stroke-opacity=".85"/>'
-        f'<path d="M24 {height + 14}v12H{end:.1f}v-12" fill="none" stroke="{curves.INK}" '
+        f'<path d="M24 {height + 14}v12H{end:.1f}v-12" fill="none" stroke="{chart.INK}" '
         f'stroke-width="2.5"/><text x="{end + 12:.1f}" y="{height + 30}" font-size="24" '
-        f'fill="{curves.INK}">{bar:g} {html.escape(unit)}</text></svg>'
+        f'fill="{chart.INK}">{bar:g} {html.escape(unit)}</text></svg>'
     )
 
 
@@ -107,6 +101,18 @@ def _rows(values: dict[str, Any]) -> str:
     return f'<table class="pairs">{"".join(cells)}</table>'
 
 
+def _stages(stage_ms: dict[str, float]) -> str:
+    """Table of the mean milliseconds per sub-map with a bar for each stage, longest on top."""
+    longest = max(max(stage_ms.values()), 1e-9)
+    rows = "".join(
+        f'<tr><td>{html.escape(name)}</td><td class="number">{ms:.4g} ms</td><td>'
+        f'<div class="bar" style="width:{100 * ms / longest:.1f}%"></div></td></tr>'
+        for name, ms in sorted(stage_ms.items(), key=lambda item: -item[1])
+    )
+    total = f'<td class="number">{sum(stage_ms.values()):.4g} ms</td><td></td>'
+    return f'<table class="stages">{rows}<tr><td>all stages</td>{total}</tr></table>'
+
+
 def render(data: ReportData) -> str:
     """The page as self-contained HTML text."""
     parts = [f'<h1>{html.escape(data.title)}</h1><p class="lead">calm-edge, one drive</p>']
@@ -124,22 +130,19 @@ def render(data: ReportData) -> str:
         path = data.T_w_c[:, :3, 3] @ R.T
         truth = None if data.truth_w is None else data.truth_w @ R.T
         parts += _map_sections(data, R, path)
-        drawn = _embedded(curves.trajectory(path, truth, data.unit), "trajectory from above")
+        drawn = curves.trajectory(path, truth, data.unit)
         against = "With the ground truth." if truth is not None else "No truth was given."
         parts.append(page.section("The trajectory from above", against, drawn))
     if len(data.scale):
-        drawn = _embedded(curves.scale(data.t_s, data.scale, data.scale_windows), "scale")
+        drawn = curves.scale(data.t_s, data.scale, data.scale_windows)
         note = "Scale factor of each sub-map relative to the first (paper IV-B)."
         parts.append(page.section("Scale over time", note, drawn))
     if len(data.focal_px):
         drawn = curves.focal(data.t_s, data.focal_px, data.focal_log_sigma, data.truth_focal_px)
         note = "Bands: one and three sigma. Dashed: ground truth, if given."
-        parts.append(page.section("Focal length over time", note, _embedded(drawn, "focal length")))
+        parts.append(page.section("Focal length over time", note, drawn))
     if data.stage_ms:
-        drawn = _embedded(curves.stages(data.stage_ms), "time by stage")
-        total = {"all stages": f"{sum(data.stage_ms.values()):.4g} ms per sub-map"}
-        rows = {k: f"{v:.4g} ms" for k, v in data.stage_ms.items()} | total
-        parts.append(page.section("Time by stage", "", drawn + _rows(rows)))
+        parts.append(page.section("Time by stage", "Mean per sub-map.", _stages(data.stage_ms)))
     if data.figures:
         parts.append(page.section("Figures", "", _rows(data.figures)))
     return page.whole(data.title, parts)

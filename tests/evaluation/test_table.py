@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from calm_edge.evaluation.table import json_text, pretty, print_result
+from calm_edge.evaluation.table import aligned, json_text, pretty, print_result
 
 
 @pytest.mark.parametrize(
@@ -29,6 +29,26 @@ def test_json_is_one_valid_line() -> None:
     assert "\n" not in text and json.loads(text) == {"a": None, "b": [1.5, None]}
     with pytest.raises(ValueError, match=r"JSON compliant"):
         json_text({"a": float("nan")})
+
+
+def test_columns_are_aligned_under_their_names() -> None:
+    assert aligned([("one", 1.5), ("three", None)], ("name", "value")) == [
+        "name   value",
+        "-----  -----",
+        "one    1.5",
+        "three  –",
+    ]
+    assert aligned([], ("name",)) == ["name", "----"] and aligned([("a", {})]) == ["a  –"]
+
+
+def test_long_values_wrap_below_themselves(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    print_result({"stages": {f"stage{k}": k / 7 for k in range(9)}, "n": 3})
+    first, *others, last = capsys.readouterr().out.splitlines()
+    assert first.startswith("stages  stage0 0, stage1") and last == "n       3"
+    assert others and all(len(line) <= 60 and line.startswith(8 * " ") for line in others)
 
 
 def test_the_table_goes_to_stdout(capsys: pytest.CaptureFixture[str]) -> None:

@@ -151,7 +151,7 @@ def test_the_command_prints_keeps_and_plots(tmp_path, capsys):
     arguments = ["--submaps", "10", "--out", str(tmp_path), "--plot", str(plot)]
     assert main(["cost", *arguments]) == 0
     assert {table.name for table in kept(tmp_path)} == {"bench_length", "bench_optimum"}
-    assert plot.read_text().count("<svg") == 1
+    assert plot.read_text().startswith("<svg xmlns") and "mean of 51" in plot.read_text()
     assert "bytes a keyframe" in capsys.readouterr().out
 
 
