@@ -127,6 +127,9 @@ def report(folder: Path, result: RecordResult) -> int:
     print(f"sub-maps    {result.submaps} of {result.windows} windows, {poses} keyframes placed")
     unscaled = f", not metric {result.unscaled_poses}" if result.unscaled_poses else ""
     print(f"live poses  {result.poses}{unscaled}, lost {result.lost_poses}{aged}")
+    if any(result.repeated):
+        primary, assistant = result.repeated
+        print(f"repeated    {primary} primary, {assistant} assistant pictures: no poses of these")
     print_metre(result.metre, result.spacing_m)
     if result.unsolved_windows:
         say(f"windows {result.unsolved_windows} could not be solved; constant velocity is assumed")

@@ -34,10 +34,12 @@ from calm_edge.types import (
     PoseStatus,
     SubmapWindow,
 )
-from device.frame import Frame
+from device.frame import Eye, Frame
 
 # Loading all modules from a slow SD card takes long; systemd allows 120 s (TimeoutStartSec).
 START_LIMIT_S = 100.0
+# repeated pictures of a camera after which the user is warned
+REPEATS_SAID = 3
 
 
 class DaemonError(CalmEdgeError):
@@ -216,6 +218,8 @@ class Hub:
                 self.outputs.give(lambda output: output.attached(message))
             case Tracked():
                 self.result.late_poses += message.late
+                if message.repeat is not None:
+                    self._repeated(message.repeat)
                 if message.problem:
                     self._unreadable(message.problem)
             case Posed():
@@ -264,6 +268,16 @@ class Hub:
             self.estimator.leave_to_map(window)
         elif not self.estimator.offer(window):
             self.say(f"window {window.submap_id}: the queue is full; left for calm-edge map")
+
+    def _repeated(self, eye: Eye) -> None:
+        self.result.repeated[eye] += 1
+        # a single one is only counted
+        if self.result.repeated[eye] == REPEATS_SAID:
+            remedy = "" if self.source.is_replay else "; choose a lower capture.rate_hz"
+            self.say(
+                f"{eye.name.lower()} camera: repeats pictures under new stamps; "
+                f"such frames get no pose, and are counted{remedy}"
+            )
 
     def _unreadable(self, problem: str) -> None:
         if self.source.is_replay:

@@ -72,6 +72,7 @@ def take_status(
             "others_not_recorded": writer.dropped_others + writer.unwritable,
             "not_tracked": result.untracked + tracker.frames_lost,
             "unreadable": result.unreadable,
+            "repeated": sum(result.repeated),
             "windows_left_to_map": len(estimator.left_to_map),
             "windows_lost": len(estimator.lost),
             "windows_unsolved": len(estimator.unsolved),

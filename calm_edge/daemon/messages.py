@@ -92,7 +92,8 @@ class Tracked:
 
     windows: completed by this frame. released: frames that no later window contains. is_keyframe:
     the frame is a primary keyframe. problem: why the frame could not be decoded, or empty. late:
-    no pose was computed for this frame, since newer frames were already waiting.
+    no pose was computed for this frame, since newer frames were already waiting. repeat: the
+    camera, if its frame repeats the picture before: it gets no pose and is no keyframe.
     """
 
     slot: int
@@ -101,6 +102,7 @@ class Tracked:
     is_keyframe: bool = False
     problem: str = ""
     late: bool = False
+    repeat: Eye | None = None
 
 
 @dataclass(frozen=True, slots=True)

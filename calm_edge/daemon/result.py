@@ -26,7 +26,8 @@ class RecordResult:
     unsolved_windows: ids of windows from which no sub-map could be computed. late_poses: number of
     frames without a pose, because newer ones were waiting. unscaled_poses: number of poses that are
     not metric. clamped_stamps: number of frames with a corrected stamp. output_losses: lost
-    messages by output, without the recording. spacing_m: as configured, 0 if not.
+    messages by output, without the recording. spacing_m: as configured, 0 if not. repeated: frames
+    of each camera whose picture repeats the one before.
     """
 
     frames: list[int] = field(default_factory=lambda: [0, 0])
@@ -35,6 +36,7 @@ class RecordResult:
     submaps: int = 0
     untracked: int = 0
     unreadable: int = 0
+    repeated: list[int] = field(default_factory=lambda: [0, 0])
     overflowed: int = 0
     late_ticks: int = 0
     tick: TickLatency = field(default_factory=TickLatency)
@@ -141,6 +143,7 @@ class RecordResult:
             **self.counts(),
             "pose_age_ms": self.pose_age_ms(),
             "untracked": self.untracked,
+            "repeated": list(self.repeated),
             "camera_drops": self.camera_drops,
             "clamped_stamps": self.clamped_stamps,
             "late_ticks": self.late_ticks,

@@ -32,6 +32,7 @@ from calm_edge.daemon.ring import RingReader
 from calm_edge.frontend.association import WindowBuilder, WindowError
 from calm_edge.frontend.half_size import MAX_PIXELS, halved
 from calm_edge.frontend.keyframes import KeyframeSelector
+from calm_edge.frontend.repeats import RepeatCheck, eighth
 from calm_edge.frontend.tracker import CATCH_UP_NS, Tracker
 from calm_edge.recording.window_record import FrameKey, frame_key, of_window
 from calm_edge.types import Bytes, SubmapWindow
@@ -66,6 +67,7 @@ class TrackerWork:
         self._lost_after_ns = round(1e6 * config.lost_after_ms)
         self._newest_ns = self._tracked_ns = 0
         self._held: set[FrameKey] = set()
+        self._repeats = {eye: RepeatCheck() for eye in Eye}
 
     def on_arrival(self, message: Any) -> None:
         """Note the stamp of the newest primary frame received, possibly not yet processed."""
@@ -92,7 +94,7 @@ class TrackerWork:
         return None
 
     def _handle_frame(self, message: FrameIn) -> Tracked:
-        late, is_keyframe, problem = self._is_late(message), False, ""
+        late, is_keyframe, problem, repeat = self._is_late(message), False, "", False
         frame = Frame(message.eye, message.sequence, message.t_ns, b"")
         windows: tuple[SubmapWindow, ...] = ()
         if late and self._can_wait(message.t_ns):
@@ -100,11 +102,18 @@ class TrackerWork:
         else:
             image = self._ring.read(message.slot, message.size)
             try:
-                windows, is_keyframe = self._track(frame, image, late)
+                windows, is_keyframe, repeat = self._track(frame, image, late)
             except UnreadableImage as error:
                 problem, late = str(error), False
-        records = tuple(map(of_window, windows))
-        return Tracked(message.slot, records, self._released(frame), is_keyframe, problem, late)
+        return Tracked(
+            message.slot,
+            tuple(map(of_window, windows)),
+            self._released(frame),
+            is_keyframe,
+            problem,
+            late and not repeat,
+            frame.eye if repeat else None,
+        )
 
     def _released(self, frame: Frame) -> tuple[FrameKey, ...]:
         """Add the newest frame; return the held frames that no later window can contain."""
@@ -133,17 +142,21 @@ class TrackerWork:
 
     def _track(
         self, frame: Frame, image: bytes, late: bool
-    ) -> tuple[tuple[SubmapWindow, ...], bool]:
-        """Process a frame; return the windows it completes and whether it is a primary keyframe.
+    ) -> tuple[tuple[SubmapWindow, ...], bool, bool]:
+        """Process a frame; return the windows it completes, and whether it is a primary keyframe.
 
-        Raises UnreadableImage.
+        Also whether it only repeats the picture before. Raises UnreadableImage.
         """
         picture = dataclasses.replace(frame, image=image)
+        repeats = self._repeats[frame.eye]
         if frame.eye is Eye.ASSISTANT:
-            # not used for tracking: decode at 1/8 of its size only to check that it is readable
-            picture.gray(8)
-            return self._builder.add_assistant(frame), False
+            # not used for tracking: 1/8 of its size shows whether it is readable and a repeat
+            if repeats.is_repeat(frame.t_ns, image, picture.gray(8)):
+                return (), False, True
+            return self._builder.add_assistant(frame), False, False
         gray = self._gray(picture)
+        if repeats.is_repeat(frame.t_ns, image, eighth(gray, self._reduction)):
+            return self._builder.advance(frame.t_ns), False, True
         self._tracked_ns = frame.t_ns
         sample = self._tracker.track(frame.t_ns, gray)
         if not late:
@@ -154,7 +167,7 @@ class TrackerWork:
         windows = self._builder.advance(frame.t_ns)
         if keyframe is not None:
             windows += self._builder.add_keyframe(keyframe)
-        return windows, keyframe is not None
+        return windows, keyframe is not None, False
 
 
 def run(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import cv2
+import numpy as np
 import pytest
 
 from calm_edge.config import FrontendConfig
@@ -31,11 +32,11 @@ class Bench:
         self.work = TrackerWork(config, reader, Counters(), self.posed.append)
         self._frames = 0
 
-    def arrive(self, count: int) -> list[FrameIn]:
-        """Let the next frames arrive without handling them."""
+    def arrive(self, count: int, behind: int = 0) -> list[FrameIn]:
+        """Let the next frames arrive, unhandled; their pictures are `behind` frames old."""
         frames = []
         for i in range(self._frames, self._frames + count):
-            jpeg = cv2.imencode(".jpg", WORLD.render(POSES[i]))[1].tobytes()
+            jpeg = cv2.imencode(".jpg", WORLD.render(POSES[i - behind]))[1].tobytes()
             slot = self.ring.put(jpeg)
             assert slot is not None
             frames.append(FrameIn(Eye.PRIMARY, i, START_NS + i * EVERY_NS, slot, len(jpeg)))
@@ -106,3 +107,17 @@ def test_keyframes_are_reported_at_once(bench: Bench) -> None:
     past = list(bench.work._tracker._past)[10:]
     assert named == [frame.t_ns for frame in past if frame.keyframe_id is not None]
     assert 0 < len(named) < 12
+
+
+def test_a_repeated_picture_gets_no_pose_and_leaves_the_velocity_as_it_is(bench: Bench) -> None:
+    repeats = []
+    for i in range(24):
+        (frame,) = bench.arrive(1, behind=i % 6 == 5)
+        answer = bench.work.handle(frame)
+        assert (answer.repeat is Eye.PRIMARY) == (i % 6 == 5)
+        assert answer.repeat is None or not (answer.late or answer.is_keyframe or answer.windows)
+        repeats += [frame.t_ns] if answer.repeat is not None else []
+    assert len(repeats) == 4 and not set(repeats) & set(bench.posed_stamps())
+    speeds = [float(np.linalg.norm(message.sample.velocity_c)) for message in bench.posed]
+    truth = float(np.linalg.norm((POSES[1] - POSES[0])[:3, 3])) / (EVERY_NS / 1e9)
+    assert len(speeds) == 20 and np.abs(np.array(speeds[6:]) / truth - 1).max() < 0.1
