@@ -1,0 +1,1 @@
+"""Files of other programs: formats that are read and written."""

@@ -1,0 +1,144 @@
+"""A calibration of one or two cameras, as read from a file or to be written to one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from calm_edge.geometry.camera import Camera
+from calm_edge.types import CalmEdgeError, Float
+
+# Largest share of the picture's pixels at which a lens model may have no inverse.
+MAX_FOLDED = 0.05
+# Sizes are of one video mode, scaled, if their aspect ratios differ by at most this share.
+SAME_ASPECT = 0.005
+
+
+class CalibrationError(CalmEdgeError):
+    """A calibration that cannot be read, used or written."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedCamera:
+    """A camera; `fit_px` is its largest difference over the picture to the file's own model.
+
+    0 if the file's model is that of the camera. model: as the file names it.
+    """
+
+    camera: Camera
+    model: str
+    fit_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Cameras: the primary, then the assistant if it is calibrated.
+
+    T_p_a: (4, 4), assistant to primary, or None. metric: T_p_a is in metres, not in a unit of its
+    own.
+    """
+
+    cameras: tuple[CalibratedCamera, ...]
+    T_p_a: Float | None = None
+    metric: bool = False
+
+    @property
+    def spacing_m(self) -> float | None:
+        """Distance between the cameras in metres, if the calibration has it."""
+        if self.T_p_a is None or not self.metric:
+            return None
+        return float(np.linalg.norm(self.T_p_a[:3, 3]))
+
+
+class CalibrationFormat(Protocol):
+    """A file format, implemented by a module."""
+
+    def recognises(self, path: Path, data: bytes) -> bool:
+        """Whether a file is of this format; its content may still be wrong."""
+
+    def read(self, path: Path, data: bytes) -> Calibration:
+        """All cameras of a file in its own order; raises CalibrationError."""
+
+    def write(self, folder: Path, calibration: Calibration, notes: tuple[str, ...]) -> list[Path]:
+        """Write a calibration to an existing folder; return the files.
+
+        notes: lines to store as comments. Raises CalibrationError for a lens that the format cannot
+        hold, OSError if the folder is not writable.
+        """
+
+
+def checked(where: str, each: CalibratedCamera) -> CalibratedCamera:
+    """Check that numbers are possible and that the lens has an inverse; raises CalibrationError.
+
+    where: file, and camera in it, for the message.
+    """
+    camera = each.camera
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]
+    if not np.isfinite(numbers).all() or min(camera.fx, camera.fy) <= 0:
+        raise CalibrationError(f"{where}: focal length {camera.fx:g}, {camera.fy:g} px is no lens")
+    if min(camera.width, camera.height) < 1:
+        raise CalibrationError(f"{where}: picture size {camera.width} x {camera.height} px")
+    if not (0 <= camera.cx < camera.width and 0 <= camera.cy < camera.height):
+        raise CalibrationError(
+            f"{where}: principal point ({camera.cx:.0f}, {camera.cy:.0f}) outside of its picture "
+            f"of {camera.width} x {camera.height} px; give the size at which it was calibrated"
+        )
+    folded = float(np.isnan(camera.rays(pixel_grid(camera))).any(-1).mean())
+    if folded > MAX_FOLDED:
+        raise CalibrationError(
+            f"{where}: the lens model has no inverse in {100 * folded:.0f} % of the picture; "
+            "calibrate with fewer terms or as a fisheye lens"
+        )
+    return each
+
+
+def pixel_grid(camera: Camera, columns: int = 33, rows: int = 25) -> Float:
+    """Pixels (columns * rows, 2) that cover the picture from corner to corner."""
+    x, y = (np.linspace(0, n - 1.0, k) for n, k in ((camera.width, columns), (camera.height, rows)))
+    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+
+
+def joined(parts: list[tuple[Path, Calibration]]) -> Calibration:
+    """Join one or two files' cameras, the primary first; raises CalibrationError.
+
+    A rig is taken from a file that holds both cameras.
+    """
+    if len(parts) > 2:
+        raise CalibrationError(f"{parts[2][0]}: give one calibration file, or one per camera")
+    path, first = parts[0]
+    if len(parts) == 1:
+        if len(first.cameras) > 2:
+            raise CalibrationError(
+                f"{path}: holds {len(first.cameras)} cameras; keep the two of the kit, "
+                "the primary first"
+            )
+        return first
+    for path, each in parts:
+        if len(each.cameras) != 1:
+            raise CalibrationError(
+                f"{path}: holds {len(each.cameras)} cameras; beside another file it must hold one"
+            )
+    return Calibration(first.cameras + parts[1][1].cameras)
+
+
+def matched(camera: Camera, width: int, height: int) -> tuple[Camera, str]:
+    """Convert a camera to pictures of another size; return a sentence if it was scaled.
+
+    Only a scaled picture is possible: how one of another aspect ratio was cropped is unknown.
+    Raises CalibrationError.
+    """
+    if (camera.width, camera.height) == (width, height):
+        return camera, ""
+    sizes = (
+        f"calibrated for {camera.width} x {camera.height} px, the pictures have {width} x {height}"
+    )
+    sx, sy = width / camera.width, height / camera.height
+    if abs(sx / sy - 1) > SAME_ASPECT:
+        raise CalibrationError(
+            f"{sizes}: the picture is cropped, nobody knows where; calibrate in this video mode"
+        )
+    scaled = replace(camera.scaled(sx, sy), width=width, height=height)
+    return scaled, f"{sizes}: scaled, which is wrong if this video mode shows only a part"
