@@ -18,7 +18,7 @@ DECLARED := pyproject.toml constraints.txt deploy/setup.sh
 
 # what tests and lints besides
 .venv/.stamp-dev: $(DECLARED)
-	@deploy/setup.sh oak,dev && touch .venv/.stamp $@
+	@deploy/setup.sh oak,import,dev && touch .venv/.stamp $@
 
 demo: setup
 	@rm -rf $(DEMO_OUT) && mkdir -p $(DEMO_OUT)

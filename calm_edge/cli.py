@@ -16,6 +16,7 @@ from calm_edge.commands.console import ERROR
 
 COMMANDS = {
     "record": "record two cameras (or replay a folder) and estimate poses live",
+    "import": "make a recording of videos, data sets or bags",
     "map": "build a dense map, a trajectory and a report from a recording",
     "eval": "compare a recording, a map or a TUM file with ground truth",
     "recover": "copy the intact part of a damaged recording",
@@ -25,6 +26,8 @@ COMMANDS = {
     "model": "list the models, or check one on this machine",
     "doctor": "list what is missing on this machine, and the consequences",
 }
+# where it is not the command's name
+MODULES = {"import": "import_source"}
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -37,7 +40,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"calm-edge {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
-        module = importlib.import_module(f"calm_edge.commands.{name.replace('-', '_')}")
+        module = importlib.import_module(f"calm_edge.commands.{MODULES.get(name, name)}")
         command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
         module.configure(command)
         command.set_defaults(run=module.run)

@@ -59,7 +59,7 @@ def test_only_tests_and_lint_install_the_tools_for_them(tmp_path: Path) -> None:
     script.write_text('#!/bin/sh\necho extras "$1"\n')
     script.chmod(0o755)
     assert _set_up(tmp_path, "setup") == ["oak"] and _set_up(tmp_path, "demo") == []
-    assert _set_up(tmp_path, "test") == ["oak,dev"]
+    assert _set_up(tmp_path, "test") == ["oak,import,dev"]
     assert _set_up(tmp_path, "lint") == _set_up(tmp_path, "setup") == []
     os.utime(tmp_path / "pyproject.toml")
-    assert _set_up(tmp_path, "lint") == ["oak,dev"] and _set_up(tmp_path, "demo") == []
+    assert _set_up(tmp_path, "lint") == ["oak,import,dev"] and _set_up(tmp_path, "demo") == []

@@ -1,0 +1,124 @@
+"""Write imported frames as a recording, which is complete or not there."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from calm_edge.config import Config
+from calm_edge.geometry import se3
+from calm_edge.interchange import InterchangeError
+from calm_edge.interchange.base import Imported
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.sequence_folder import ORIGIN_NS
+from calm_edge.recording.writer import RecordingWriter
+from calm_edge.trajectories import write_kitti
+from device.atomic_file import sync_folder
+from device.frame import Eye
+
+METADATA = "calm_edge.import"
+TRUTH = "truth"
+# marks a folder that an import has begun; nothing else is ever removed
+_MARK = "unfinished import, may be removed"
+
+
+@contextmanager
+def unfinished(out: Path, say: Callable[[str], None]) -> Iterator[Path]:
+    """Folder beside `out` to write to; it becomes `out` on success and is removed on failure.
+
+    What an interrupted import left there is removed. Raises InterchangeError if `out` exists.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InterchangeError(f"{out}: exists; choose another output folder")
+    part = out.with_name(out.name + ".importing")
+    mark = part / _MARK
+    if part.exists():
+        if not mark.is_file():
+            raise InterchangeError(f"{part}: exists and is not an import's; move it away")
+        say(f"{part}: left by an interrupted import; removed, beginning anew")
+        shutil.rmtree(part)
+    try:
+        part.mkdir(parents=True)
+        mark.touch()
+    except OSError as error:
+        raise InterchangeError(f"{part}: cannot be written ({error.strerror})") from None
+    try:
+        yield part
+        mark.unlink()
+        if out.exists():
+            out.rmdir()
+        part.rename(out)
+        sync_folder(out.parent)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[Eye, int]:
+    """Write the frames to a recording in `folder`, verify it, return the number of frames.
+
+    name: of the format. Ground truth goes to the sub-folder TRUTH. Raises CalmEdgeError.
+    """
+    now = ORIGIN_NS
+    counts = dict.fromkeys(imported.eyes, 0)
+    facts = {
+        "format": name,
+        "took": json.dumps(imported.took),
+        "dropped": json.dumps(imported.dropped),
+        "assumed": json.dumps(imported.assumed),
+        "origin_ns": str(ORIGIN_NS),
+        **imported.facts,
+    }
+    writer = RecordingWriter(
+        folder, config, {"cameras": f"imported: {name}"}, lossless=True, now_ns=lambda: now
+    )
+    try:
+        writer.write_metadata(METADATA, facts)
+        streams = [imported.frames(eye) for eye in imported.eyes]
+        for frame in heapq.merge(*streams, key=lambda f: (f.t_ns, f.eye)):
+            now = frame.t_ns
+            writer.write_frame(frame)
+            counts[frame.eye] += 1
+    finally:
+        health = writer.close()
+    if health.error:
+        raise InterchangeError(health.error)
+    _verify(folder, counts)
+    if imported.truth is not None:
+        _write_truth(imported, folder / TRUTH)
+    return counts
+
+
+def remove(scratch: Path) -> None:
+    """Remove the folder of temporary files."""
+    shutil.rmtree(scratch)
+
+
+def _verify(folder: Path, counts: dict[Eye, int]) -> None:
+    recording = Recording(folder)
+    for eye, count in counts.items():
+        found = len(recording.frame_times(eye))
+        if recording.losses or found != count or not count:
+            reason = recording.losses[0] if recording.losses else f"{found} of {count}"
+            raise InterchangeError(f"{folder}: {eye.name.lower()} frames not written ({reason})")
+
+
+def _write_truth(imported: Imported, folder: Path) -> None:
+    """Write poses0.txt, times0.txt and, if both are known, calib.txt, as `eval` reads them."""
+    assert imported.truth is not None
+    folder.mkdir()
+    write_kitti(folder / "poses0.txt", se3.inverse(imported.truth.T_w_c[0]) @ imported.truth.T_w_c)
+    stamps = (imported.truth.t_ns - ORIGIN_NS).tolist()
+    (folder / "times0.txt").write_text("".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in stamps))
+    rows = []
+    for eye in Eye:
+        camera = imported.cameras.get(eye)
+        if camera is not None and camera.is_pinhole:
+            values = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+            rows.append(" ".join(f"{v:.9g}" for v in values) + "\n")
+    if len(rows) == 2:
+        (folder / "calib.txt").write_text("".join(rows))

@@ -1,0 +1,24 @@
+"""Choice of the importer by what the sources look like."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from calm_edge.interchange import InterchangeError
+from calm_edge.interchange.base import Importer
+from calm_edge.interchange.video_pair import VideoPair
+
+# in the order in which they are asked: a folder of a data set may also look like a plainer one
+IMPORTERS: tuple[Importer, ...] = (VideoPair(),)
+
+
+def importer(sources: tuple[Path, ...]) -> Importer:
+    """Return the first importer that recognises the sources; raises InterchangeError."""
+    for source in sources:
+        if not source.exists():
+            raise InterchangeError(f"{source}: no such file or folder")
+    for found in IMPORTERS:
+        if found.recognises(sources):
+            return found
+    known = "; ".join(i.reads for i in IMPORTERS)
+    raise InterchangeError(f"{sources[0]}: not a format that can be imported ({known})")

@@ -1,0 +1,77 @@
+"""An import ends in a valid recording or in nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calm_edge.config import Config, merge
+from calm_edge.evaluation.truth import read_truth
+from calm_edge.interchange import InterchangeError, recorded
+from calm_edge.interchange.base import GroundTruth, Imported
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.sequence_folder import ORIGIN_NS
+from device.frame import Eye, Frame, jpeg
+
+CONFIG = merge(Config(), {"recording": {"keep_free_gib": 0.0, "keep_free_percent": 0.0}})
+PICTURE = jpeg(np.zeros((16, 24, 3), np.uint8))
+
+
+def frames(eye: Eye) -> Iterator[Frame]:
+    for k in range(4):
+        yield Frame(eye, k, ORIGIN_NS + k * 10**8 + int(eye) * 10**7, PICTURE)
+
+
+def broken(eye: Eye) -> Iterator[Frame]:
+    yield next(frames(eye))
+    raise InterchangeError("a.mp4: damaged")
+
+
+def test_the_recording_holds_every_frame_in_order_and_what_was_assumed(tmp_path: Path) -> None:
+    truth = GroundTruth(np.arange(3) * 10**8 + ORIGIN_NS, np.tile(np.eye(4), (3, 1, 1)))
+    imported = Imported(tuple(Eye), frames, ("two",), (), ("no drift",), truth=truth)
+    with recorded.unfinished(tmp_path / "rec", print) as folder:
+        recorded.write(imported, CONFIG, folder, "video")
+    recording = Recording(tmp_path / "rec")
+    read = list(recording.frames())
+    first = [(Eye.PRIMARY, 0), (Eye.ASSISTANT, 10**7), (Eye.PRIMARY, 10**8)]
+    assert [(f.eye, f.t_ns - ORIGIN_NS) for f in read[:3]] == first
+    assert len(read) == 8 and read[0].image == PICTURE and not recording.losses
+    assert read_truth(tmp_path / "rec" / recorded.TRUTH).t_ns.tolist() == truth.t_ns.tolist()
+    assert not (tmp_path / "rec.importing").exists()
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
+    with (
+        pytest.raises(InterchangeError, match="damaged"),
+        recorded.unfinished(tmp_path / "rec", print) as folder,
+    ):
+        recorded.write(Imported(tuple(Eye), broken), CONFIG, folder, "video")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_import_is_begun_anew(tmp_path: Path) -> None:
+    """A process that was killed leaves its folder, which its mark tells from others."""
+    said: list[str] = []
+    with pytest.raises(KeyError), recorded.unfinished(tmp_path / "rec", said.append) as folder:
+        folder.rename(tmp_path / "left")
+        raise KeyError
+    (tmp_path / "left").rename(tmp_path / "rec.importing")
+    with recorded.unfinished(tmp_path / "rec", said.append) as folder:
+        recorded.write(Imported(tuple(Eye), frames), CONFIG, folder, "video")
+    assert "interrupted import" in said[0] and Recording(tmp_path / "rec").losses == []
+
+
+@pytest.mark.parametrize("name", ["rec", "rec.importing"])
+def test_nothing_of_others_is_overwritten(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "mine").touch()
+    with (
+        pytest.raises(InterchangeError, match=rf"{name}: exists"),
+        recorded.unfinished(tmp_path / "rec", print),
+    ):
+        pass
+    assert (tmp_path / name / "mine").exists()
