@@ -88,7 +88,8 @@ class FoundCamera:
 
     address: `driver:address`, as in the config key `capture.primary`. path: its current device
     node. formats: format -> sizes and rates; controls: name -> value and range; both empty unless
-    details were requested. note: why it cannot be used at present, else empty.
+    details were requested. note: why it cannot be used at present, else empty. by_name_only: never
+    chosen unless its address is given.
     """
 
     address: str
@@ -98,6 +99,13 @@ class FoundCamera:
     formats: Mapping[str, Sequence[str]] = field(default_factory=dict)
     controls: Mapping[str, str] = field(default_factory=dict)
     note: str = ""
+    by_name_only: bool = False
+
+
+SAME_DEVICE = (
+    "is used for both cameras; give capture.primary and capture.assistant different addresses, "
+    "as listed by calm-edge cameras"
+)
 
 
 class Camera(Protocol):
@@ -178,6 +186,16 @@ def open_camera(spec: CameraSpec, clock: Clock, **options: Any) -> Camera:
         raise CameraError(f"{spec.name}: unknown driver {spec.driver!r}; use one of {_known()}")
     module, name = DRIVERS[spec.driver]
     return cast(Camera, getattr(importlib.import_module(module), name)(spec, clock, **options))
+
+
+def refuse_same_device(cameras: Sequence[Camera]) -> None:
+    """Raise CameraError if two started cameras are one device, opened twice."""
+    seen: set[tuple[str, object]] = set()
+    for camera in cameras:
+        address = camera.settings.get("address")
+        if address and (camera.spec.driver, address) in seen:
+            raise CameraError(f"{camera.spec.name}: {SAME_DEVICE}")
+        seen.add((camera.spec.driver, address))
 
 
 def discover(details: bool = True) -> tuple[list[FoundCamera], list[str]]:

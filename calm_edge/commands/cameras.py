@@ -78,7 +78,8 @@ def _identified() -> tuple[str, str]:
         )
 
     def addresses() -> set[str]:
-        return {camera.address for camera in discover(details=False)[0]}
+        found, _ = discover(details=False)
+        return {camera.address for camera in found if not camera.by_name_only}
 
     return by_unplugging(addresses, SystemClock(), lambda line: print(line, file=sys.stderr))
 
@@ -86,11 +87,12 @@ def _identified() -> tuple[str, str]:
 def _first_two(found: list[FoundCamera]) -> tuple[str, str]:
     from calm_edge.types import CalmEdgeError
 
-    if len(found) != 2:
+    addresses = sorted(camera.address for camera in found if not camera.by_name_only)
+    if len(addresses) != 2:
         raise CalmEdgeError(
-            f"{len(found)} camera(s) found, --write needs two; add --identify to choose"
+            f"{len(addresses)} camera(s) found, --write needs two; add --identify to choose"
         )
-    first, second = sorted(camera.address for camera in found)
+    first, second = addresses
     say("assumed that the first camera by port is the primary; add --identify to choose")
     return first, second
 

@@ -19,7 +19,7 @@ from calm_edge.daemon.monitor import Monitor
 from calm_edge.daemon.result import RecordResult
 from calm_edge.types import CalmEdgeError
 from device import realtime
-from device.camera import Camera
+from device.camera import Camera, refuse_same_device
 from device.camera_thread import CameraState, CameraThread
 from device.clock import RateKeeper, SystemClock
 from device.errors import DeviceError
@@ -96,6 +96,7 @@ class Capture:
         threads = [CameraThread(camera, realtime_priority=priority) for camera in self._cameras]
         for thread in threads:
             thread.start()
+        refuse_same_device(self._cameras)
         # takes a while; frames that arrive meanwhile are queued by the camera threads
         hub.recording.open()
         monitor.watch(threads)

@@ -11,7 +11,14 @@ from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.types import CalmEdgeError
-from device.camera import Camera, CameraControls, CameraSpec, open_camera, parse_address
+from device.camera import (
+    SAME_DEVICE,
+    Camera,
+    CameraControls,
+    CameraSpec,
+    open_camera,
+    parse_address,
+)
 from device.clock import Clock, SystemClock
 from device.errors import CameraError
 from device.frame import Eye, Frame
@@ -116,6 +123,8 @@ def live(config: Config) -> Source:
         size = capture.width_px, capture.height_px
         return CameraSpec(eye, *parse_address(text), *size, capture.rate_hz, controls)
 
+    if capture.primary == capture.assistant and not capture.primary.endswith(":"):
+        raise CameraError(f"camera {capture.primary}: {SAME_DEVICE}")
     specs = spec(Eye.PRIMARY, capture.primary), spec(Eye.ASSISTANT, capture.assistant)
 
     def cameras() -> tuple[Camera, Camera]:

@@ -15,6 +15,7 @@ from device.camera import CameraSpec, CameraStats
 from device.clock import NS_PER_S, Clock
 from device.errors import CameraError
 from device.frame import Frame
+from device.rate_meter import RateMeter, deviation
 from device.stream import Stream
 
 log = logging.getLogger(__name__)
@@ -22,8 +23,10 @@ log = logging.getLogger(__name__)
 _RETRY_NS = NS_PER_S
 # time for automatic exposure and focus to converge before they are locked
 _SETTLE_NS = 2 * NS_PER_S
-# a streaming camera without frames for this long is reopened: its firmware has hung
+# a streaming camera without a usable image for this long is reopened: its firmware has hung
 _SILENT_NS = 3 * NS_PER_S
+# relative change of the measured rate that is written to the settings
+_RATE_CHANGE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +60,12 @@ class LiveCamera(ABC):
         self._is_open = False
         self._retry_ns = 0
         self._settle_ns: int | None = None
-        self._last_frame_ns = 0
+        self._usable_ns = 0
+        self._unusable = 0
+        self._warned = False
+        self._meter = RateMeter()
+        self._measured: dict[str, float] = {}
+        self._rate_remarks: set[str] = set()
         self._sequence_offset = 0
         self._needs_offset = False
         self._remarks: tuple[str, ...] = ()
@@ -82,7 +90,10 @@ class LiveCamera(ABC):
     @property
     @abstractmethod
     def settings(self) -> Mapping[str, int | float | str]:
-        """Mode and controls as read back when the device was last opened or locked."""
+        """Mode and controls as read back when the device was last opened or locked.
+
+        measured_hz: rate of the images, once it has been measured.
+        """
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -131,8 +142,9 @@ class LiveCamera(ABC):
     def _connect(self) -> None:
         self._open()
         self._is_open = self._needs_offset = True
-        self._last_frame_ns = self._clock.now_ns()
-        self._settle_ns = self._last_frame_ns + _SETTLE_NS
+        self._usable_ns = self._clock.now_ns()
+        self._unusable = 0
+        self._settle_ns = self._usable_ns + _SETTLE_NS
         log.info("%s: %s", self.spec.name, self._described())
 
     def _described(self) -> str:
@@ -140,6 +152,7 @@ class LiveCamera(ABC):
 
     def _disconnect(self) -> None:
         self._is_open = False
+        self._meter.restart()
         self._close()
 
     def _wait_for_return(self, limit_ns: int) -> None:
@@ -160,34 +173,66 @@ class LiveCamera(ABC):
         try:
             if self._settle_ns is not None and now_ns >= self._settle_ns:
                 self._settle_ns = None
+                self._meter.restart()
                 if self._lock_settled():
                     log.info("%s: locked: %s", self.spec.name, self._described())
-            left_s = (self._last_frame_ns + _SILENT_NS - now_ns) / NS_PER_S
+            left_s = (self._usable_ns + _SILENT_NS - now_ns) / NS_PER_S
             raw = self._read_device(max(0.0, min(timeout_s, left_s)))
             now_ns = self._clock.now_ns()
-            if raw is None and now_ns - self._last_frame_ns >= _SILENT_NS:
-                raise CameraError(f"{self.spec.name}: no frame for {_SILENT_NS / NS_PER_S:g} s")
+            if raw is not None and raw.image is None:
+                self._unusable += 1
+                self._stream.lose(self._sequence(raw.sequence))
+            if (raw is None or raw.image is None) and now_ns - self._usable_ns >= _SILENT_NS:
+                raise CameraError(self._silence())
         except CameraError as error:
-            log.warning("%s; searching for it every second", error)
+            # once, not every few seconds, until the camera delivers again
+            log.log(
+                logging.DEBUG if self._warned else logging.WARNING,
+                "%s; searching for it every second",
+                error,
+            )
+            self._warned = True
             self._disconnect()
             self._retry_ns = self._clock.now_ns() + _RETRY_NS
             return None
-        if raw is None:
+        if raw is None or raw.image is None:
             return None
-        self._last_frame_ns = now_ns
-        if raw.image is None:
-            self._stream.count("corrupt")
-            return None
+        self._usable_ns, self._unusable, self._warned = now_ns, 0, False
         if raw.t_ns is None:
             self._stream.count("host_stamped")
         t_ns = now_ns if raw.t_ns is None else raw.t_ns
         frame = Frame(self.spec.eye, self._sequence(raw.sequence), t_ns, raw.image)
-        return self._stream.admit(frame, now_ns)
+        frame = self._stream.admit(frame, now_ns)
+        hz = self._meter.add(frame.sequence, frame.t_ns) if self._settle_ns is None else None
+        if hz is not None:
+            self._note_rate(hz)
+        return frame
+
+    def _silence(self) -> str:
+        """Why the camera is reopened although it streams."""
+        seconds = f"{_SILENT_NS / NS_PER_S:g} s"
+        if self._unusable:
+            return (
+                f"{self.spec.name}: no usable image for {seconds} ({self._unusable} corrupt), "
+                "reopened; try another cable or USB port"
+            )
+        return f"{self.spec.name}: no frame for {seconds}"
+
+    def _note_rate(self, hz: float) -> None:
+        """Write the measured rate to the settings if it has changed, and remark if it is wrong."""
+        before = self._measured.get("measured_hz", 0.0)
+        if abs(hz - before) <= _RATE_CHANGE * before:
+            return
+        self._measured = {"measured_hz": round(hz, 1)}
+        wrong = deviation(hz, self.spec.rate_hz, float(self.settings.get("rate_hz", 0.0)))
+        if wrong and wrong.kind not in self._rate_remarks:
+            self._rate_remarks.add(wrong.kind)
+            self._remark(f"{self.spec.name}: {wrong.text}")
 
     def _sequence(self, sequence: int) -> int:
         """Continue the sequence numbers after a reconnect, when the device restarts at 0."""
         if self._needs_offset:
-            newest = self._stream.newest
-            self._sequence_offset = newest.sequence + 1 - sequence if newest else 0
+            last = self._stream.last_sequence
+            self._sequence_offset = 0 if last is None else last + 1 - sequence
             self._needs_offset = False
         return sequence + self._sequence_offset

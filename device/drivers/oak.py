@@ -166,7 +166,8 @@ class OakCamera(LiveCamera):
         values = {} if self._newest is None else control_values(self._newest)
         requested = dataclasses.asdict(request.controls)
         automatic = AUTO, AUTO_THEN_LOCK
-        return mode | {k: AUTO if requested[k] in automatic else v for k, v in values.items()}
+        controls = {k: AUTO if requested[k] in automatic else v for k, v in values.items()}
+        return mode | controls | self._measured
 
     def _open(self) -> None:
         try:

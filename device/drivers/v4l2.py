@@ -30,7 +30,7 @@ class V4l2Camera(LiveCamera):
     @property
     def settings(self) -> dict[str, int | float | str]:
         """Device, format, size, rate and controls as read back."""
-        return self._settings | self._keeper.settings
+        return self._settings | self._keeper.settings | self._measured
 
     def _open(self) -> None:
         spec = self.spec

@@ -149,9 +149,7 @@ class ControlKeeper:
         """Set all controls; raises CameraError if an unwanted autofocus cannot be switched off."""
         self._known = {c.id: c for c in list_controls(io, fd)}
         self._pending, self.remarks = [], []
-        if EXPOSURE_AUTO_PRIORITY in self._known:
-            # if left on, the camera halves its frame rate in the dark
-            set_control(io, fd, EXPOSURE_AUTO_PRIORITY, 0)
+        self._hold_rate(io, fd)
         for group in CONTROL_GROUPS:
             wanted = getattr(self._wanted, group.key)
             has_switch, value = group.switch in self._known, self._value_of(group)
@@ -167,8 +165,10 @@ class ControlKeeper:
             elif isinstance(wanted, int):
                 self._lock(io, fd, group, wanted)
             elif has_switch:
-                if not any(set_control(io, fd, group.switch, on) for on in group.on):
+                if not self._switch_on(io, fd, group):
                     self.remarks.append(f"{self._name}: {group.key} cannot be automatic")
+                    self._read_back(io, fd, group)
+                    continue
                 self.settings[group.key] = AUTO
                 if wanted == AUTO_THEN_LOCK:
                     self._pending.append(group)
@@ -195,12 +195,20 @@ class ControlKeeper:
             self.settings[group.key] = AUTO
             return
         value = current if wanted is None else round(wanted / group.unit)
-        if control is not None and value is not None and not control.flags & FLAG_READ_ONLY:
+        if control is not None and value is not None:
             nearest = control.nearest(value)
             # also write an unchanged value: some cameras reset it when automatic is switched off
-            if not set_control(io, fd, control.id, nearest):
+            fixed = bool(control.flags & FLAG_READ_ONLY)
+            if not fixed and not set_control(io, fd, control.id, nearest):
                 self.remarks.append(f"{self._name}: {group.key} was not accepted")
-            elif wanted is not None and nearest != value:
+            elif wanted is None:
+                pass
+            elif (kept := get_control(io, fd, control.id)) is not None and kept != nearest:
+                # some firmware accepts every value and keeps its own
+                self.remarks.append(
+                    f"{self._name}: {group.key} = {wanted} not applied, it is {kept * group.unit}"
+                )
+            elif nearest != value:
                 self.remarks.append(
                     f"{self._name}: {group.key} = {wanted} is not a value the camera supports "
                     f"({control.minimum * group.unit} to {control.maximum * group.unit})"
@@ -209,6 +217,27 @@ class ControlKeeper:
         now = self.settings.get(group.key)
         if isinstance(now, int):
             self._locked[group.key] = now
+
+    def _hold_rate(self, io: VideoIO, fd: int) -> None:
+        """Forbid the camera to lower its frame rate for a longer automatic exposure."""
+        if EXPOSURE_AUTO_PRIORITY not in self._known:
+            # many cameras have no such control; the measured rate shows whether they slow down
+            return
+        set_control(io, fd, EXPOSURE_AUTO_PRIORITY, 0)
+        if get_control(io, fd, EXPOSURE_AUTO_PRIORITY) != 0 and not isinstance(
+            self._wanted.exposure_us, int
+        ):
+            self.remarks.append(
+                f"{self._name}: may lower its frame rate in the dark, and this cannot be switched "
+                "off; set capture.exposure_us to a number"
+            )
+
+    def _switch_on(self, io: VideoIO, fd: int, group: ControlGroup) -> bool:
+        """Switch to automatic; False if the camera refuses or ignores it."""
+        for on in group.on:
+            if set_control(io, fd, group.switch, on):
+                return get_control(io, fd, group.switch) in (on, None)
+        return False
 
     def _switch_off(self, io: VideoIO, fd: int, group: ControlGroup) -> bool:
         written = set_control(io, fd, group.switch, group.off)

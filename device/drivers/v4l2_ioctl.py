@@ -28,6 +28,7 @@ STREAMON = 0x40045612
 STREAMOFF = 0x40045613
 
 CAP_VIDEO_CAPTURE = 0x00000001
+CAP_VIDEO_CAPTURE_MPLANE = 0x00001000
 CAP_STREAMING = 0x04000000
 CAP_DEVICE_CAPS = 0x80000000
 BUF_TYPE_VIDEO_CAPTURE = 1
@@ -67,6 +68,12 @@ class Capability:
         """True if the node streams video; a metadata node does not."""
         wanted = CAP_VIDEO_CAPTURE | CAP_STREAMING
         return self.capabilities & wanted == wanted
+
+    @property
+    def multiplanar(self) -> bool:
+        """True if the node streams video by the multi-planar API alone."""
+        wanted = CAP_VIDEO_CAPTURE_MPLANE | CAP_STREAMING
+        return self.capabilities & wanted == wanted and not self.captures
 
 
 @dataclass(frozen=True, slots=True)

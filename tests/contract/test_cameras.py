@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from itertools import pairwise
 from typing import Any
 
 import pytest
 
-from device.camera import DRIVERS, Camera, CameraSpec, open_camera
+from device.camera import DRIVERS, Camera, CameraSpec, open_camera, refuse_same_device
+from device.errors import CameraError
 from device.frame import Eye, Frame
 from tests.device.fake_oak import FakeOak, encoded
 from tests.device.fake_video import JPEG, MONOTONIC, FakeCamera, FakeVideoIO, Shot
@@ -17,7 +18,7 @@ from tests.manual_clock import ManualClock
 PERIOD_NS = 100_000_000
 START_NS = 7_000_000_000
 Shots = list[tuple[int, int]]
-Build = Callable[[ManualClock, Shots], Camera]
+Build = Callable[..., Camera]
 
 
 def replay(clock: ManualClock, shots: Shots) -> Camera:
@@ -26,26 +27,32 @@ def replay(clock: ManualClock, shots: Shots) -> Camera:
     return open_camera(CameraSpec(Eye.ASSISTANT, "replay"), clock, frames=frames)
 
 
-def v4l2(clock: ManualClock, shots: Shots) -> Camera:
-    """A kernel whose camera is due and stamped at the same moments."""
+def v4l2(clock: ManualClock, shots: Shots, spoilt: Collection[int] = ()) -> Camera:
+    """A kernel whose camera is due and stamped at the same moments.
+
+    spoilt: numbers of the images that are no JPEG.
+    """
     device = FakeCamera("usb-1")
     for s, t in shots:
         stamp_ns = clock.now_ns() + t
-        device.shots.append(Shot(stamp_ns, s, JPEG % s, stamp_ns, MONOTONIC))
+        data = b"" if s in spoilt else JPEG % s
+        device.shots.append(Shot(stamp_ns, s, data, stamp_ns, MONOTONIC))
     io = FakeVideoIO(clock, {"/dev/video0": device})
     return open_camera(CameraSpec(Eye.ASSISTANT, "v4l2", "usb-1"), clock, io=io)
 
 
-def oak(clock: ManualClock, shots: Shots) -> Camera:
+def oak(clock: ManualClock, shots: Shots, spoilt: Collection[int] = ()) -> Camera:
     """A device whose encoder sends depthai's own messages, stamped on the host's clock."""
     device = FakeOak(clock)
     for s, t in shots:
         stamp_ns = clock.now_ns() + t
-        device.film("CAM_A", stamp_ns, encoded(s, stamp_ns, JPEG % s))
+        data = b"no" if s in spoilt else JPEG % s
+        device.film("CAM_A", stamp_ns, encoded(s, stamp_ns, data))
     return open_camera(CameraSpec(Eye.ASSISTANT, "oak", "OAK1"), clock, factory=device.factory)
 
 
 BUILDS: dict[str, Build] = {"oak": oak, "replay": replay, "v4l2": v4l2}
+LIVE = sorted(set(BUILDS) - {"replay"})
 STEADY: Shots = [(s, s * PERIOD_NS) for s in range(6)]
 
 
@@ -141,6 +148,42 @@ def test_only_a_replay_ever_ends(build: Build, clock: ManualClock) -> None:
     assert not camera.exhausted
     read_all(camera)
     assert camera.exhausted is (camera.spec.driver == "replay")
+
+
+@pytest.mark.parametrize("name", LIVE)
+def test_a_live_camera_measures_its_rate(name: str, clock: ManualClock) -> None:
+    camera = BUILDS[name](clock, [(s, s * 2 * PERIOD_NS) for s in range(50)])
+    camera.start()
+    read_all(camera)
+    assert camera.settings["measured_hz"] == 5.0
+    assert any("delivers 5.0 Hz, not 10" in remark for remark in camera.remarks)
+
+
+@pytest.mark.parametrize("name", LIVE)
+def test_a_live_camera_counts_a_corrupt_image_once(name: str, clock: ManualClock) -> None:
+    camera = BUILDS[name](clock, STEADY, (2, 3))
+    camera.start()
+    assert [frame.sequence for frame in read_all(camera)] == [0, 1, 4, 5]
+    assert (camera.stats().corrupt, camera.stats().drops) == (2, 0)
+
+
+@pytest.mark.parametrize("name", LIVE)
+def test_a_live_camera_without_a_usable_image_is_reopened(name: str, clock: ManualClock) -> None:
+    camera = BUILDS[name](clock, [(s, s * PERIOD_NS) for s in range(60)], range(5, 60))
+    camera.start()
+    read_all(camera)
+    while clock.now_ns() < START_NS + 50 * PERIOD_NS:
+        camera.read(0.5)
+    assert camera.stats().reconnects == 1 and camera.stats().frames == 5
+
+
+def test_one_device_for_both_cameras_is_refused(clock: ManualClock) -> None:
+    first, second = v4l2(clock, STEADY), v4l2(clock, STEADY)
+    refuse_same_device([first, replay(clock, STEADY), replay(clock, STEADY)])
+    for camera in (first, second):
+        camera.start()
+    with pytest.raises(CameraError, match=r"assistant camera v4l2:usb-1: is used for both cameras"):
+        refuse_same_device([first, second])
 
 
 def test_every_driver_is_under_contract() -> None:

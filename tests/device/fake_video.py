@@ -35,7 +35,10 @@ class Shot:
 
 @dataclass
 class Knob:
-    """A control of a fake camera. stuck: accepts writes without changing its value."""
+    """A control of a fake camera. stuck: accepts writes without changing its value.
+
+    refused: rejects writes as a busy camera does.
+    """
 
     name: str
     value: int
@@ -44,6 +47,7 @@ class Knob:
     step: int = 1
     flags: int = 0
     stuck: bool = False
+    refused: bool = False
 
 
 @dataclass
@@ -202,6 +206,8 @@ class FakeVideoIO:
     def _s_ctrl(self, camera: FakeCamera, a: bytearray) -> None:
         knob = self._knob(camera, a)
         (value,) = struct.unpack_from("=i", a, 4)
+        if knob.refused:
+            raise OSError(errno.EBUSY, "Device or resource busy")
         if not knob.minimum <= value <= knob.maximum:
             raise OSError(errno.ERANGE, "Numerical result out of range")
         if not knob.stuck:

@@ -117,6 +117,18 @@ def test_unusable_buffers_are_counted_not_delivered(changes: dict[str, object]) 
     assert bench.camera.stats().corrupt == 1
 
 
+def test_an_unusable_buffer_is_not_a_drop_too() -> None:
+    bench = Bench()
+    for sequence in range(6):
+        bench.shoot(sequence, flags=MONOTONIC | (ERROR if sequence in (2, 3) else 0))
+    # number 6 is missing as well
+    bench.shoot(7)
+    frames = [bench.camera.read(0.0) for _ in range(7)]
+    assert [f.sequence for f in frames if f] == [0, 1, 4, 5, 7]
+    stats = bench.camera.stats()
+    assert (stats.frames, stats.corrupt, stats.drops) == (5, 2, 1)
+
+
 def test_short_yuyv_is_corrupt() -> None:
     bench = Bench(fourccs=("YUYV",))
     bench.shoot(0, data=yuyv(9, 8, 3, 16))
@@ -197,6 +209,70 @@ def test_a_streaming_camera_without_frames_is_reopened() -> None:
     assert frame is not None and frame.t_ns == 14 * S + 500 * MS
     assert bench.camera.stats().reconnects == 1
     assert len(bench.io.open_fds) == 1
+
+
+def test_a_camera_that_only_reports_errors_is_reopened_and_warned_of_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    bench = Bench()
+    for k in range(200):
+        t_ns = 10 * S + k * 100 * MS
+        bench.device.shots.append(Shot(t_ns, k, JPEG % k, t_ns, MONOTONIC | ERROR))
+    while bench.clock.now_ns() < 25 * S:
+        assert bench.camera.read(0.5) is None
+    assert bench.camera.stats().reconnects >= 3
+    warnings = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    assert len(warnings) == 1 and "no usable image for 3 s (31 corrupt)" in warnings[0]
+    # once it delivers again, the next failure is new
+    bench.device.shots.clear()
+    bench.device.film(bench.clock.now_ns() + S, 1, MS, sequence=500)
+    assert bench.camera.read(3.0) is not None
+    while bench.camera.connected:
+        bench.camera.read(0.5)
+    assert len([r for r in caplog.records if r.levelname == "WARNING"]) == 2
+
+
+def filmed(period_ms: int, **camera: object) -> Bench:
+    """A camera asked for 10 Hz that delivers a JPEG every period_ms, for 8 s."""
+    bench = Bench(**camera)  # type: ignore[arg-type]
+    bench.device.film(10 * S, 8000 // period_ms, period_ms * MS)
+    while bench.camera.read(0.5) is not None:
+        pass
+    return bench
+
+
+def test_the_rate_is_measured_not_believed() -> None:
+    bench = filmed(200)
+    assert bench.camera.settings["rate_hz"] == 10.0
+    assert bench.camera.settings["measured_hz"] == 5.0
+    (line,) = bench.camera.remarks
+    assert "delivers 5.0 Hz, not 10" in line and "capture.exposure_us to less than 100000" in line
+
+
+def test_a_camera_that_ignores_a_low_rate_is_remarked() -> None:
+    (line,) = filmed(33).camera.remarks
+    assert "delivers 30.3 Hz, not 10: it ignores capture.rate_hz" in line
+
+
+def test_a_rate_that_falls_at_dusk_is_remarked_once() -> None:
+    bench = filmed(100)
+    assert bench.camera.settings["measured_hz"] == 10.0 and not bench.camera.remarks
+    for start_s, period_ms in ((18, 200), (30, 100), (42, 150)):
+        bench.clock.sleep_until_ns(start_s * S)
+        bench.device.film(start_s * S, 10_000 // period_ms, period_ms * MS)
+        while bench.camera.read(0.5) is not None:
+            pass
+    assert len(bench.camera.remarks) == 1
+
+
+@pytest.mark.parametrize("period_ms", [95, 100, 105])
+def test_a_rate_near_the_one_asked_for_gives_no_remark(period_ms: int) -> None:
+    assert not filmed(period_ms).camera.remarks
+
+
+def test_a_slow_rate_that_the_camera_admits_is_remarked_on_opening_only() -> None:
+    (line,) = filmed(200, intervals=((1, 5),)).camera.remarks
+    assert "gives 5 Hz, not 10" in line
 
 
 def test_a_slow_camera_is_not_reopened() -> None:

@@ -122,10 +122,46 @@ def test_automatic_exposure_without_aperture_priority() -> None:
     assert applied(webcam(EXPOSURE_AUTO=knob), exposure_us="auto")[3][EXPOSURE_AUTO].value == 0
 
 
+@pytest.mark.parametrize("changes", [{"refused": True}, {"stuck": True}])
+def test_a_frame_rate_that_cannot_be_held_is_remarked(changes: dict[str, bool]) -> None:
+    knob = Knob("Exposure, Dynamic Framerate", 1, 0, 1, **changes)  # type: ignore[arg-type]
+    (line,) = applied(webcam(PRIORITY=knob))[0].remarks
+    assert "may lower its frame rate in the dark" in line and "capture.exposure_us" in line
+    # a fixed exposure cannot grow in the dark
+    assert not applied(webcam(PRIORITY=knob), exposure_us=8000)[0].remarks
+
+
+def test_a_camera_without_that_control_gives_no_remark() -> None:
+    knobs = webcam()
+    del knobs[PRIORITY]
+    assert not applied(knobs)[0].remarks
+
+
+def test_a_value_that_is_accepted_but_not_applied_is_remarked() -> None:
+    knob = Knob("Gain", 64, 0, 255, stuck=True)
+    keeper, _, _, _ = applied(webcam(GAIN=knob), gain=20)
+    assert keeper.remarks == ["primary camera: gain = 20 not applied, it is 64"]
+    assert keeper.settings["gain"] == 64
+
+
+def test_a_refused_value_is_remarked() -> None:
+    knob = Knob("Gain", 64, 0, 255, refused=True)
+    keeper, _, _, _ = applied(webcam(GAIN=knob), gain=20)
+    assert keeper.remarks == ["primary camera: gain was not accepted"]
+
+
+def test_an_automatic_mode_that_is_ignored_is_remarked() -> None:
+    knob = Knob("Auto Exposure", 1, 0, 3, stuck=True)
+    keeper, _, _, _ = applied(webcam(EXPOSURE_AUTO=knob), exposure_us="auto-then-lock")
+    assert keeper.remarks == ["primary camera: exposure_us cannot be automatic"]
+    assert keeper.settings["exposure_us"] == 15_600 and not keeper.pending
+
+
 def test_a_read_only_value_is_not_written() -> None:
     knob = Knob("Focus, Absolute", 30, 0, 250, 5, flags=4)
     keeper, _, _, _ = applied(webcam(FOCUS=knob), focus=100)
     assert knob.value == 30 and keeper.settings["focus"] == 30
+    assert keeper.remarks == ["primary camera: focus = 100 not applied, it is 30"]
 
 
 def test_an_endless_control_list_is_cut_off() -> None:

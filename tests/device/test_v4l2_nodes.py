@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import os
 
 import pytest
 
@@ -37,6 +38,63 @@ def test_two_sensors_on_one_bus_have_two_addresses() -> None:
     assert [n.address for n in list_devices(io)] == ["usb-1", "usb-1#1"]
     assert find("usb-1#1", Eye.PRIMARY, io).card == "IR"
     assert find("/dev/video2", Eye.PRIMARY, io).address == "usb-1#1"
+
+
+def infrared(bus: str = "usb-1") -> FakeCamera:
+    """The second sensor of a webcam for face recognition."""
+    return FakeCamera(bus, card="Webcam", fourccs=("YUYV",), sizes=((340, 340),))
+
+
+def webcam(bus: str = "usb-1") -> FakeCamera:
+    return FakeCamera(bus, card="Webcam", sizes=((640, 480), (1280, 720)))
+
+
+def test_an_infrared_sensor_is_no_second_camera() -> None:
+    io = system(video0=webcam(), video2=infrared())
+    with pytest.raises(CameraError, match=r"1 found \(usb-1, usb-1#1 .*infrared\).*; plug in"):
+        find("", Eye.ASSISTANT, io)
+    io = system(video0=webcam(), video2=infrared(), video4=webcam("usb-2"))
+    assert find("", Eye.PRIMARY, io).address == "usb-1"
+    assert find("", Eye.ASSISTANT, io).address == "usb-2"
+    # by name it is opened
+    assert find("usb-1#1", Eye.ASSISTANT, io).path == "/dev/video2"
+    assert [camera.by_name_only for camera in discover(io)] == [False, True, False]
+    assert "infrared" in discover(io, details=False)[1].note and not io.open_fds
+
+
+def test_two_equal_sensors_of_one_device_are_two_cameras() -> None:
+    io = system(video0=webcam(), video2=webcam())
+    assert find("", Eye.ASSISTANT, io).address == "usb-1#1"
+    assert not any(camera.by_name_only for camera in discover(io))
+
+
+def test_a_sensor_that_cannot_be_asked_is_no_second_camera() -> None:
+    silent = FakeCamera("usb-1", fails={0x02: errno.EIO})
+    io = system(video0=webcam(), video2=silent)
+    with pytest.raises(CameraError, match="1 found"):
+        find("", Eye.ASSISTANT, io)
+
+
+def test_multiplanar_nodes_are_listed_with_the_remedy() -> None:
+    io = system(
+        video0=FakeCamera("platform:isp", card="isp", device_caps=0x04001000),
+        video1=FakeCamera("usb-1"),
+    )
+    first, second = discover(io)
+    assert "multi-planar" in first.note and "v4l2loopback" in first.note and first.by_name_only
+    assert not second.note
+    for address in ("platform:isp", "/dev/video0"):
+        with pytest.raises(CameraError, match=r"/dev/video0 has only multi-planar .* USB camera"):
+            find(address, Eye.PRIMARY, io)
+    with pytest.raises(CameraError, match=r"1 found \(platform:isp has only multi-planar"):
+        find("", Eye.ASSISTANT, io)
+
+
+def test_a_device_open_for_both_cameras_names_the_keys() -> None:
+    error = OSError(errno.EBUSY, "busy")
+    text = str(explain("camera usb-1", error, [f"calm-edge (process {os.getpid()})"]))
+    assert "used for both cameras" in text and "capture.assistant" in text
+    assert "in use by cheese" in str(explain("camera usb-1", error, ["cheese (process 1)"]))
 
 
 def test_permission_denied_names_the_group_unless_a_camera_is_usable() -> None:
