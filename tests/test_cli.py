@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +18,11 @@ import calm_edge
 from calm_edge.cli import COMMANDS, main
 from calm_edge.config import Config
 from calm_edge.mapping import cloud_file
+from calm_edge.mapping.mapper import Mapper
+from calm_edge.offline import map_drive
+from calm_edge.offline.densify import densified
 from calm_edge.recording.writer import RecordingWriter
+from calm_edge.types import Submap
 from tests.replay.small_drive import write_drive
 
 HEAVY = ("cv2", "numpy", "scipy", "gtsam", "mcap", "depthai", "serial")
@@ -194,6 +199,9 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # neither drawings nor tables need a library
+    for name in ("matplotlib", "PIL", "rich"):
+        monkeypatch.setitem(sys.modules, name, None)
     out = tmp_path / "map"
     reads: list[Path] = []
     read_cloud = cloud_file.read_cloud
@@ -211,25 +219,75 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
         assert main(["eval", str(target), "--truth", str(drive), "--json"]) == 0
         figures = json.loads(capsys.readouterr().out)
         assert figures["ate_sim3_m"] < 0.01
+    assert main(["eval", str(out), "--truth", str(drive)]) == 0
+    assert "ate_sim3_m" in capsys.readouterr().out
+    assert "The trajectory from above" in (out / "report.html").read_text()
     assert main(["map", str(recorded), "--out", str(out)]) == 1
     assert "already holds" in only_line(capsys)
 
 
-def test_map_and_eval_need_no_library_for_drawings_and_tables(
+def test_an_interrupted_map_is_continued_and_gives_the_same_bytes(
     recorded: Path,
-    drive: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for name in ("matplotlib", "PIL", "rich"):
-        monkeypatch.setitem(sys.modules, name, None)
-    out = tmp_path / "map"
-    assert main(["map", str(recorded), "--out", str(out)]) == 0
-    assert "The trajectory from above" in (out / "report.html").read_text()
+    whole, out = tmp_path / "whole", tmp_path / "map"
+    assert main(["map", str(recorded), "--out", str(whole)]) == 0
+    add, computed = Mapper.add, list[int]()
+
+    def interrupted(mapper: Mapper, submap: Submap, *arguments: Any) -> None:
+        add(mapper, submap, *arguments)
+        if submap.id == 1:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Mapper, "add", interrupted)
+        assert main(["map", str(recorded), "--out", str(out)]) == 1
+    assert "continue with --resume" in capsys.readouterr().err and not (out / "map.ply").exists()
+    assert main(["map", str(recorded), "--out", str(out)]) == 1
+    assert "--resume" in only_line(capsys)
+    assert main(["map", str(recorded), "--out", str(out), "--set", "mapping.grid=5"]) == 1
     capsys.readouterr()
-    assert main(["eval", str(out), "--truth", str(drive)]) == 0
-    assert "ate_sim3_m" in capsys.readouterr().out
+
+    def counted(*arguments: Any) -> Any:
+        computed.append(len(arguments[2]))
+        return densified(*arguments)
+
+    monkeypatch.setattr(map_drive, "densified", counted)
+    assert main(["map", str(recorded), "--out", str(out), "--resume"]) == 0
+    submaps = json.loads((whole / "summary.json").read_text())["submaps"]
+    assert computed == [submaps - 2]
+    for name in ("map.ply", "trajectory.tum"):
+        assert (out / name).read_bytes() == (whole / name).read_bytes()
+    assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
+
+
+def test_a_finished_map_is_replaced_only_if_asked(
+    recorded: Path, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, truth = tmp_path / "map", tmp_path / "truth"
+    out.mkdir()
+    truth.mkdir()
+    (truth / "poses0.txt").write_text((drive / "poses0.txt").read_text())
+    np.savetxt(truth / "times0.txt", np.arange(20) * 7.3 + 1000)
+    for name in ("map.ply", "trajectory.kitti"):
+        for extra in ([], ["--resume"]):
+            (out / name).write_text("mine")
+            assert main(["map", str(recorded), "--out", str(out), *extra]) == 1
+            assert f"already holds {name}; replace it with --force" in only_line(capsys)
+        assert (out / name).read_text() == "mine"
+        (out / name).unlink()
+    (out / "map.ply").write_text("mine")
+    # what fails before the new map is complete leaves the old one
+    assert main(["map", str(tmp_path / "none"), "--out", str(out), "--force"]) == 1
+    assert (out / "map.ply").read_text() == "mine"
+    # a truth of another drive costs only the comparison
+    arguments = ["map", str(recorded), "--out", str(out), "--force", "--truth", str(truth)]
+    assert main(arguments) == 3
+    assert "loss: not compared with the truth: " in capsys.readouterr().err
+    assert (out / "map.ply").stat().st_size > 1000 and (out / "report.html").exists()
+    assert not (out / "unfinished").exists()
 
 
 def test_a_truncated_recording_is_mapped_with_loss(
@@ -255,6 +313,6 @@ def test_a_path_that_is_not_a_recording_gives_one_line(
         only_line(capsys)
     empty = tmp_path / "empty"
     RecordingWriter(empty, Config()).close()
-    assert main(["map", str(empty), "--out", str(tmp_path / "map")]) == 1
+    assert main(["map", str(empty), "--out", str(tmp_path / "map")]) == 3
     only_line(capsys)
     assert not (tmp_path / "map").exists()

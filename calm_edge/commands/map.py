@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import LOSS, OK, print_metre, say_no_metre
+from calm_edge.commands.console import LOSS, OK, print_metre, say, say_no_metre
+from calm_edge.processes import CHILD_ENVIRONMENT, interrupted_by_sigterm
 
 if TYPE_CHECKING:
+    from calm_edge.config import Config
     from calm_edge.evaluation.estimate import Estimate
     from calm_edge.evaluation.truth import Truth
+    from calm_edge.mapping.seams import SeamSummary
     from calm_edge.offline.drive import Drive
+    from calm_edge.offline.unfinished import Unfinished
+    from calm_edge.recording.reader import Recording
     from calm_edge.types import Bytes
 
 
@@ -26,57 +33,87 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--truth", type=Path, metavar="FOLDER", help="report the error against this ground truth"
     )
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
+    again = parser.add_mutually_exclusive_group()
+    again.add_argument(
+        "--force", action="store_true", help="replace the map that is in the output folder"
+    )
+    again.add_argument("--resume", action="store_true", help="continue a map that was interrupted")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Build the map; return 3 if the recording has losses, or a spacing but no metre."""
-    from calm_edge.commands.console import say
+    """Build the map; return 3 if something is missing in it, or nothing can be mapped."""
+    # before NumPy is loaded: threads of one solver in two processes hinder each other
+    os.environ.update(CHILD_ENVIRONMENT)
+
     from calm_edge.config import merge, parse_assignment
-    from calm_edge.estimator.metre import NO_WINDOW
     from calm_edge.evaluation.truth import read_truth
-    from calm_edge.mapping.cloud_file import read_cloud
-    from calm_edge.offline.map_drive import KITTI, MAP, REPORT, TUM, make_cloud, write_trajectory
-    from calm_edge.offline.submaps import gather
+    from calm_edge.offline.unfinished import Unfinished, plan
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
 
-    started = time.monotonic()
-    out = new_folder(arguments.out)
+    out: Path = arguments.out
+    unfinished = check_folder(out, force=arguments.force, resume=arguments.resume)
     truth = read_truth(arguments.truth) if arguments.truth is not None else None
     recording = Recording(arguments.recording)
     config = recording.config
     for text in arguments.set:
         config = merge(config, parse_assignment(text))
-    drive = gather(recording, config, say)
-    if not drive.updates or drive.trajectory is None:
-        reasons = drive.losses + recording.losses
-        if drive.metre.reason not in ("", NO_WINDOW):
-            reasons.append(drive.metre.reason)
-        raise CalmEdgeError(
-            f"{arguments.recording}: no window could be solved; nothing to map "
-            f"({'; '.join(reasons) or 'too little motion or overlap'})"
-        )
-    out.mkdir(parents=True, exist_ok=True)
-    n_points, seams = make_cloud(arguments.recording, recording, config, drive, out, say)
-    estimate = write_trajectory(arguments.recording, config, drive, out, seams)
+    if arguments.force:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    leftover = unfinished if out.exists() else out
+    made_of = plan(arguments.recording, config)
+    with interrupted_by_sigterm(), Unfinished(unfinished, config, made_of) as work:
+        try:
+            started = time.monotonic()
+            drive = placed_drive(recording, config, work)
+            if drive is None:
+                shutil.rmtree(leftover)
+                return LOSS
+            code = make_map(recording, config, work, drive, out, truth)
+            print(f"took        {time.monotonic() - started:.0f} s")
+            return code
+        except (KeyboardInterrupt, CalmEdgeError):
+            say(f"what was computed is in {unfinished}; continue with --resume")
+            raise
+
+
+def make_map(
+    recording: Recording,
+    config: Config,
+    work: Unfinished,
+    drive: Drive,
+    out: Path,
+    truth: Truth | None,
+) -> int:
+    """Compute the depth, write all files and print what was written; return the exit code.
+
+    Raises CalmEdgeError; what was computed is then in `work`.
+    """
+    from calm_edge.evaluation import EvaluationError
+    from calm_edge.mapping.cloud_file import read_cloud
+    from calm_edge.offline.map_drive import MAP, make_cloud, write_trajectory
+
+    n_points, seams = make_cloud(recording, config, drive, out, work.spool, say)
+    estimate = write_trajectory(recording.path, config, drive, out, seams)
     points_w, color = read_cloud(out / MAP)
     estimate = replace(estimate, points_w=points_w)
     losses = [*recording.losses, *drive.losses]
-    recorded = arguments.recording.resolve()
+    if not n_points:
+        losses.append("the map has no points: no depth was found in any sub-map")
+    recorded = recording.path.resolve()
     title = f"{recorded.parent.name}/{recorded.name}"
-    write_report(title, estimate, color, drive, truth, losses, out)
-    print(f"map         {out / MAP} ({n_points:,} points)")
-    if seams is not None:
-        print(
-            f"seams       {seams.n_seams}; sub-maps apart by {seams.median_before:.3g} before,"
-            f" {seams.median_after:.3g} after deformation (median of {seams.n_anchors:,} anchors)"
-        )
-    print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
+    try:
+        write_report(title, estimate, color, drive, truth, losses, out)
+    except EvaluationError as error:
+        losses.append(f"not compared with the truth: {error}")
+        write_report(title, estimate, color, drive, None, losses, out)
+    work.remove()
+    print_files(out, n_points, seams, estimate)
     print_metre(drive.metre, config.scale.spacing_m)
-    print(f"report      {out / REPORT}")
-    print(f"took        {time.monotonic() - started:.0f} s")
     if drive.unsolved:
-        say(f"windows {drive.unsolved} could not be solved; constant velocity is assumed")
+        losses.append(
+            f"windows {drive.unsolved} could not be solved; constant velocity is assumed there"
+        )
     for line in losses:
         say(f"loss: {line}")
     no_metre = bool(config.scale.spacing_m) and not drive.metre.metric
@@ -85,17 +122,71 @@ def run(arguments: argparse.Namespace) -> int:
     return LOSS if losses or no_metre else OK
 
 
-def new_folder(out: Path) -> Path:
-    """Check that the output folder holds no map yet; raises CalmEdgeError."""
-    from calm_edge.offline.map_drive import MAP, REPORT, SUMMARY, TUM
+def placed_drive(recording: Recording, config: Config, work: Unfinished) -> Drive | None:
+    """The sub-maps of a drive in their final placement; None, with a message, without any."""
+    from calm_edge.estimator.metre import NO_WINDOW
+    from calm_edge.offline.submaps import gather
+
+    drive = work.placed()
+    if drive is not None:
+        say("all sub-maps were placed by an interrupted run")
+        return drive
+    drive = gather(recording, config, say, work)
+    if not drive.updates or drive.trajectory is None:
+        reasons = drive.losses + recording.losses
+        if drive.metre.reason not in ("", NO_WINDOW):
+            reasons.append(drive.metre.reason)
+        say(
+            f"{recording.path}: no window could be solved; nothing to map "
+            f"({'; '.join(reasons) or 'too little motion or overlap'})"
+        )
+        return None
+    work.place(drive)
+    return drive
+
+
+def check_folder(out: Path, *, force: bool, resume: bool) -> Path:
+    """Check that the output folder holds no map yet; return its folder of unfinished work.
+
+    force: it may hold a map. resume: it may hold an unfinished one. Raises CalmEdgeError.
+    """
+    from calm_edge.offline.map_drive import OUTPUTS
+    from calm_edge.offline.unfinished import FOLDER
     from calm_edge.types import CalmEdgeError
 
     if out.exists() and not out.is_dir():
         raise CalmEdgeError(f"{out}: is a file; choose another output folder")
-    for name in (MAP, TUM, SUMMARY, REPORT):
+    unfinished = out / FOLDER
+    if force:
+        return unfinished
+    if unfinished.exists():
+        if not resume:
+            raise CalmEdgeError(
+                f"{out}: holds an unfinished map; continue it with --resume, or replace it with "
+                "--force"
+            )
+        return unfinished
+    for name in OUTPUTS:
         if (out / name).exists():
-            raise CalmEdgeError(f"{out}: already holds {name}; choose another output folder")
-    return out
+            raise CalmEdgeError(
+                f"{out}: already holds {name}; replace it with --force, or choose another output "
+                "folder"
+            )
+    return unfinished
+
+
+def print_files(out: Path, n_points: int, seams: SeamSummary | None, estimate: Estimate) -> None:
+    """Print what was written."""
+    from calm_edge.offline.map_drive import KITTI, MAP, REPORT, TUM
+
+    print(f"map         {out / MAP} ({n_points:,} points)")
+    if seams is not None:
+        print(
+            f"seams       {seams.n_seams}; sub-maps apart by {seams.median_before:.3g} before,"
+            f" {seams.median_after:.3g} after deformation (median of {seams.n_anchors:,} anchors)"
+        )
+    print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
+    print(f"report      {out / REPORT}")
 
 
 def write_report(

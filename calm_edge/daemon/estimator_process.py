@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
-import signal
 import sys
 import time
 import traceback
@@ -35,6 +34,7 @@ from calm_edge.daemon.messages import (
 from calm_edge.daemon.received_frames import ReceivedFrames
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
+from calm_edge.processes import follow_parent
 from calm_edge.recording.window_record import of_window, window_hints
 from calm_edge.types import CalmEdgeError, LocalizerUpdate, SubmapWindow
 from device.frame import UnreadableImage
@@ -158,7 +158,7 @@ def _prefer_oom_kill() -> None:
 
 def run(connection: Connection, config: Config, lockstep: bool) -> None:
     """Main function of the process. lockstep: compute the joint optimum after every window."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    follow_parent()
     # lower priority than capture and tracker, whose results are needed at once
     os.nice(10)
     _prefer_oom_kill()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import signal
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
@@ -34,6 +33,7 @@ from calm_edge.frontend.half_size import MAX_PIXELS, halved
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.frontend.repeats import RepeatCheck, eighth
 from calm_edge.frontend.tracker import CATCH_UP_NS, Tracker
+from calm_edge.processes import follow_parent
 from calm_edge.recording.window_record import FrameKey, frame_key, of_window
 from calm_edge.types import Bytes, SubmapWindow
 from device.frame import Eye, Frame, UnreadableImage
@@ -174,8 +174,7 @@ def run(
     connection: Connection, ring_name: str, slot_bytes: int, config: FrontendConfig, start: Counters
 ) -> None:
     """Main function of the process; serves messages until Stop."""
-    # Ctrl-C reaches every process of the terminal; only capture acts on it
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    follow_parent()
     # lower priority than capture: recording of frames is more important than poses
     os.nice(2)
     cv2.setNumThreads(1)

@@ -31,15 +31,16 @@ def _header(count: int) -> bytes:
 class CloudWriter:
     """Context manager that writes tiles to `path`.part and renames it to `path` on success.
 
-    After an exception the file is removed. count: points written so far. Raises CloudError if
-    the file exists or cannot be written.
+    After an exception the .part is removed, and an existing file is unchanged. replace: overwrite
+    an existing file. count: points written so far. Raises CloudError if the file exists or cannot
+    be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, replace: bool = False) -> None:
         self._path = path
         self._part = path.with_name(path.name + ".part")
         self.count = 0
-        if path.exists():
+        if path.exists() and not replace:
             raise CloudError(f"{path}: exists already; choose another output folder")
         try:
             self._file: BinaryIO = self._part.open("wb")

@@ -53,18 +53,26 @@ class Spool:
         size = depth.shape[2], depth.shape[1]
         small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
         try:
-            np.savez(
-                self._path(submap_id),
-                depth=depth.astype(np.float32),
-                # round down, so that a confidence below the threshold stays below it
-                confidence=(np.clip(confidence, 0, 1) * 255 + 1e-3).astype(np.uint8),
-                color=np.stack(small)[..., ::-1],
-                image_size=np.array([image.shape[1::-1] for image in images], np.int64),
-            )
+            # renamed once complete: an interrupted `map` finds whole files only
+            part = self._path(submap_id).with_suffix(".part")
+            with part.open("wb") as file:
+                np.savez(
+                    file,
+                    depth=depth.astype(np.float32),
+                    # round down, so that a confidence below the threshold stays below it
+                    confidence=(np.clip(confidence, 0, 1) * 255 + 1e-3).astype(np.uint8),
+                    color=np.stack(small)[..., ::-1],
+                    image_size=np.array([image.shape[1::-1] for image in images], np.int64),
+                )
+            part.replace(self._path(submap_id))
         except OSError as error:
             raise MappingError(
                 f"{self._folder}: cannot write depth ({error.strerror}); check the disk"
             ) from None
+
+    def holds(self, submap_id: int) -> bool:
+        """Whether the depth of a sub-map has been written."""
+        return self._path(submap_id).exists()
 
     def depth(self, submap_id: int) -> SpooledDepth:
         """Read depth and confidence of a sub-map. Raises MappingError."""

@@ -13,6 +13,7 @@ from calm_edge.estimator.held_windows import unsettled, worth_solving
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.estimator.window_solver import Reconstruction
 from calm_edge.offline.drive import Drive, Logged, with_poses
+from calm_edge.offline.progress import Progress
 from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import WindowRecord, of_window, window_hints
@@ -33,10 +34,12 @@ def completed(
     logged: Logged,
     localizer: Localizer,
     say: Callable[[str], None],
+    keep: Callable[[WindowRecord, LocalizerUpdate], None],
 ) -> Drive:
     """Solve the windows that are `due` with all that the others show of the kit; place all again.
 
-    localizer: a new one. The drive as logged if no window is solved.
+    localizer: a new one. keep: called with each solved window. The drive as logged if no window is
+    solved.
     """
     drive = Drive()
     missing = set(records) - set(logged.updates) if not logged.complete else set()
@@ -44,19 +47,24 @@ def completed(
     if missing:
         say(f"{len(missing)} of {len(records)} windows have no sub-map yet and are solved now")
     solved: dict[int, Reconstruction] = {}
-    for i in due(records, logged):
+    todo = due(records, logged)
+    progress = Progress("solving windows", len(todo), say)
+    for i in todo:
         if i in logged.updates and not _worth_solving(logged.updates[i], localizer):
+            progress.leave_out()
             continue
         try:
             found = localizer.attempt(recording.window(records[i]))
         except RecordingError as error:
             drive.losses.append(f"window {i}: {error}")
-            continue
+            found = None
         if found is not None:
             solved[i] = found
-            say(f"window {i} computed again")
-    if logged.complete and not solved:
+            keep(*_solved(found, logged.updates.get(i)))
+        progress.step()
+    if logged.complete and not (solved or logged.later):
         return logged.drive(records)
+    say("placing all sub-maps")
     drive.trajectory = localizer.finish()
     drive.metre = localizer.metre
     for submap in localizer.submaps:
@@ -82,10 +90,27 @@ def _restore(
     sizes = np.array([recording.picture_size(eye) for eye in Eye], np.int64)
     for i, update in logged.updates.items():
         hints = replace(window_hints(records[i], update, config), sizes=sizes)
-        localizer.restore(update, hints, final=logged.finished)
+        localizer.restore(update, hints, final=logged.finished and i not in logged.later)
         if places and config.loops.enabled:
             with suppress(RecordingError, UnreadableImage):
                 localizer.remember(recording.window(records[i]))
+
+
+def _solved(
+    found: Reconstruction, update: LocalizerUpdate | None
+) -> tuple[WindowRecord, LocalizerUpdate]:
+    """Record and update of a window as solved, not yet placed. update: as recorded."""
+    submap = found.submap
+    if update is None:
+        path = submap.T_s_c[: submap.n_primary]
+        nowhere = Trajectory(
+            np.array(submap.primary_ids), submap.t_ns[: submap.n_primary], path, np.eye(4), 0
+        )
+        update = LocalizerUpdate(submap, found.prediction, nowhere, loop=found.closed)
+    loop = found.closed or update.loop
+    return of_window(found.window), replace(
+        update, submap=submap, prediction=found.prediction, loop=loop
+    )
 
 
 def _worth_solving(update: LocalizerUpdate, localizer: Localizer) -> bool:

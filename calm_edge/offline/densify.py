@@ -17,7 +17,7 @@ import numpy as np
 from calm_edge.backbones.base import Backbone
 from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config
-from calm_edge.processes import CHILD_ENVIRONMENT, environment
+from calm_edge.processes import CHILD_ENVIRONMENT, environment, follow_parent
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import WindowRecord, window_hints
 from calm_edge.types import CalmEdgeError, Float32, LocalizerUpdate
@@ -75,6 +75,7 @@ def _nothing(update: LocalizerUpdate) -> Any:
 
 
 def _set_up(path: Path, config: Config) -> None:
+    follow_parent()
     cv2.setNumThreads(1)
     backbone: Backbone = open_backbone(config)
     _worker.update(recording=Recording(path), backbone=backbone, config=config)

@@ -35,12 +35,14 @@ class Logged:
     """The results recorded by `record`: updates by sub-map id.
 
     finished: `record` finished. complete: and each window has a sub-map or could not be solved.
+    later: ids of windows solved since, by an earlier run of `map`.
     """
 
     updates: dict[int, LocalizerUpdate]
     trajectory: Trajectory | None
     finished: bool
     complete: bool
+    later: frozenset[int] = frozenset()
 
     def drive(self, records: dict[int, WindowRecord]) -> Drive:
         """The drive as recorded."""

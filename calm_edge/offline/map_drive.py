@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable
 from dataclasses import asdict
+from itertools import compress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from calm_edge.config import Config
 from calm_edge.evaluation.estimate import Estimate, from_recording, from_updates
@@ -15,10 +17,13 @@ from calm_edge.mapping.cloud_file import CloudWriter
 from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.seams import SeamSummary
 from calm_edge.mapping.seams import summary as seam_summary
+from calm_edge.mapping.spool import Spool
 from calm_edge.offline.densify import densified
 from calm_edge.offline.drive import Drive
+from calm_edge.offline.progress import Progress
 from calm_edge.recording.reader import Recording
 from calm_edge.trajectories import write_kitti, write_tum
+from calm_edge.types import Float32
 
 MAP, TUM, KITTI, SUMMARY, REPORT = (
     "map.ply",
@@ -27,40 +32,50 @@ MAP, TUM, KITTI, SUMMARY, REPORT = (
     "summary.json",
     "report.html",
 )
+OUTPUTS = (MAP, TUM, KITTI, SUMMARY, REPORT)
 
 
 def make_cloud(
-    path: Path,
     recording: Recording,
     config: Config,
     drive: Drive,
     out: Path,
+    spool: Path,
     say: Callable[[str], None],
 ) -> tuple[int, SeamSummary | None]:
-    """Compute depth and anchors of all sub-maps and write map.ply.
+    """Compute depth and anchors of all sub-maps and write map.ply, over an existing one.
 
+    spool: folder for scratch files, removed by the caller; depth found in it is not computed again.
     Returns the number of points, and statistics of the distances between sub-maps' positions of
     common anchors.
     """
-    spacing = config.scale.spacing
-    n = len(drive.updates)
-    with tempfile.TemporaryDirectory(prefix="spool-", dir=out) as spool:
-        mapper = Mapper(config.mapping, spacing, Path(spool), config.backbone.seed)
-        depths = densified(path, config, drive.windows, drive.updates)
-        for k, (record, update, depth) in enumerate(
-            zip(drive.windows, drive.updates, depths, strict=True), 1
-        ):
-            if isinstance(depth, str):
-                drive.losses.append(depth)
-                continue
-            window = recording.window(record)
-            images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
-            mapper.add(update.submap, *depth, images)
-            say(f"depth and anchors: {k} of {n} sub-maps")
-        with CloudWriter(out / MAP) as cloud:
-            for tile in mapper.finish():
-                cloud.write(tile)
-        return cloud.count, seam_summary(mapper.seams())
+    mapper = Mapper(config.mapping, config.scale.spacing, spool, config.backbone.seed)
+    earlier = Spool(spool)
+    known = [earlier.holds(update.submap.id) for update in drive.updates]
+    windows = list(compress(drive.windows, np.logical_not(known)))
+    updates = list(compress(drive.updates, np.logical_not(known)))
+    depths = densified(recording.path, config, windows, updates)
+    progress = Progress("depth and anchors of sub-maps", len(known), say)
+    for record, update, done in zip(drive.windows, drive.updates, known, strict=True):
+        depth = _spooled(earlier, update.submap.id) if done else next(depths)
+        if isinstance(depth, str):
+            drive.losses.append(depth)
+            continue
+        window = recording.window(record)
+        images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
+        mapper.add(update.submap, *depth, images)
+        progress.step(free=done)
+    say("fusing and deforming the sub-maps")
+    with CloudWriter(out / MAP, replace=True) as cloud:
+        for tile in mapper.finish():
+            cloud.write(tile)
+    return cloud.count, seam_summary(mapper.seams())
+
+
+def _spooled(spool: Spool, submap_id: int) -> tuple[Float32, Float32]:
+    """Depth (N, h, w) and confidence (N, h, w) that an interrupted run has computed."""
+    found = spool.depth(submap_id)
+    return found.depth, found.confidence.astype(np.float32) / np.float32(255)
 
 
 def write_trajectory(

@@ -7,7 +7,7 @@ backbone estimates no kit and a sub-map is missing, all windows are computed aga
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from calm_edge.backbones.base import ResolvingBackbone
@@ -18,6 +18,8 @@ from calm_edge.frontend.association import WindowBuilder
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.offline.completion import completed, due
 from calm_edge.offline.drive import Drive, Logged, with_poses
+from calm_edge.offline.progress import Progress
+from calm_edge.offline.unfinished import Unfinished
 from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import STATUS
@@ -31,10 +33,16 @@ from calm_edge.types import (
 from device.frame import Eye, UnreadableImage
 
 
-def gather(recording: Recording, config: Config, say: Callable[[str], None]) -> Drive:
+def gather(
+    recording: Recording,
+    config: Config,
+    say: Callable[[str], None],
+    unfinished: Unfinished | None = None,
+) -> Drive:
     """Return the placed windows of a recording, solved where `record` did not do it.
 
-    These are windows without a sub-map, and those matched before the kit was known.
+    These are windows without a sub-map, and those matched before the kit was known. unfinished:
+    keeps what is solved, and has what an interrupted run has solved.
     """
     records = {record.submap_id: record for record in recording.windows()}
     if not records:
@@ -43,6 +51,7 @@ def gather(recording: Recording, config: Config, say: Callable[[str], None]) -> 
         say("the recording holds no windows: selecting keyframes again")
         return _recompute(recording, records, config, say)
     logged = _logged(recording, records)
+    solved = unfinished.solved() if unfinished is not None else {}
     if logged.complete and not due(records, logged):
         return logged.drive(records)
     # the kit file may already contain the evidence of this drive
@@ -50,12 +59,32 @@ def gather(recording: Recording, config: Config, say: Callable[[str], None]) -> 
     backbone = open_backbone(config)
     # sections V-A and V-B learn from the images of every window
     restores = isinstance(backbone, ResolvingBackbone) and config.correction.apply != "always"
+    keep = unfinished.add if unfinished is not None and restores else _not_kept
+    if solved and restores:
+        say(f"{len(solved)} windows were solved by an interrupted run")
+        logged, records = _with_solved(logged, records, solved)
     if logged.updates and restores:
         localizer = Localizer(config, backbone)
-        return completed(recording, config, records, logged, localizer, say)
+        return completed(recording, config, records, logged, localizer, say, keep)
     if logged.complete:
         return logged.drive(records)
-    return _recompute(recording, records, config, say)
+    return _recompute(recording, records, config, say, keep)
+
+
+def _not_kept(record: WindowRecord, update: LocalizerUpdate) -> None:
+    """Nothing is kept of a window whose solution cannot be restored."""
+
+
+def _with_solved(
+    logged: Logged,
+    records: dict[int, WindowRecord],
+    solved: Mapping[int, tuple[WindowRecord, LocalizerUpdate]],
+) -> tuple[Logged, dict[int, WindowRecord]]:
+    """Add the windows that an interrupted run has solved to those that `record` has."""
+    updates = {**logged.updates, **{i: update for i, (_, update) in solved.items()}}
+    in_order = {i: updates[i] for i in sorted(updates)}
+    records = {**records, **{i: record for i, (record, _) in solved.items()}}
+    return replace(logged, updates=in_order, later=frozenset(solved)), records
 
 
 def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Logged:
@@ -94,13 +123,16 @@ def _recompute(
     records: dict[int, WindowRecord],
     config: Config,
     say: Callable[[str], None],
+    keep: Callable[[WindowRecord, LocalizerUpdate], None] = _not_kept,
 ) -> Drive:
     config = merge(config, {"backbone": {"kit_file": ""}})
     localizer = Localizer(config, open_backbone(config))
     drive = Drive()
     found: dict[int, tuple[WindowRecord, LocalizerUpdate]] = {}
+    progress = Progress("solving windows", len(records) or None, say)
     for window in _windows(recording, records, config, drive):
         update = localizer.process(window)
+        progress.step()
         if update is None:
             drive.unsolved.append(window.submap_id)
             continue
@@ -108,7 +140,7 @@ def _recompute(
         # the loop keyframe found now may differ from the recorded one
         solved = replace(window, loop_keyframe=update.loop_keyframe)
         found[window.submap_id] = of_window(solved), replace(update, prediction=light)
-        say(f"window {window.submap_id} computed again")
+        keep(*found[window.submap_id])
     drive.trajectory = localizer.finish()
     drive.metre = localizer.metre
     for submap in localizer.submaps:

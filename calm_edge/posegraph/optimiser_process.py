@@ -7,12 +7,12 @@ Exits when the parent closes them.
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from multiprocessing.connection import Connection
 
 from calm_edge.posegraph.optimiser import Snapshot, Solved
 from calm_edge.posegraph.optimum import optimum
+from calm_edge.processes import follow_parent
 
 
 def serve(requests: Connection, answers: Connection) -> None:
@@ -29,8 +29,7 @@ def serve(requests: Connection, answers: Connection) -> None:
 
 
 def main() -> None:
-    # Ctrl-C reaches the whole process group; the parent decides when this one ends
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    follow_parent()
     os.nice(5)
     read, write = (int(argument) for argument in sys.argv[1:3])
     serve(Connection(read, writable=False), Connection(write, readable=False))

@@ -18,6 +18,7 @@ from calm_edge.estimator.localizer import Localizer
 from calm_edge.kit import layout
 from calm_edge.offline import submaps
 from calm_edge.offline.submaps import gather
+from calm_edge.offline.unfinished import Unfinished, plan
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.recording.window_record import of_window
@@ -93,11 +94,12 @@ def recorded(
 
 
 def gathered(
-    recording: Recording, patch: pytest.MonkeyPatch
+    recording: Recording, patch: pytest.MonkeyPatch, unfinished: Unfinished | None = None
 ) -> tuple[submaps.Drive, list[int], list[str]]:
     backbone, lines = Kit(recording.config), list[str]()
     patch.setattr(submaps, "open_backbone", lambda _: backbone)
-    return gather(recording, recording.config, lines.append), backbone.inferred, lines
+    drive = gather(recording, recording.config, lines.append, unfinished)
+    return drive, backbone.inferred, lines
 
 
 def test_what_record_solved_is_not_solved_again(
@@ -119,7 +121,7 @@ def test_only_a_missing_window_is_solved(
     drive, _, lines = gathered(recording, monkeypatch)
     # besides it the other two, which one window alone could not guide
     assert lines[0] == "1 of 3 windows have no sub-map yet and are solved now"
-    assert f"window {missing} computed again" in lines
+    assert lines[1].startswith("solving windows: 1 of ") and lines[-1] == "placing all sub-maps"
     assert [update.submap.id for update in drive.updates] == [0, 1, 2] and not drive.unsolved
     assert drive.trajectory is not None
     assert drive.trajectory.keyframe_ids.tolist() == list(range(N))
@@ -134,8 +136,41 @@ def test_windows_matched_before_the_kit_was_known_are_solved_again(
 ) -> None:
     recording = recorded(small_drive, tmp_path / "rec", hurried=True)
     drive, inferred, lines = gathered(recording, monkeypatch)
-    assert lines == ["window 0 computed again", "window 1 computed again"]
+    assert lines[0].startswith("solving windows: 1 of 2")
     assert len(inferred) == 2
     for update in drive.updates:
         assert update.prediction.kit_sigma is not None
         assert update.prediction.kit_sigma[0] == 0.01
+
+
+def test_an_interrupted_run_is_continued(
+    small_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = recorded(small_drive, tmp_path / "rec", missing=[0, 1, 2])
+    config = recording.config
+    whole, inferred, _ = gathered(recording, monkeypatch)
+    made_of, attempts = plan(recording.path, config), iter([False, False, True])
+    infer = Kit.infer
+
+    def interrupted(self: Kit, images: Sequence[Any], hints: Hints) -> Prediction:
+        if next(attempts):
+            raise KeyboardInterrupt
+        return infer(self, images, hints)
+
+    with Unfinished(tmp_path / "work", config, made_of) as work, monkeypatch.context() as patch:
+        patch.setattr(Kit, "infer", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            gathered(recording, monkeypatch, work)
+    with Unfinished(tmp_path / "work", config, made_of) as work:
+        assert [*work.solved()] == [0, 1] and work.placed() is None
+        drive, again, lines = gathered(recording, monkeypatch, work)
+        work.place(drive)
+        kept = work.placed()
+    assert lines[0] == "2 windows were solved by an interrupted run"
+    assert len(again) < len(inferred)
+    assert kept is not None
+    for found in (drive, kept):
+        assert [update.submap.id for update in found.updates] == [0, 1, 2]
+        assert found.trajectory is not None and whole.trajectory is not None
+        assert np.allclose(found.trajectory.T_w_c, whole.trajectory.T_w_c, atol=1e-6)
+        assert [w.ids.tolist() for w in found.windows] == [w.ids.tolist() for w in whole.windows]
