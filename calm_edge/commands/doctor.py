@@ -27,6 +27,7 @@ NEEDED = {
     "onnxruntime": f"no networks; {PLAIN}",
 }
 OPTIONAL = {
+    "yaml": "no calibrations of ROS and Kalibr (pip install pyyaml)",
     "serial": "no pose on a serial port (pip install pyserial)",
     "systemd": "no watchdog and no readiness under systemd (pip install systemd-python, "
     "after apt-get install gcc pkg-config libsystemd-dev python3-dev)",

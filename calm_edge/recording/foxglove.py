@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -17,6 +18,8 @@ from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.geometry.se3 import quaternions
 from calm_edge.types import Float, PoseSample, Trajectory
 from device.frame import Eye
@@ -58,6 +61,27 @@ def image(eye: Eye, t_ns: int, data: bytes) -> CompressedImage:
     kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
     return CompressedImage(
         timestamp=timestamp(t_ns), frame_id=camera_frame(eye), data=data, format=kind
+    )
+
+
+def camera_calibration(eye: Eye, camera: Camera, t_ns: int) -> CameraCalibration:
+    """Convert a camera; without rectification."""
+    k = [*camera.distortion]
+    if isinstance(camera, Fisheye):
+        model, size = "kannala_brandt", 4
+    else:
+        model, size = ("plumb_bob", 5) if len(k) <= 5 else ("rational_polynomial", 8)
+    K = camera.matrix
+    return CameraCalibration(
+        timestamp=timestamp(t_ns),
+        frame_id=camera_frame(eye),
+        width=camera.width,
+        height=camera.height,
+        distortion_model=model,
+        D=k + [0.0] * (size - len(k)),
+        K=K.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=np.hstack([K, np.zeros((3, 1))]).ravel().tolist(),
     )
 
 

@@ -8,6 +8,8 @@
 | /pose/keyframes | foxglove.PosesInFrame | newest keyframe of the sub-map |
 | /tf | foxglove.FrameTransform: `primary` in `world` | PoseSample.t_ns |
 | /tf | foxglove.FrameTransform: `submap` in `world` | newest keyframe of the sub-map |
+| /primary/calibration | foxglove.CameraCalibration of the sub-map | as /submap |
+| /assistant/calibration | the same of the other camera | as /submap |
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
 | /window | calm_edge.Window: keys of the window's frames | its newest keyframe |
 | /clock, /status, /health | JSON | time of writing |
@@ -25,6 +27,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -35,9 +38,13 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from calm_edge.recording import RecordingError, camera_record, foxglove, record
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import LocalizerUpdate, PoseSample
+from calm_edge.types import LocalizerUpdate, PoseSample, Submap
 from device.frame import Eye, Frame
 
+CALIBRATION_TOPICS = {
+    Eye.PRIMARY: "/primary/calibration",
+    Eye.ASSISTANT: "/assistant/calibration",
+}
 IMAGE_TOPICS = {Eye.PRIMARY: "/primary/image", Eye.ASSISTANT: "/assistant/image"}
 POSE_LIVE, POSE_SAMPLE, POSE_KEYFRAMES = "/pose/live", "/pose/sample", "/pose/keyframes"
 TF, SUBMAP, WINDOW, CLOCK, STATUS, LOG = "/tf", "/submap", "/window", "/clock", "/status", "/log"
@@ -49,6 +56,7 @@ CAMERAS_METADATA = "calm_edge.cameras"
 
 _PROTOBUF: dict[str, Any] = {
     **dict.fromkeys(IMAGE_TOPICS.values(), CompressedImage),
+    **dict.fromkeys(CALIBRATION_TOPICS.values(), CameraCalibration),
     POSE_LIVE: Odometry,
     POSE_SAMPLE: record.message_class("PoseSample"),
     POSE_KEYFRAMES: PosesInFrame,
@@ -157,6 +165,22 @@ def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage
         LogMessage(SUBMAP, t_ns, record.encode("Submap", header, arrays)),
         _message(POSE_KEYFRAMES, t_ns, foxglove.trajectory(update.trajectory, t_ns)),
         _message(TF, t_ns, submap),
+        *calibration_messages(update.submap, t_ns),
+    ]
+
+
+def calibration_messages(submap: Submap, t_ns: int) -> list[LogMessage]:
+    """Encode the cameras of a sub-map for Foxglove, one message for each eye that it has."""
+    views = {Eye.PRIMARY: 0}
+    if submap.assistant_ids:
+        views[Eye.ASSISTANT] = submap.n_primary
+    return [
+        _message(
+            CALIBRATION_TOPICS[eye],
+            t_ns,
+            foxglove.camera_calibration(eye, submap.cameras[view], t_ns),
+        )
+        for eye, view in views.items()
     ]
 
 

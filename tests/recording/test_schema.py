@@ -8,10 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from calm_edge.geometry.camera import Perspective
+from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.recording import RecordingError, schema
 from calm_edge.types import PoseStatus
 from device.frame import Eye, Frame
@@ -101,3 +104,27 @@ def test_a_standard_reader_decodes_every_message_to_the_same_poses(tmp_path: Pat
     assert seen["/submap"][0].DESCRIPTOR.full_name == "calm_edge.Submap"
     assert len(seen["/pose/keyframes"][0].poses) == 9
     assert seen["/primary/image"][0].format == "jpeg"
+
+
+def test_the_cameras_of_a_sub_map_are_published_with_their_lenses() -> None:
+    update = samples.update()
+    lenses = {
+        Eye.PRIMARY: (Perspective(500, 510, 320, 240, 640, 480, (-0.3, 0.1)), "plumb_bob"),
+        Eye.ASSISTANT: (Fisheye(300, 310, 322, 238, 640, 480, (0.01, -0.02)), "kannala_brandt"),
+    }
+    cameras = tuple(lenses[Eye(view >= 3)][0] for view in range(5))
+    submap = dataclasses.replace(update.submap, cameras=cameras)
+    messages = schema.calibration_messages(submap, 7)
+    assert [message.topic for message in messages] == [
+        "/primary/calibration",
+        "/assistant/calibration",
+    ]
+    for message, (eye, (camera, model)) in zip(messages, lenses.items(), strict=True):
+        found = CameraCalibration.FromString(message.data)
+        assert (found.frame_id, found.distortion_model) == (eye.name.lower(), model)
+        assert (found.width, found.height) == (640, 480)
+        assert list(found.D[: len(camera.distortion)]) == list(camera.distortion)
+        assert list(found.K) == camera.matrix.ravel().tolist()
+        assert len(found.D) == {"plumb_bob": 5, "kannala_brandt": 4}[model]
+    alone = dataclasses.replace(submap, assistant_ids=())
+    assert len(schema.calibration_messages(alone, 7)) == 1
