@@ -37,6 +37,7 @@ COMMANDS = {
     "accuracy": ("bench.accuracy.command", "four conditions on three tracks, and real clips"),
     "windows": ("bench.windows", "errors of single windows over their sigmas: scale and poses"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
+    "imported": ("bench.imported", "two videos of a drive: clock offset, trajectory error"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }
 

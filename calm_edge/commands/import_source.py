@@ -25,6 +25,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         help="added to the assistant's stamps; default: found from the motion",
     )
+    parser.add_argument("--primary", default="", metavar="TOPIC", help="a bag's topic")
+    parser.add_argument("--assistant", default="", metavar="TOPIC", help="a bag's topic")
     parser.add_argument("--single", action="store_true", help="accept a single camera, no metre")
     parser.add_argument(
         "--rotate",
@@ -67,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Import the sources; print what was taken, dropped and assumed."""
     from calm_edge.commands.record import effective_config
     from calm_edge.interchange import recorded
+    from calm_edge.interchange.calibration.opencv import FILE as OPENCV
     from calm_edge.interchange.registry import importer
 
     config = effective_config(arguments)
@@ -84,6 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
     for title, lines in facts(imported):
         for line in lines:
             print(f"{title:11} {line}")
+    if imported.calibration is not None:
+        print(f"calibration {arguments.out / recorded.CALIBRATION / OPENCV}")
     if imported.truth is not None:
         print(f"truth       {arguments.out / recorded.TRUTH} (eval --truth)")
     return OK
@@ -103,6 +108,7 @@ def parsed(arguments: argparse.Namespace, config: Config) -> ImportOptions:
         single=arguments.single,
         offset_s=arguments.offset_s,
         quality=quality,
+        topics=(arguments.primary, arguments.assistant),
         turn_deg=None if arguments.rotate is None else tuple(arguments.rotate),
         unsteady=arguments.accept_unsteady,
     )
@@ -112,9 +118,10 @@ def with_spacing(config: Config, imported: Imported) -> Config:
     """Set the published spacing, unless the user gave one."""
     from calm_edge.config import merge
 
-    if config.scale.spacing_m or not imported.spacing_m:
+    published = imported.calibration.spacing_m if imported.calibration is not None else None
+    if config.scale.spacing_m or not published:
         return config
-    return merge(config, {"scale": {"spacing_m": imported.spacing_m}})
+    return merge(config, {"scale": {"spacing_m": published}})
 
 
 def facts(imported: Imported) -> tuple[tuple[str, tuple[str, ...]], ...]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from calm_edge.geometry.camera import Camera
+from calm_edge.interchange.calibration.calibration import Calibration
 from calm_edge.types import Float, Int
 from device.frame import JPEG_QUALITY, Eye, Frame
 
@@ -44,8 +44,8 @@ class Imported:
     """Frames of one or two cameras, encoded and in order, and what the source says beside.
 
     frames: (eye) -> its frames, stamped from ORIGIN_NS of sequence folders on. took, dropped,
-    assumed: a line each. cameras: published calibration by eye. spacing_m: published distance of
-    the cameras, 0 if unknown. facts: for the recording's metadata.
+    assumed: a line each. calibration: as published. beside: files in the scratch folder that the
+    recording keeps. facts: for the recording's metadata.
     """
 
     eyes: tuple[Eye, ...]
@@ -54,8 +54,8 @@ class Imported:
     dropped: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     truth: GroundTruth | None = None
-    cameras: dict[Eye, Camera] = field(default_factory=dict)
-    spacing_m: float = 0.0
+    calibration: Calibration | None = None
+    beside: tuple[Path, ...] = ()
     facts: dict[str, str] = field(default_factory=dict)
 
 

@@ -43,6 +43,17 @@ class Relation:
             lines.append(f"sound: {verb} ({1e3 * self.sound_s:+.0f} ms)")
         return lines
 
+    def facts(self) -> dict[str, str]:
+        """The same as texts of numbers, for programs."""
+        f = self.fit
+        return {
+            "clock_offset_s": repr(f.offset_s),
+            "clock_offset_at_s": repr(f.at_s),
+            "clock_offset_sigma_s": repr(f.sigma_s),
+            "clock_drift": repr(f.drift),
+            "clock_drift_sigma": repr(f.drift_sigma),
+        }
+
 
 def relate(primary: Turns, assistant: Turns, sound: Coarse | None) -> Relation:
     """Find the relation of the clocks; raises InterchangeError if the motion does not show it."""

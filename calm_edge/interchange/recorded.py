@@ -13,15 +13,16 @@ from calm_edge.config import Config
 from calm_edge.geometry import se3
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.base import Imported
+from calm_edge.interchange.calibration import formats
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.schema import IMPORT_METADATA
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.trajectories import write_kitti
 from device.atomic_file import sync_folder
 from device.frame import Eye
 
-METADATA = "calm_edge.import"
-TRUTH = "truth"
+TRUTH, CALIBRATION = "truth", "calibration"
 # marks a folder that an import has begun; nothing else is ever removed
 _MARK = "unfinished import, may be removed"
 
@@ -61,7 +62,8 @@ def unfinished(out: Path, say: Callable[[str], None]) -> Iterator[Path]:
 def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[Eye, int]:
     """Write the frames to a recording in `folder`, verify it, return the number of frames.
 
-    name: of the format. Ground truth goes to the sub-folder TRUTH. Raises CalmEdgeError.
+    name: of the format. Ground truth goes to the sub-folder TRUTH, a calibration to CALIBRATION.
+    Raises CalmEdgeError.
     """
     now = ORIGIN_NS
     counts = dict.fromkeys(imported.eyes, 0)
@@ -77,7 +79,7 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
         folder, config, {"cameras": f"imported: {name}"}, lossless=True, now_ns=lambda: now
     )
     try:
-        writer.write_metadata(METADATA, facts)
+        writer.write_metadata(IMPORT_METADATA, facts)
         streams = [imported.frames(eye) for eye in imported.eyes]
         for frame in heapq.merge(*streams, key=lambda f: (f.t_ns, f.eye)):
             now = frame.t_ns
@@ -88,6 +90,10 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
     if health.error:
         raise InterchangeError(health.error)
     _verify(folder, counts)
+    for path in imported.beside:
+        path.replace(folder / path.name)
+    if imported.calibration is not None:
+        formats.write("opencv", folder / CALIBRATION, imported.calibration, (f"as in the {name}",))
     if imported.truth is not None:
         _write_truth(imported, folder / TRUTH)
     return counts
@@ -115,9 +121,9 @@ def _write_truth(imported: Imported, folder: Path) -> None:
     stamps = (imported.truth.t_ns - ORIGIN_NS).tolist()
     (folder / "times0.txt").write_text("".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in stamps))
     rows = []
-    for eye in Eye:
-        camera = imported.cameras.get(eye)
-        if camera is not None and camera.is_pinhole:
+    cameras = [] if imported.calibration is None else imported.calibration.cameras
+    for camera in (each.camera for each in cameras):
+        if camera.is_pinhole:
             values = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
             rows.append(" ".join(f"{v:.9g}" for v in values) + "\n")
     if len(rows) == 2:

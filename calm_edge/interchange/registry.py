@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from calm_edge.interchange import InterchangeError
+from calm_edge.interchange.bag import Bags
 from calm_edge.interchange.base import Importer
 from calm_edge.interchange.video_pair import VideoPair
 
 # in the order in which they are asked: a folder of a data set may also look like a plainer one
-IMPORTERS: tuple[Importer, ...] = (VideoPair(),)
+IMPORTERS: tuple[Importer, ...] = (Bags(), VideoPair())
 
 
 def importer(sources: tuple[Path, ...]) -> Importer:

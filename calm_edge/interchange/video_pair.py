@@ -141,7 +141,7 @@ def _imported(tracks: list[_Track], relation: Relation | None, options: ImportOp
     else:
         stamps[1] = relation.fit.primary_time(stamps[1])
         took += relation.lines()
-        facts["clock"] = "; ".join(relation.lines())
+        facts = relation.facts()
         turn = _upside_down(relation, options)
         if turn:
             assumed.append("assistant: its picture is upside down; rotated by 180 degrees")

@@ -73,6 +73,11 @@ class Recording:
         """Metadata of the session: version, backbone, boot_id, cameras ..."""
         return self._metadata(schema.SESSION_METADATA)
 
+    @property
+    def import_facts(self) -> dict[str, str]:
+        """What `import` took, dropped and assumed, or {} of another recording."""
+        return self._metadata(schema.IMPORT_METADATA)
+
     def cameras(self, eye: Eye) -> dict[str, Any]:
         """Camera settings of an eye as last recorded, or {}."""
         text = self._metadata(schema.CAMERAS_METADATA, last=True).get(eye.name.lower(), "{}")

@@ -53,6 +53,7 @@ HEALTH = "/health"
 CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
 CAMERAS_METADATA = "calm_edge.cameras"
+IMPORT_METADATA = "calm_edge.import"
 
 _PROTOBUF: dict[str, Any] = {
     **dict.fromkeys(IMAGE_TOPICS.values(), CompressedImage),

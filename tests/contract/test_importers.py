@@ -13,6 +13,7 @@ from calm_edge.interchange.base import Importer, ImportOptions
 from calm_edge.interchange.registry import IMPORTERS, importer
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from device.frame import Eye
+from tests.interchange.bags import write_ros
 from tests.interchange.moving import SIZE, pictures, write_video
 
 Build = Callable[[Path], tuple[Path, ...]]
@@ -24,7 +25,12 @@ def videos(folder: Path) -> tuple[Path, ...]:
     return tuple(write_video(folder / f"{i}.mp4", T, pictures(T + i)) for i in range(2))
 
 
-BUILDS: dict[str, Build] = {"video": videos}
+def bag(folder: Path) -> tuple[Path, ...]:
+    """A ROS 2 bag."""
+    return (write_ros(folder / "drive", T),)
+
+
+BUILDS: dict[str, Build] = {"bag": bag, "video": videos}
 OPTIONS = ImportOptions(offset_s=0.0)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,7 @@ Picture = NDArray[np.uint8]
 Turn = Callable[[Float], Float]
 
 
+@cache
 def panorama(seed: int = 3) -> Picture:
     """A wide picture with structure of all sizes, (400, 1000) grey."""
     rng = np.random.default_rng(seed)

@@ -36,6 +36,7 @@ def test_the_recording_holds_every_frame_in_order_and_what_was_assumed(tmp_path:
     with recorded.unfinished(tmp_path / "rec", print) as folder:
         recorded.write(imported, CONFIG, folder, "video")
     recording = Recording(tmp_path / "rec")
+    assert recording.import_facts["assumed"] == '["no drift"]'
     read = list(recording.frames())
     first = [(Eye.PRIMARY, 0), (Eye.ASSISTANT, 10**7), (Eye.PRIMARY, 10**8)]
     assert [(f.eye, f.t_ns - ORIGIN_NS) for f in read[:3]] == first
