@@ -35,7 +35,7 @@ def load(path, cameras, sizes):
     return file.remembered(path, file.read(path), cameras, sizes)
 
 
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, layout.SIZE))
 def test_a_saved_belief_is_read_back_faded(tmp_path_factory, seed, rank):
     path = tmp_path_factory.mktemp("kit") / "kit.json"
