@@ -14,6 +14,8 @@ import numpy as np
 
 from bench.graph_covariance import optimised
 from calm_edge.config import Config
+from calm_edge.evaluation.live import parts
+from calm_edge.evaluation.motion_covariance import motion_covariance
 from calm_edge.evaluation.trajectory import associate
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry import se3
@@ -93,27 +95,24 @@ def of_live(
 ) -> dict[str, Stretches]:
     """Stretches of the poses as published, with the covariances published with them.
 
-    The errors of the two ends count as independent. The error of the scale is common to both, so
-    it is added for the way between them. with_scale: whether the version knows of it; if not, the
-    covariances of its poses are all it claims.
+    with_scale: whether the version knows of the scale's error; if not, the covariances of its poses
+    are all it claims.
     """
+    usable = np.array([s.status.usable for s in samples], np.bool_)
     live = [s for s in samples if s.status.usable]
     a, b = associate(np.array([s.t_ns for s in live], np.int64), truth.t_ns)
     if not len(a):
         return {}
-    T = np.stack([live[k].T_w_c for k in a])
-    covariance = np.stack([live[k].covariance for k in a])
-    epoch = np.array([live[k].epoch for k in a], np.int64)
-    scale_sigma = np.array([live[k].scale_log_sigma for k in a])
+    live = [live[k] for k in a]
+    T = np.stack([sample.T_w_c for sample in live])
+    part = parts(samples)[usable][a]
     t_ns, T_truth = truth.t_ns[b], truth.T_w_c[b]
     out = {}
     for name, (along, length) in along_track(t_ns, T_truth).items():
-        i, j = ends(along, length, epoch)
-        turn = se3.adjoint(se3.inverse(T[j]) @ T[i])
-        total = covariance[j] + turn @ covariance[i] @ np.swapaxes(turn, -1, -2)
-        if with_scale:
-            total[:, :3, :3] += _of_scale(T, i, j, scale_sigma[j])
-        out[name] = _stretches(T, T_truth, i, j, total)
+        i, j = ends(along, length, part)
+        pairs = zip(i.tolist(), j.tolist(), strict=True)
+        total = [motion_covariance(live[first], live[then], with_scale) for first, then in pairs]
+        out[name] = _stretches(T, T_truth, i, j, np.array(total).reshape(-1, 6, 6))
     return out
 
 

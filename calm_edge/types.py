@@ -396,9 +396,11 @@ class PoseSample:
     T_w_c: (4, 4) primary camera->world. velocity_c: (3,) and turn_rate_c: (3,) rad/s, camera
     axes. covariance: (6, 6) of (translation, rotation), relative to the sub-map it was tracked in,
     twist_covariance: (6, 6) of (velocity_c, turn_rate_c), camera axes, both given the scale; see
-    `with_scale`. World units and rad; NaN if unknown.
+    `with_drift`. World units and rad; NaN if unknown.
     scale_log_sigma: sigma of the log of lengths at present, given the spacing; inf if unknown.
-    scale_offset: (3,) how far the position moves for one sigma of the scale, camera axes.
+    Since the first metric pose of the epoch, camera axes: drift, the (6, 6) covariance of the
+    motion given scale and focal length; scale_offset (3,) and focal_offset (6,), how far the pose
+    moves for one sigma of either.
     """
 
     t_ns: int
@@ -411,15 +413,18 @@ class PoseSample:
     twist_covariance: Float = field(default_factory=lambda: np.full((6, 6), np.nan))
     scale_log_sigma: float = np.inf
     scale_offset: Float = field(default_factory=lambda: np.zeros(3))
+    focal_offset: Float = field(default_factory=lambda: np.zeros(6))
+    drift: Float = field(default_factory=lambda: np.zeros((6, 6)))
 
-    def with_scale(self) -> tuple[Float, Float]:
-        """Covariances (6, 6) of pose and twist with the error of the scale; NaN if it is unknown.
+    def with_drift(self) -> tuple[Float, Float]:
+        """Covariances (6, 6) of the pose since the first metric one, and of the twist.
 
-        An error of the scale stretches the path since the first metric pose, and the velocity.
+        With the error of the scale, which stretches the path and the velocity. NaN if unknown.
         """
         if not np.isfinite(self.scale_log_sigma):
             return np.full((6, 6), np.nan), np.full((6, 6), np.nan)
         pose, twist = self.covariance.copy(), self.twist_covariance.copy()
+        pose += self.drift + np.outer(self.focal_offset, self.focal_offset)
         pose[:3, :3] += np.outer(self.scale_offset, self.scale_offset)
         faster = self.scale_log_sigma * self.velocity_c
         twist[:3, :3] += np.outer(faster, faster)

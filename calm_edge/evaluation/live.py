@@ -8,42 +8,38 @@ from typing import Any
 import numpy as np
 
 from calm_edge.evaluation import trajectory
+from calm_edge.evaluation.motion_covariance import motion_covariance
 from calm_edge.geometry import se3
-from calm_edge.types import Float, Int, PoseSample
+from calm_edge.types import Float, Int, PoseSample, PoseStatus
 
 SPAN_NS = 1_000_000_000
 # Pairs further apart than this many spans are not used: poses are missing between them.
 LONGEST_SPAN = 1.25
 
 
-def spans(t_ns: Int, epoch: Int, span_ns: int = SPAN_NS) -> tuple[Int, Int]:
-    """Pair each stamp with the first one at least `span_ns` later.
+def parts(samples: Sequence[PoseSample]) -> Int:
+    """Number the parts (N,) of a drive, in order, within which relative motion is claimed.
 
-    Returns the indices (S,) of the earlier and (S,) of the later stamps. t_ns: (N,) sorted. epoch:
-    (N,) of the poses at t_ns. Only pairs of one epoch: at a new epoch poses jump, so that the
-    relative motion across it is no motion of the car.
+    At a new epoch poses jump, and a path that is not metric in between has no known length.
+    """
+    unscaled = np.array([s.status is PoseStatus.UNSCALED for s in samples], np.int64)
+    resumed = np.diff(unscaled, prepend=0) < 0
+    epoch = np.array([s.epoch for s in samples], np.int64)
+    return np.cumsum(resumed | (np.diff(epoch, prepend=epoch[:1]) != 0), dtype=np.int64)
+
+
+def spans(t_ns: Int, part: Int, span_ns: int = SPAN_NS) -> tuple[Int, Int]:
+    """Pair each stamp with the first one at least `span_ns` later, in the same part of the drive.
+
+    Returns the indices (S,) of the earlier and (S,) of the later stamps. t_ns: (N,) sorted. part:
+    (N,) of the poses at t_ns.
     """
     j = np.searchsorted(t_ns, t_ns + span_ns - trajectory.TOLERANCE_NS)
     i = np.flatnonzero(j < len(t_ns))
     j = j[i]
     near = t_ns[j] - t_ns[i] <= LONGEST_SPAN * span_ns
-    near &= epoch[i] == epoch[j]
+    near &= part[i] == part[j]
     return i[near], j[near]
-
-
-def span_sigma(first: PoseSample, then: PoseSample) -> float:
-    """Claimed sigma of the translation between two live poses: root of the summed variances.
-
-    The errors of both poses in their sub-maps are taken as independent, that of the scale as
-    common.
-    """
-    T = se3.inverse(first.T_w_c) @ then.T_w_c
-    step = T[:3, 3]
-    J_first = np.hstack([-np.eye(3), se3.hat(step)])
-    J_then = np.hstack([T[:3, :3], np.zeros((3, 3))])
-    covariance = J_first @ first.covariance @ J_first.T + J_then @ then.covariance @ J_then.T
-    stretch = (then.scale_log_sigma * step) ** 2
-    return float(np.sqrt(np.trace(covariance) + stretch.sum()))
 
 
 def _median(values: Float) -> float | None:
@@ -95,7 +91,7 @@ def compare(
     compared = [known[k] for k in a]
     T = np.array([s.T_w_c for s in compared]).reshape(-1, 4, 4)
     T[:, :3, 3] *= scale
-    i, j = spans(stamps[a], epoch[a])
+    i, j = spans(stamps[a], parts(samples)[live][a])
     true = se3.inverse(T_truth[b[i]]) @ T_truth[b[j]]
     error = se3.inverse(true) @ se3.inverse(T[i]) @ T[j]
     distance = np.linalg.norm(error[:, :3, 3], axis=-1)
@@ -106,9 +102,10 @@ def compare(
         np.degrees(np.linalg.norm(se3.so3_log(error[:, :3, :3]), axis=-1))
     )
     claimed = [
-        span_sigma(compared[first], compared[then]) for first, then in zip(i, j, strict=True)
+        np.trace(motion_covariance(compared[first], compared[then])[:3, :3])
+        for first, then in zip(i, j, strict=True)
     ]
-    result["span_sigma_m"] = _median(scale * np.array(claimed))
+    result["span_sigma_m"] = _median(scale * np.sqrt(claimed))
     velocity = scale * np.array([s.velocity_c for s in compared]).reshape(-1, 3)
     inside = (b > 0) & (b < len(t_truth) - 1) & np.isfinite(velocity).all(1)
     before, now, after = b[inside] - 1, b[inside], b[inside] + 1
@@ -116,6 +113,6 @@ def compare(
     moved /= ((t_truth[after] - t_truth[before]) / 1e9)[:, None]
     rate = (np.swapaxes(T_truth[now, :3, :3], -1, -2) @ moved[..., None])[..., 0]
     result["velocity_m_s"] = _percentiles(np.linalg.norm(velocity[inside] - rate, axis=-1))
-    variance = np.array([np.trace(s.with_scale()[1][:3, :3]) for s in compared])[inside]
+    variance = np.array([np.trace(s.with_drift()[1][:3, :3]) for s in compared])[inside]
     result["velocity_sigma_m_s"] = _median(scale * np.sqrt(variance))
     return result

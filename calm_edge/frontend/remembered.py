@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from calm_edge.frontend.submap_errors import SubmapErrors
 from calm_edge.geometry.camera import Camera
-from calm_edge.types import METRIC_LOG_SIGMA, Bytes, Float, Float32
+from calm_edge.types import Bytes, Float, Float32
 
 # Largest age and number of past frames that are kept. The points of a new sub-map are tracked
 # through them, from its keyframes to the newest frame.
 REMEMBERED_NS, MAX_REMEMBERED = 12_000_000_000, 360
+# Error of the log of lengths when all points are the tracker's own: it triangulates them as soon as
+# their parallax passes a limit, which favours parallax that is too large.
+OWN_SCALE_SIGMA = 0.02
 
 
 @dataclass(slots=True)
@@ -30,19 +36,22 @@ class PastFrame:
 class Tracks:
     """Tracked points: p_m (M, 3) map frame, at pixels uv (M, 2) of the image `seen_in`.
 
-    scale_log_sigma: sigma of the log of lengths in the sub-map of the points.
+    submap_errors: of the sub-map of the points. own: share of the points that the tracker has
+    triangulated itself.
     """
 
     camera: Camera
     p_m: Float
     uv: Float32
     seen_in: Bytes
-    scale_log_sigma: float
+    submap_errors: SubmapErrors
+    own: float = 0.0
 
     @property
-    def metric(self) -> bool:
-        """Whether lengths are known well enough to be reported."""
-        return self.scale_log_sigma <= METRIC_LOG_SIGMA
+    def errors(self) -> SubmapErrors:
+        """Errors of the motion of poses located by these points."""
+        scale = float(np.hypot(self.submap_errors.scale_log_sigma, OWN_SCALE_SIGMA * self.own))
+        return replace(self.submap_errors, scale_log_sigma=scale)
 
 
 def spaced(t_ns: Sequence[int], since_ns: int, gap_ns: int) -> list[int]:

@@ -15,8 +15,9 @@ import numpy as np
 from calm_edge.config import FrontendConfig
 from calm_edge.frontend import candidates, landmark_cloud
 from calm_edge.frontend.candidates import Candidates
+from calm_edge.frontend.drift import Drift
 from calm_edge.frontend.remembered import MAX_REMEMBERED, REMEMBERED_NS, PastFrame, Tracks, spaced
-from calm_edge.frontend.scale_offset import ScaleOffset
+from calm_edge.frontend.submap_errors import SubmapErrors
 from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
@@ -53,7 +54,8 @@ class Tracker:
         self._ever_tracked = False
         self._follower: Tracker | None = None
         self._followed_ns = 0
-        self._scale_offset = ScaleOffset()
+        self._drift = Drift()
+        self._replaced = 0.0
 
     def track(self, t_ns: int, gray: Bytes) -> PoseSample:
         """Pose of the frame exposed at t_ns; LOST and NaN if it cannot be localised."""
@@ -75,8 +77,15 @@ class Tracker:
         T_o_c = se3.inverse(self.T_map_odom) @ fit.T_w_c
         self._path.add(t_ns, T_o_c, fit.covariance)
         twist, twist_covariance = self._path.twist()
+        errors, drift = tracks.errors, self._drift
+        slower = errors.of_turn(twist[3:])
+        metric = tracks.submap_errors.metric
+        if not metric:
+            drift.restart()
+        elif self._pending is not None:
+            drift.move(T_o_c, errors, fit.covariance, self._replaced)
         status = PoseStatus.LAGGING if self.lagging else PoseStatus.LIVE
-        if not tracks.metric:
+        if not metric:
             status = PoseStatus.UNSCALED
         return PoseSample(
             t_ns,
@@ -86,9 +95,11 @@ class Tracker:
             self.epoch,
             status,
             turn_rate_c=twist[3:],
-            twist_covariance=twist_covariance,
-            scale_log_sigma=tracks.scale_log_sigma,
-            scale_offset=self._scale_offset.move(T_o_c, tracks.scale_log_sigma),
+            twist_covariance=twist_covariance + np.outer(slower, slower),
+            scale_log_sigma=errors.scale_log_sigma,
+            scale_offset=drift.scale_offset,
+            focal_offset=drift.focal_offset,
+            drift=drift.covariance,
         )
 
     def prepare(self, keyframe_id: int | None = None, *, behind: bool = False) -> None:
@@ -97,7 +108,7 @@ class Tracker:
         keyframe_id: of the frame just tracked, if it is a keyframe. behind: newer frames are
         waiting, so that catching up is put off.
         """
-        self._past[-1].keyframe_id = keyframe_id
+        self._past[-1].keyframe_id, self._replaced = keyframe_id, 0.0
         if self._pending is not None and self._tracks is not None:
             self._tracks = self._triangulated(self._tracks, *self._pending)
         self._pending = None
@@ -111,7 +122,7 @@ class Tracker:
         If that fails, the frames since are tracked one by one, some with each new frame, and the
         old points are used until then.
         """
-        newest_id, sigma = update.submap.primary_ids[-1], update.scale_log_sigma
+        newest_id, errors = update.submap.primary_ids[-1], SubmapErrors.of_update(update)
         place = {p.keyframe_id: i for i, p in enumerate(self._past) if p.keyframe_id is not None}
         newest = self._past[place[newest_id]].gray if newest_id in place else None
         cloud = landmark_cloud.of_update(update, self.config.tracker_points, newest)
@@ -126,7 +137,7 @@ class Tracker:
         fit = locate(camera, p_m, uv, T_now, self._threshold(gray))
         if fit is None or fit.n_inliers < SAFE_INLIERS:
             newest_only = origin == starts[-1]
-            start = Tracks(camera, cloud.p_w[newest_only], cloud.uv[newest_only], gray, sigma)
+            start = Tracks(camera, cloud.p_w[newest_only], cloud.uv[newest_only], gray, errors)
             return self._catch_up(starts[-1], start, known)
         ratio = self._scale_ratio(starts[-1], known[starts[-1]], fit.T_w_c)
         self._follower = None
@@ -140,7 +151,7 @@ class Tracker:
             followed = se3.transform(T_new_old, old.p_m[:room])
             p_m = np.concatenate([p_m, centre + ratio * (followed - centre)])
             uv = np.concatenate([uv, old.uv[:room]])
-        self._tracks = Tracks(camera, p_m, uv, gray, sigma)
+        self._tracks = Tracks(camera, p_m, uv, gray, errors)
         return True
 
     def _catch_up(self, keyframe: int, start: Tracks, known: dict[int, Float]) -> bool:
@@ -211,7 +222,7 @@ class Tracker:
         # at standstill the image tracked from is kept, so that noise does not cause drift
         if np.median(step) >= self.config.standstill_px:
             seen = p_m[fit.inlier], uv[fit.inlier]
-            self._tracks = Tracks(tracks.camera, *seen, gray, tracks.scale_log_sigma)
+            self._tracks = Tracks(tracks.camera, *seen, gray, tracks.submap_errors, tracks.own)
             self._pending = tracks.seen_in, fit.T_w_c
         return fit
 
@@ -220,13 +231,15 @@ class Tracker:
         self._candidates, p_m, uv = candidates.step(
             self._candidates, previous, tracks.seen_in, tracks.camera, T_m_c
         )
+        self._replaced = len(p_m) / max(1, len(p_m) + len(tracks.p_m))
         p_m, uv = np.concatenate([tracks.p_m, p_m]), np.concatenate([tracks.uv, uv])
         room = self.config.tracker_points - len(uv)
         if len(self._candidates.uv) < room / 2:
             self._candidates = candidates.replenish(
                 self._candidates, tracks.seen_in, uv, T_m_c, room
             )
-        return replace(tracks, p_m=p_m, uv=uv)
+        own = tracks.own + self._replaced * (1 - tracks.own)
+        return replace(tracks, p_m=p_m, uv=uv, own=own)
 
     def _guess(self, T_predicted: Float) -> Float32 | None:
         """Predicted pixels (M, 2) of the tracks, shifted by the predicted motion."""
@@ -258,13 +271,14 @@ class Tracker:
             self._candidates = self._candidates.moved_to(T_new_old)
             for past in self._past:
                 past.T_m_c = None if past.T_m_c is None else T_new_old @ past.T_m_c
-            if self._tracks is not None and not self._tracks.metric:
+            if self._tracks is not None and not self._tracks.submap_errors.metric:
                 # in another unit: no velocity must be computed across
                 self._path.clear()
                 self._path.add(newest.t_ns, T_o_c)
         else:
             # odometry was interrupted: T_map_odom is kept, and the pose jumps
             self.epoch += self._ever_tracked
+            self._drift.restart()
             self._candidates = Candidates.none()
             for past in self._past:
                 past.T_m_c = None

@@ -10,6 +10,8 @@ from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
 WINDOW_NS = 400_000_000
+# Share of an axis's deviation from the parabola that is taken from all three.
+OF_ALL_AXES = 0.1
 _UNKNOWN = np.full((6, 6), np.nan)
 
 
@@ -19,12 +21,14 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
     t_ns (N,), T_o_c (N, 4, 4), covariance (N, 6, 6) of (translation, rotation) in each camera's
     axes; poses are taken as independent. The twist is the slope of a fitted parabola at its end: a
     mean over the window would be delayed by half of it. Residuals beyond the noise of the poses, as
-    on a bad road, add to the covariance. Up to three poses leave no residuals: the covariance is
-    NaN then. The twist is NaN for a single pose.
+    on a bad road, are taken for a motion of third order, which changes the slope at the end most.
+    Up to three poses leave no residuals: the covariance is NaN then. The twist is NaN for a single
+    pose.
     """
     if len(t_ns) < 2:
         return np.full(6, np.nan), np.full((6, 6), np.nan)
-    powers = np.vander((t_ns - t_ns[-1]) * 1e-9, min(3, len(t_ns)), increasing=True)
+    t_s = (t_ns - t_ns[-1]) * 1e-9
+    powers = np.vander(t_s, min(3, len(t_ns)), increasing=True)
     weight = np.linalg.pinv(powers)[1]
     T_last_c = se3.inverse(T_o_c[-1]) @ T_o_c
     moved = np.concatenate([T_last_c[:, :3, 3], se3.so3_log(T_last_c[:, :3, :3])], -1)
@@ -34,25 +38,38 @@ def twist_now(t_ns: Int, T_o_c: Float, covariance: Float) -> tuple[Float, Float]
     # the axes in which the velocity is given are uncertain themselves
     J[-1, :3, 3:] += se3.hat(twist[:3])
     total = np.einsum("nij,njk,nlk->il", J, covariance, J)
-    total += np.diag(_misfit(powers, moved, covariance)) * (weight @ weight)
+    total += np.diag(_misfit(powers, moved, covariance) * _of_third_order(powers, t_s))
     return twist, np.asarray(total)
 
 
 def _misfit(powers: Float, moved: Float, covariance: Float) -> Float:
-    """Variances (6,) of moved (N, 6) about the parabola, in excess of the noise of the poses.
+    """Sums (6,) of the squared residuals of moved (N, 6) about the parabola, less the poses' noise.
 
     powers: (N, 3) powers of time, the terms of the parabola. moved: translation and rotation vector
-    relative to the last pose. One value for the three axes of translation and one for those of
-    rotation.
+    relative to the last pose. Residuals no larger than the noise may be either, and count as half
+    of each. A share OF_ALL_AXES is the mean over the axes of translation or of rotation, as few
+    residuals of one axis can all be small by chance.
     """
     spare = len(moved) - powers.shape[1]
     if spare < 1:
         return np.full(6, np.nan)
     residual = moved - powers @ np.linalg.lstsq(powers, moved, rcond=None)[0]
-    seen = (residual**2).sum(0) / spare
     noise = np.diagonal(covariance, axis1=1, axis2=2).mean(0)
-    excess = (seen - noise).reshape(2, 3).mean(1)
-    return np.repeat(np.maximum(excess, 0.0), 3)
+    seen = (residual**2).sum(0)
+    excess = (seen**2 / np.maximum(seen + spare * noise, np.finfo(np.float64).tiny)).reshape(2, 3)
+    mean = excess.mean(1, keepdims=True)
+    return np.asarray((excess + OF_ALL_AXES * (mean - excess)).ravel())
+
+
+def _of_third_order(powers: Float, t_s: Float) -> float:
+    """Squared error of the slope at the end, of a motion that leaves residuals of square sum one.
+
+    The motion is of third order in time, t_s (N,).
+    """
+    cubic = t_s**3
+    fitted = np.linalg.lstsq(powers, cubic, rcond=None)[0]
+    residual = cubic - powers @ fitted
+    return float(fitted[1] ** 2 / max(residual @ residual, np.finfo(np.float64).tiny))
 
 
 class RecentPath:

@@ -211,7 +211,7 @@ class PosePublisher:
         T_l_b = body_frame.body_pose(T_b_c, newest.T_w_c)
         twist = body_frame.body_twist(T_b_c, newest.velocity_c, newest.turn_rate_c)
         pose_covariance = velocity_covariance = UNKNOWN_COVARIANCE
-        covariance, twist_covariance = newest.with_scale()
+        covariance, twist_covariance = newest.with_drift()
         if np.isfinite(covariance).all():
             pose_covariance = body_frame.local_covariance(T_b_c, T_l_b, covariance)
         if np.isfinite(twist_covariance).all():

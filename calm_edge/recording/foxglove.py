@@ -87,7 +87,7 @@ def camera_calibration(eye: Eye, camera: Camera, t_ns: int) -> CameraCalibration
 
 def odometry(sample: PoseSample) -> Odometry:
     """Convert a live pose: primary camera in the world, velocity and covariance in camera axes."""
-    covariance, twist_covariance = sample.with_scale()
+    covariance, twist_covariance = sample.with_drift()
     message = Odometry(
         timestamp=timestamp(sample.t_ns),
         frame_id=WORLD_FRAME,

@@ -111,8 +111,13 @@ class PlaneWorld:
             flat = grid.reshape(-1, 2).astype(np.float64)
             true = np.stack([self.depth_at(T, flat).reshape(HEIGHT, WIDTH) for T in T_w_c])
             depth = (true / raw_scale).astype(np.float32)
+        covariance = np.kron(np.diag(np.arange(n)), np.diag([1e-6] * 3 + [1e-8] * 3))
         prediction = Prediction(
-            (CAMERA,) * n, raw, depth=depth, landmarks=None if with_depth else landmarks
+            (CAMERA,) * n,
+            raw,
+            depth=depth,
+            landmarks=None if with_depth else landmarks,
+            covariance=covariance.astype(np.float32),
         )
         stamps = np.array(t_ns, np.int64)
         submap = Submap(

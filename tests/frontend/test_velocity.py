@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from calm_edge.frontend.velocity import RecentPath, twist_now
 from calm_edge.geometry import se3
@@ -83,6 +84,27 @@ def test_vibration_about_the_parabola_increases_the_covariance() -> None:
     assert abs(twist[3]) < 3 * np.sqrt(shaken[3, 3])
     # only the axes that vibrate
     np.testing.assert_allclose(shaken[:3, :3], calm[:3, :3], atol=1e-12)
+
+
+@pytest.mark.parametrize("hz", [10, 30])
+def test_a_body_that_sways_has_an_error_of_its_sigma(hz: int) -> None:
+    """On a bad road the slope of the parabola is wrong by what the residuals show."""
+    n, t_ns = round(0.4 * hz) + 1, np.arange(60 * hz) * (1_000_000_000 // hz)
+    t = t_ns * 1e-9
+    rng = np.random.default_rng(7)
+    amplitude, phase = rng.normal(size=(2, 20, 1)) * np.array([[[0.05]], [[10.0]]])
+    rate = 2 * np.pi * np.linspace(0.4, 1.6, 20)[:, None]
+    height = (amplitude * np.sin(rate * t + phase)).sum(0)
+    climbs = (amplitude * rate * np.cos(rate * t + phase)).sum(0)
+    T = np.tile(np.eye(4), (len(t), 1, 1))
+    T[:, 1, 3] = height
+    sure = np.broadcast_to(1e-12 * np.eye(6), (n, 6, 6))
+    ratio = []
+    for end in range(n, len(t), n // 2):
+        rows = slice(end - n, end)
+        twist, covariance = twist_now(t_ns[rows], T[rows], sure)
+        ratio.append((twist[1] - climbs[end - 1]) / np.sqrt(covariance[1, 1]))
+    assert 0.7 < np.sqrt(np.mean(np.square(ratio))) < 1.3
 
 
 def test_a_path_is_extrapolated_and_drops_old_poses() -> None:

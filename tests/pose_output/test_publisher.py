@@ -388,6 +388,18 @@ def test_poses_without_a_metre_are_not_sent_and_the_reason_is() -> None:
     assert texts[2] == (peer.MAV_SEVERITY_INFO, "calm-edge running")
 
 
+def test_the_covariance_of_the_pose_holds_its_drift() -> None:
+    given = {"T_w_c": np.eye(4), "covariance": 1e-4 * np.eye(6)}
+    drift, bent = np.diag([0.04, 0.01, 0.09, 1e-4, 4e-4, 9e-4]), np.array([0.5, 0, 0, 0, 0.02, 0])
+    (got,) = Bench().at(0, sample(0, **given, drift=drift, focal_offset=bent))
+    # body axes are the camera's z, x, y
+    expected = [0.0901, 0.2901, 0.0101, 1e-3, 2e-4, 9e-4]
+    assert np.allclose(np.array(got.pose_covariance)[[0, 6, 11, 15, 18, 20]], expected)
+    # not of the distance from the start, but of the sub-map
+    near = sample(0, **given)
+    assert got.quality == Bench().at(0, near)[0].quality
+
+
 def test_covariances_hold_the_error_of_the_scale() -> None:
     # body axes are the camera's z, x, y
     T_w_c = compose(np.eye(3), np.array([0.0, 0.0, 100.0]))

@@ -55,6 +55,8 @@ def pose(i: int = 0) -> PoseSample:
         twist_covariance=np.cov(rng.normal(size=(6, 20))),
         scale_log_sigma=0.02,
         scale_offset=rng.normal(size=3),
+        focal_offset=rng.normal(size=6),
+        drift=np.cov(rng.normal(size=(6, 20))),
     )
 
 

@@ -99,7 +99,7 @@ def test_a_standard_reader_decodes_every_message_to_the_same_poses(tmp_path: Pat
     np.testing.assert_allclose(axis / np.linalg.norm(axis) * angle, rotated, atol=1e-9)
     p = odometry.pose.position
     np.testing.assert_array_equal([p.x, p.y, p.z], expected.T_w_c[:3, 3])
-    assert list(odometry.pose_covariance) == expected.with_scale()[0].ravel().tolist()
+    assert list(odometry.pose_covariance) == expected.with_drift()[0].ravel().tolist()
     assert odometry.timestamp.ToNanoseconds() == expected.t_ns
     assert seen["/submap"][0].DESCRIPTOR.full_name == "calm_edge.Submap"
     assert len(seen["/pose/keyframes"][0].poses) == 9
