@@ -327,12 +327,14 @@ def parse_assignment(text: str) -> dict[str, Any]:
     return {section: {key: parsed}}
 
 
-def load(path: Path | None, assignments: list[str] | None = None) -> Config:
-    """Combine defaults, the TOML file and `section.key=value` assignments, in this order.
+def load(
+    path: Path | None, assignments: list[str] | None = None, base: Config | None = None
+) -> Config:
+    """Combine `base`, the TOML file and `section.key=value` assignments, in this order.
 
-    Raises ConfigError.
+    base: the defaults if None. Raises ConfigError.
     """
-    config = Config()
+    config = base or Config()
     if path is not None:
         try:
             config = merge(config, tomllib.loads(path.read_text()))

@@ -45,10 +45,11 @@ def tum_text(t_ns: Int, T_w_c: Float) -> str:
     q = se3.quaternions(T_w_c[:, :3, :3])
     lines = []
     for t, p, r in zip(t_ns, T_w_c[:, :3, 3], q, strict=True):
-        seconds, rest = divmod(int(t), 1_000_000_000)
+        seconds, rest = divmod(abs(int(t)), 1_000_000_000)
+        sign = "-" if t < 0 else ""
         # adding 0.0 turns -0.0 into 0.0, so equal poses are equal bytes
         values = " ".join(f"{v + 0.0:.9f}" for v in (*np.round(p, 9), *np.round(r, 9)))
-        lines.append(f"{seconds}.{rest:09d} {values}\n")
+        lines.append(f"{sign}{seconds}.{rest:09d} {values}\n")
     return "".join(lines)
 
 

@@ -21,6 +21,7 @@ from calm_edge.mapping import cloud_file
 from calm_edge.mapping.mapper import Mapper
 from calm_edge.offline import map_drive
 from calm_edge.offline.densify import densified
+from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import Submap
 from tests.replay.small_drive import write_drive
@@ -192,6 +193,23 @@ def test_lockstep_with_live_cameras_is_an_error(
     assert "lockstep" in only_line(capsys)
 
 
+def stamps(file: Path) -> list[str]:
+    return [line.split()[0] for line in file.read_text().splitlines()]
+
+
+def test_a_replay_has_the_configuration_and_the_stamps_of_the_first_run(
+    recorded: Path, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    again = tmp_path / "again"
+    assert main(["record", "--replay", str(recorded), "--out", str(again), "--pace=lockstep"]) == 0
+    assert "cameras 0.5 m apart" in capsys.readouterr().err
+    assert Recording(again).config == Recording(recorded).config
+    (first, second) = (folder / "record_trajectory.tum" for folder in (recorded, again))
+    assert first.read_bytes() == second.read_bytes()
+    given = [f"{float(line):.9f}" for line in (drive / "times0.txt").read_text().splitlines()]
+    assert len(stamps(first)) > 5 and {*stamps(first)} <= {*given}
+
+
 def test_map_uses_what_record_logged_and_eval_reads_all_three(
     recorded: Path,
     drive: Path,
@@ -213,6 +231,7 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
     assert "computed again" not in captured.err
     for name in ("map.ply", "trajectory.tum", "trajectory.kitti", "summary.json", "report.html"):
         assert str(out / name) in captured.out or (out / name).stat().st_size > 0
+    # both have the user's own stamps
     logged = (recorded / "record_trajectory.tum").read_text()
     assert (out / "trajectory.tum").read_text() == logged
     for target in (recorded, out, out / "trajectory.tum"):

@@ -60,6 +60,14 @@ def test_tum_of_others_is_sorted_normalised_and_may_have_comments(tmp_path: Path
     assert T[:, :3, 3].tolist() == [[4, 5, 6], [1, 2, 3]]
 
 
+def test_tum_keeps_stamps_before_zero(tmp_path: Path) -> None:
+    t_ns = np.array([-1_500_000_001, -1, 0, 1_500_000_000])
+    trajectories.write_tum(tmp_path / "t.tum", t_ns, curve(4))
+    text = (tmp_path / "t.tum").read_text()
+    assert text.startswith("-1.500000001 ") and "\n-0.000000001 " in text
+    assert trajectories.read_tum(tmp_path / "t.tum")[0].tolist() == t_ns.tolist()
+
+
 def test_kitti_keeps_poses(tmp_path: Path) -> None:
     trajectories.write_kitti(tmp_path / "p.txt", curve(9))
     assert np.allclose(trajectories.read_kitti(tmp_path / "p.txt"), curve(9), atol=1e-8)

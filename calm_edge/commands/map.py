@@ -94,7 +94,7 @@ def make_map(
     from calm_edge.offline.map_drive import MAP, make_cloud, write_trajectory
 
     n_points, seams = make_cloud(recording, config, drive, out, work.spool, say)
-    estimate = write_trajectory(recording.path, config, drive, out, seams)
+    estimate = write_trajectory(recording, config, drive, out, seams)
     points_w, color = read_cloud(out / MAP)
     estimate = replace(estimate, points_w=points_w)
     losses = [*recording.losses, *drive.losses]

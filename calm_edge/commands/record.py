@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from calm_edge.config import Config
     from calm_edge.daemon.result import RecordResult
     from calm_edge.daemon.source import Source
+    from calm_edge.recording.reader import Recording
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -58,16 +59,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def effective_config(arguments: argparse.Namespace) -> Config:
-    """Merge defaults, file, --set, --spacing-m and --hfov-deg; later ones override earlier ones.
+def effective_config(arguments: argparse.Namespace, base: Config | None = None) -> Config:
+    """Merge `base`, file, --set, --spacing-m and --hfov-deg; later ones override earlier ones.
 
-    If precision or views per run of a model are `auto`, they are chosen for this computer. Raises
-    ConfigError, BackboneError.
+    base: the defaults if None. If precision or views per run of a model are `auto`, they are chosen
+    for this computer. Raises ConfigError, BackboneError.
     """
     from calm_edge.backbones.onnx.precision import pinned
     from calm_edge.config import ConfigError, load, merge
 
-    config = load(arguments.config, arguments.set)
+    config = load(arguments.config, arguments.set, base)
     if arguments.spacing_m is not None:
         config = merge(config, {"scale": {"spacing_m": arguments.spacing_m}})
     if arguments.hfov_deg is not None:
@@ -81,16 +82,43 @@ def effective_config(arguments: argparse.Namespace) -> Config:
     return pinned(config, deterministic=arguments.pace == "lockstep")
 
 
-def open_source(arguments: argparse.Namespace, config: Config) -> Source:
-    """Open the source of frames, cameras or a replay; raises CalmEdgeError, CameraError."""
+def recorded_config(recording: Recording) -> Config:
+    """Configuration to replay a recording with: its own, but for what a replay must not touch.
+
+    That is the serial port, and the kit file, which may hold what this drive has shown.
+    """
+    from calm_edge.config import Config, merge
+    from calm_edge.types import CalmEdgeError
+
+    try:
+        config = recording.config
+    except CalmEdgeError as error:
+        say(f"{error}; the defaults are used")
+        return Config()
+    spacing = config.scale.spacing_m
+    distance = f"{spacing:g} m apart" if spacing else "no spacing"
+    say(
+        f"configuration of {recording.path}: {config.backbone.name}, cameras {distance}; options "
+        "override it"
+    )
+    return merge(config, {"pose_output": {"port": ""}, "backbone": {"kit_file": ""}})
+
+
+def open_source(
+    arguments: argparse.Namespace, config: Config, recording: Recording | None
+) -> Source:
+    """Open the source of frames, cameras or a replay; raises CalmEdgeError, CameraError.
+
+    recording: opened for --replay.
+    """
     from calm_edge.config import ConfigError
     from calm_edge.daemon import source
 
     paced = arguments.pace == "realtime"
     if arguments.sequence is not None:
         return source.of_sequence(arguments.sequence, paced)
-    if arguments.replay is not None:
-        return source.of_recording(arguments.replay, paced)
+    if recording is not None:
+        return source.of_recording(recording, paced)
     if not paced:
         raise ConfigError("--pace lockstep: needs a replay; add --sequence or --replay")
     return source.live(config)
@@ -99,6 +127,7 @@ def open_source(arguments: argparse.Namespace, config: Config) -> Source:
 def run(arguments: argparse.Namespace) -> int:
     """Record until the frames end or until SIGINT or SIGTERM."""
     from calm_edge.daemon.run import Target, record
+    from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
     from device.errors import DeviceError
     from device.service import log_handler, open_notifier
@@ -106,8 +135,12 @@ def run(arguments: argparse.Namespace) -> int:
     logging.basicConfig(handlers=[log_handler()], level=logging.WARNING, format="%(message)s")
     notifier = open_notifier()
     try:
-        config = effective_config(arguments)
-        source = open_source(arguments, config)
+        recording = base = None
+        if arguments.replay is not None:
+            recording = Recording(arguments.replay)
+            base = recorded_config(recording)
+        config = effective_config(arguments, base)
+        source = open_source(arguments, config, recording)
         target = Target(arguments.out or arguments.root, is_root=arguments.out is None)
         lockstep = arguments.pace == "lockstep"
         return report(*record(config, source, target, notifier, lockstep=lockstep, say=say))

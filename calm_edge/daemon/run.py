@@ -17,6 +17,7 @@ from calm_edge.daemon.source import Source
 from calm_edge.recording import RecordingError
 from calm_edge.recording.retention import TRAJECTORY_FILE, new_drive
 from calm_edge.recording.room import check_room
+from calm_edge.recording.schema import ORIGIN_KEY
 from calm_edge.recording.segment import segment_files
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.trajectories import write_tum
@@ -74,7 +75,11 @@ def record(
         return RecordingWriter(
             folder,
             config,
-            {"source": source.description, "pace": "lockstep" if lockstep else "realtime"},
+            {
+                "source": source.description,
+                "pace": "lockstep" if lockstep else "realtime",
+                ORIGIN_KEY: str(source.origin_ns),
+            },
             lossless=lockstep,
             root=target.root,
             now_ns=source.clock.now_ns,
@@ -102,7 +107,8 @@ def record(
     if result.trajectory is not None:
         file = folder / TRAJECTORY_FILE
         try:
-            write_tum(file, result.trajectory.t_ns, result.trajectory.T_w_c)
+            t_ns = result.trajectory.t_ns - source.origin_ns
+            write_tum(file, t_ns, result.trajectory.T_w_c)
         except OSError as error:
             # e.g. the disk is full; not fatal, since the recording contains the trajectory as well
             say(f"{file}: cannot be written ({error.strerror})")

@@ -9,7 +9,7 @@ from pathlib import Path
 from calm_edge.config import Config
 from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
-from calm_edge.recording.sequence_folder import SequenceFolder
+from calm_edge.recording.sequence_folder import ORIGIN_NS, SequenceFolder
 from calm_edge.types import CalmEdgeError
 from device.camera import (
     SAME_DEVICE,
@@ -52,21 +52,27 @@ class Source:
 
     open: returns the primary and the assistant camera, not yet started; called once, when both
     child processes are ready. clock: of the frames' stamps. is_replay: stored frames, which end.
+    origin_ns: what was added to the stamps that the user knows.
     """
 
     open: Callable[[], tuple[Camera, Camera]]
     clock: Clock
     is_replay: bool
     description: str
+    origin_ns: int = 0
 
 
 def replayed(
-    frames: Callable[[Eye], Iterable[Frame]], epoch_ns: int, paced: bool, description: str
+    frames: Callable[[Eye], Iterable[Frame]],
+    epoch_ns: int,
+    paced: bool,
+    description: str,
+    origin_ns: int = 0,
 ) -> Source:
     """Source that replays stored frames of both cameras with their original stamps.
 
     epoch_ns: stamp of the first frame. paced: True for real time, False for as fast as they are
-    read.
+    read. origin_ns: as of `Source`.
     """
     clock = TimelineClock(epoch_ns)
 
@@ -83,7 +89,7 @@ def replayed(
         )
         return primary, assistant
 
-    return Source(cameras, clock, True, description)
+    return Source(cameras, clock, True, description, origin_ns)
 
 
 def _as_camera(frames: Iterable[Frame]) -> Iterator[Frame]:
@@ -98,17 +104,17 @@ def of_sequence(folder: Path, paced: bool) -> Source:
     """Source that replays the images of a sequence folder; raises CalmEdgeError."""
     sequence = SequenceFolder(folder)
     epoch_ns = min(int(sequence.t_ns(eye)[0]) for eye in Eye)
-    return replayed(sequence.frames, epoch_ns, paced, str(folder))
+    return replayed(sequence.frames, epoch_ns, paced, str(folder), ORIGIN_NS)
 
 
-def of_recording(path: Path, paced: bool) -> Source:
+def of_recording(recording: Recording, paced: bool) -> Source:
     """Source that replays the frames of a recording; raises RecordingError."""
-    recording = Recording(path)
+    path = recording.path
     stamps = [recording.frame_times(eye) for eye in Eye]
     if not all(len(t) for t in stamps):
         raise RecordingError(f"{path}: lacks frames of one camera; choose another recording")
     epoch_ns = min(int(t.min()) for t in stamps)
-    return replayed(recording.frames, epoch_ns, paced, str(path))
+    return replayed(recording.frames, epoch_ns, paced, str(path), recording.origin_ns)
 
 
 def live(config: Config) -> Source:

@@ -15,7 +15,7 @@ from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.base import Imported
 from calm_edge.interchange.calibration import formats
 from calm_edge.recording.reader import Recording
-from calm_edge.recording.schema import IMPORT_METADATA
+from calm_edge.recording.schema import IMPORT_METADATA, ORIGIN_KEY
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.trajectories import write_kitti
@@ -72,12 +72,10 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
         "took": json.dumps(imported.took),
         "dropped": json.dumps(imported.dropped),
         "assumed": json.dumps(imported.assumed),
-        "origin_ns": str(ORIGIN_NS),
         **imported.facts,
     }
-    writer = RecordingWriter(
-        folder, config, {"cameras": f"imported: {name}"}, lossless=True, now_ns=lambda: now
-    )
+    session = {"cameras": f"imported: {name}", ORIGIN_KEY: str(ORIGIN_NS)}
+    writer = RecordingWriter(folder, config, session, lossless=True, now_ns=lambda: now)
     try:
         writer.write_metadata(IMPORT_METADATA, facts)
         streams = [imported.frames(eye) for eye in imported.eyes]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -79,18 +79,20 @@ def _spooled(spool: Spool, submap_id: int) -> tuple[Float32, Float32]:
 
 
 def write_trajectory(
-    path: Path, config: Config, drive: Drive, out: Path, seams: SeamSummary | None
+    recording: Recording, config: Config, drive: Drive, out: Path, seams: SeamSummary | None
 ) -> Estimate:
-    """Write trajectory.tum, trajectory.kitti and summary.json."""
-    logged = from_recording(path)
+    """Write trajectory.tum, trajectory.kitti and summary.json, with the stamps of the source."""
+    logged, origin_ns = from_recording(recording.path), recording.origin_ns
+    first = logged.first_frame
     estimate = from_updates(
         str(out),
         drive.updates,
         logged.frames,
         config.scale.spacing_m,
         logged.pose_age_ms,
-        logged.first_frame,
+        None if first is None else (first[0], first[1] - origin_ns),
     )
+    estimate = replace(estimate, t_ns=estimate.t_ns - origin_ns)
     write_tum(out / TUM, estimate.t_ns, estimate.T_w_c)
     write_kitti(out / KITTI, estimate.T_w_c)
     content = summary(estimate) | {"seams": asdict(seams) if seams is not None else None}

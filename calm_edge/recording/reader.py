@@ -78,6 +78,12 @@ class Recording:
         """What `import` took, dropped and assumed, or {} of another recording."""
         return self._metadata(schema.IMPORT_METADATA)
 
+    @property
+    def origin_ns(self) -> int:
+        """What was added to the stamps of the source: subtract it from stamps given to users."""
+        text = self.metadata.get(schema.ORIGIN_KEY, "0")
+        return int(text) if text.isdecimal() else 0
+
     def cameras(self, eye: Eye) -> dict[str, Any]:
         """Camera settings of an eye as last recorded, or {}."""
         text = self._metadata(schema.CAMERAS_METADATA, last=True).get(eye.name.lower(), "{}")

@@ -54,6 +54,8 @@ CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
 CAMERAS_METADATA = "calm_edge.cameras"
 IMPORT_METADATA = "calm_edge.import"
+# key of the session: what was added to the stamps of the source
+ORIGIN_KEY = "origin_ns"
 
 _PROTOBUF: dict[str, Any] = {
     **dict.fromkeys(IMAGE_TOPICS.values(), CompressedImage),

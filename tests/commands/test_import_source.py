@@ -36,7 +36,7 @@ def test_two_videos_become_a_recording(
     assert recording.config.scale.spacing_m == 0.5
     stamps = [recording.frame_times(eye) for eye in Eye]
     assert abs(stamps[1] - stamps[0] - 10_000_000).max() < 1000
-    assert of_recording(out, paced=False).is_replay
+    assert of_recording(Recording(out), paced=False).is_replay
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,60 @@
+"""Configuration of a replay: that of the recording, which options override."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from calm_edge.cli import build_parser
+from calm_edge.commands.record import effective_config, recorded_config
+from calm_edge.config import Config, merge
+from calm_edge.recording.reader import Recording
+from calm_edge.recording.writer import RecordingWriter
+
+RECORDED = {
+    "scale": {"spacing_m": 0.52},
+    "backbone": {"name": "bundle", "kit_file": "kits/car.json"},
+    "frontend": {"n_max": 8},
+    "pose_output": {"port": "/dev/ttyUSB0", "rate_hz": 10.0},
+    "capture": {"primary": "v4l2:usb-1"},
+}
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    RecordingWriter(tmp_path / "rec", merge(Config(), RECORDED)).close()
+    return Recording(tmp_path / "rec")
+
+
+def of_replay(recording: Recording, *options: str) -> Config:
+    arguments = ["record", "--replay", str(recording.path), "--out", "again", *options]
+    return effective_config(build_parser().parse_args(arguments), recorded_config(recording))
+
+
+def test_a_replay_takes_all_but_the_kit_file_and_the_port(
+    recording: Recording, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = of_replay(recording)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "configuration of" in line and "bundle, cameras 0.52 m apart" in line
+    assert config.scale.spacing_m == 0.52 and config.frontend.n_max == 8
+    assert config.capture.primary == "v4l2:usb-1"
+    assert config.backbone.kit_file == config.pose_output.port == ""
+
+
+def test_options_and_files_override_it(recording: Recording, tmp_path: Path) -> None:
+    file = tmp_path / "kit.toml"
+    file.write_text("[frontend]\nn_max = 9\n[scale]\nspacing_m = 0.6\n")
+    options = ("--config", str(file), "--spacing-m", "0.7", "--set", "backbone.kit_file=mine.json")
+    config = of_replay(recording, *options)
+    assert config.scale.spacing_m == 0.7 and config.frontend.n_max == 9
+    assert config.backbone.kit_file == "mine.json" and config.backbone.name == "bundle"
+
+
+def test_without_a_configuration_the_defaults_are_used_and_said(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("calm_edge.recording.schema.CONFIG_METADATA", "of.another.program")
+    assert recorded_config(recording) == Config()
+    assert "contains no configuration" in capsys.readouterr().err
