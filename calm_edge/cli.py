@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -50,6 +51,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; print a user's errors as one line."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # names of files need not be UTF-8
+        sys.stdout.reconfigure(errors="surrogateescape")
     arguments = build_parser().parse_args(argv)
     # depthai reads these variables when it is imported
     os.environ.setdefault("DEPTHAI_TELEMETRY", "0")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -10,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -82,19 +82,30 @@ def _one_camera(folder: Path) -> None:
     shutil.rmtree(folder / "cam1")
 
 
-def _unequal(folder: Path) -> None:
-    cv2.imwrite(str(folder / "cam0" / "000003.jpg"), np.zeros((10, 10, 3), np.uint8))
+def _no_pictures(folder: Path) -> None:
+    for image in (folder / "cam0").iterdir():
+        image.write_text("not a picture")
 
 
 def _backwards(folder: Path) -> None:
     times = (folder / "times0.txt").read_text().splitlines()
-    times[4], times[5] = times[5], times[4]
-    (folder / "times0.txt").write_text("\n".join(times))
+    (folder / "times0.txt").write_text("\n".join(times[::-1]))
+
+
+def _apart(folder: Path) -> None:
+    times = (folder / "times1.txt").read_text().splitlines()
+    (folder / "times1.txt").write_text("\n".join(f"{float(t) + 64:.6f}" for t in times))
 
 
 @pytest.mark.parametrize(
     ("harm", "names"),
-    [(_gone, "sequence"), (_one_camera, "cam1"), (_unequal, "000003"), (_backwards, "times0.txt")],
+    [
+        (_gone, "sequence"),
+        (_one_camera, "cam1"),
+        (_no_pictures, "000000.jpg"),
+        (_backwards, "times0.txt"),
+        (_apart, "no time in common"),
+    ],
 )
 def test_an_invalid_sequence_gives_one_line(
     harm: Callable[[Path], None],
@@ -113,22 +124,30 @@ def test_an_invalid_sequence_gives_one_line(
 
 
 @pytest.mark.parametrize("pace", ["lockstep", "realtime"])
-def test_an_unreadable_image_gives_one_line_with_its_name(
+def test_unreadable_images_are_a_loss_and_not_the_end(
     pace: str, drive: Path, tmp_path: Path
 ) -> None:
-    folder = tmp_path / "sequence"
+    # no name is too odd for a folder: this one is not UTF-8
+    folder = tmp_path / os.fsdecode(b"s\xe9quence")
     shutil.copytree(drive, folder)
-    image = folder / "cam0" / "000003.jpg"
-    image.write_bytes(image.read_bytes()[:700])
+    for eye, name in [(0, "000003.jpg"), (0, "000005.jpg"), (1, "000004.jpg")]:
+        image = folder / f"cam{eye}" / name
+        image.write_bytes(image.read_bytes()[:700])
+    (folder / "cam0" / "000007.jpg").write_text("not a picture")
     command = [sys.executable, "-m", "calm_edge.cli", "record", "--sequence", str(folder)]
-    command += ["--out", str(tmp_path / "rec"), "--pace", pace]
+    command += ["--out", str(folder / "rec"), "--pace", pace]
     command += ["--set", f"backbone.name=scripted:{drive}"]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert run.returncode == 1
-    assert "Traceback" not in run.stderr
-    (line,) = run.stderr.splitlines()
-    assert "000003.jpg" in line
-    assert line.startswith("calm-edge: ")
+    run = subprocess.run(
+        command, capture_output=True, text=True, errors="surrogateescape", timeout=100
+    )
+    assert run.returncode == 3, run.stderr
+    assert f"recording   {folder}/rec" in run.stdout
+    assert "Traceback" not in run.stderr and "libjpeg" not in run.stderr
+    lines = run.stderr.splitlines()
+    named = sorted(line[line.index("00000") :] for line in lines if ".jpg" in line)
+    assert len(named) == 2 and named[0].startswith("000003.jpg: primary frame 3: incomplete")
+    assert named[1] == "000007.jpg: not a JPEG"
+    assert "calm-edge: loss: 4 frames were not readable" in lines
 
 
 @pytest.mark.parametrize(

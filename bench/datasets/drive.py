@@ -11,7 +11,7 @@ import numpy as np
 
 from calm_edge.evaluation import EvaluationError
 from calm_edge.geometry import se3
-from calm_edge.recording.sequence_folder import image_size
+from calm_edge.recording.picture_file import PictureFiles
 from calm_edge.trajectories import write_kitti
 from calm_edge.types import Float, Int
 
@@ -164,7 +164,7 @@ def write(drive: Drive, out: Path) -> Path:
         stamps = drive.t_ns[eye] - start
         rows = (f"{t // 10**9}.{t % 10**9:09d}\n" for t in stamps.tolist())
         (out / f"times{eye}.txt").write_text("".join(rows))
-        K, size = drive.K[eye], image_size(drive.pictures[eye][0])
+        K, size = drive.K[eye], PictureFiles(drive.pictures[eye][:1]).size
         values = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *size)
         calibration.append(" ".join(f"{value:.9g}" for value in values))
     (out / "calib.txt").write_text("\n".join(calibration) + "\n")

@@ -15,7 +15,7 @@ from calm_edge.config import Config
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
-from calm_edge.recording import sequence_folder
+from calm_edge.recording import picture_folder, sequence_folder
 from calm_edge.types import Bytes, CalmEdgeError, Float, Int, Keyframe, SubmapWindow
 from device.frame import Eye, Frame
 
@@ -71,7 +71,7 @@ def kitti(
     if times.is_file():
         t_ns = sequence_folder.read_times(times)[: len(T_w_p)]
     else:
-        period_ns = 1e9 / sequence_folder.DEFAULT_RATE_HZ
+        period_ns = 1e9 / picture_folder.DEFAULT_RATE_HZ
         t_ns = sequence_folder.ORIGIN_NS + np.round(np.arange(len(T_w_p)) * period_ns).astype(
             np.int64
         )

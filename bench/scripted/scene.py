@@ -143,14 +143,14 @@ def read_cameras(path: Path) -> tuple[Camera, Camera]:
 
 def read_scene(folder: Path, config: Config) -> ScriptedScene:
     """Read the ground truth of a sequence folder, in a convex room; raises BackboneError."""
-    from calm_edge.recording import sequence_folder
+    from calm_edge.recording import picture_folder, sequence_folder
 
     T_w_p = read_poses(folder / "poses0.txt")
     times, calib, rig = (folder / name for name in ("times0.txt", "calib.txt", "T_p_a.txt"))
     if times.exists():
         t_ns = sequence_folder.read_times(times)
     else:
-        period_ns = 1e9 / sequence_folder.DEFAULT_RATE_HZ
+        period_ns = 1e9 / picture_folder.DEFAULT_RATE_HZ
         t_ns = sequence_folder.ORIGIN_NS + np.round(np.arange(len(T_w_p)) * period_ns).astype(
             np.int64
         )

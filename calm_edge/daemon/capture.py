@@ -72,6 +72,8 @@ class Capture:
             raise
         finally:
             hub.result.camera_drops = sum(c.stats().drops for c in self._cameras)
+            if self._source.is_replay:
+                hub.result.unreadable += sum(c.stats().corrupt for c in self._cameras)
             hub.result.clamped_stamps = sum(c.stats().clamped for c in self._cameras)
             hub.stop()
         return hub.result
@@ -81,6 +83,7 @@ class Capture:
         for camera in self._cameras:
             camera.start()
         self._hub.recording.open()
+        self._say_notes()
         self._notifier.ready()
         for frame in merged(self._cameras):
             self._hub.frame(frame)
@@ -99,6 +102,7 @@ class Capture:
         refuse_same_device(self._cameras)
         # takes a while; frames that arrive meanwhile are queued by the camera threads
         hub.recording.open()
+        self._say_notes()
         monitor.watch(threads)
         notes = CameraNotes(
             self._cameras,
@@ -142,6 +146,10 @@ class Capture:
         hub.result.overflowed = sum(t.overflow for t in threads)
         hub.result.late_ticks = keeper.skipped
         hub.result.tick = monitor.latency.overall()
+
+    def _say_notes(self) -> None:
+        for note in self._source.notes:
+            self._hub.say(note)
 
     def _drain(self, threads: list[CameraThread]) -> int:
         """Pass the frames queued by the camera threads on, by stamp; return their number."""

@@ -35,6 +35,7 @@ from calm_edge.types import (
     SubmapWindow,
 )
 from device.frame import Eye, Frame
+from device.seldom import Seldom
 
 # Loading all modules from a slow SD card takes long; systemd allows 120 s (TimeoutStartSec).
 START_LIMIT_S = 100.0
@@ -77,6 +78,7 @@ class Hub:
         # time of the last frame of each camera, and of the last live pose
         self._frame_ns, self._pose_ns = [now_ns, now_ns], now_ns
         self._say_to_user = say
+        self._say_unreadable = Seldom(self.say)
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
         self.tracker = TrackerLink(config.frontend, self._events, self.say)
         self.estimator = EstimatorLink(
@@ -206,6 +208,9 @@ class Hub:
         )
 
     def _from_tracker(self, message: Any) -> int:
+        unreadable = None
+        if isinstance(message, Tracked) and message.problem:
+            unreadable = self.tracker.frame_in(message.slot)
         windows, keyframe = self.tracker.accept(message)
         if self.tracker.refusal:
             raise DaemonError(self.tracker.refusal)
@@ -220,8 +225,9 @@ class Hub:
                 self.result.late_poses += message.late
                 if message.repeat is not None:
                     self._repeated(message.repeat)
-                if message.problem:
-                    self._unreadable(message.problem)
+                if unreadable is not None:
+                    name = self.source.name_of(unreadable)
+                    self._unreadable(f"{name}: {message.problem}" if name else message.problem)
             case Posed():
                 self._pose(message.sample)
                 return 1
@@ -280,10 +286,8 @@ class Hub:
             )
 
     def _unreadable(self, problem: str) -> None:
-        if self.source.is_replay:
-            raise DaemonError(f"{self.source.description}: {problem}; replace or remove it")
         self.result.unreadable += 1
-        self.say(problem)
+        self._say_unreadable(f"{problem}; left out")
 
 
 def unscaled_without(metre: Metre, sample: PoseSample) -> PoseSample:

@@ -77,6 +77,7 @@ class FrameIn:
     t_ns: int
     slot: int
     size: int
+    own_stamp: bool = True
 
 
 @dataclass(frozen=True, slots=True)

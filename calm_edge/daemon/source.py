@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from device.camera import (
 )
 from device.clock import Clock, SystemClock
 from device.errors import CameraError
-from device.frame import Eye, Frame
+from device.frame import Eye, Frame, Unusable
 
 # delay of the first frame after the start of a replay, so that no frame is late from the start
 LEAD_NS = 50_000_000
@@ -53,6 +53,7 @@ class Source:
     open: returns the primary and the assistant camera, not yet started; called once, when both
     child processes are ready. clock: of the frames' stamps. is_replay: stored frames, which end.
     origin_ns: what was added to the stamps that the user knows.
+    notes: lines for the user on how the frames are read. name_of: where a stored frame is, or "".
     """
 
     open: Callable[[], tuple[Camera, Camera]]
@@ -60,19 +61,23 @@ class Source:
     is_replay: bool
     description: str
     origin_ns: int = 0
+    notes: Sequence[str] = ()
+    name_of: Callable[[Frame], str] = lambda frame: ""
 
 
 def replayed(
-    frames: Callable[[Eye], Iterable[Frame]],
+    frames: Callable[[Eye], Iterable[Frame | Unusable]],
     epoch_ns: int,
     paced: bool,
     description: str,
     origin_ns: int = 0,
+    notes: Sequence[str] = (),
+    name_of: Callable[[Frame], str] = lambda frame: "",
 ) -> Source:
     """Source that replays stored frames of both cameras with their original stamps.
 
     epoch_ns: stamp of the first frame. paced: True for real time, False for as fast as they are
-    read. origin_ns: as of `Source`.
+    read. origin_ns, notes, name_of: as of `Source`.
     """
     clock = TimelineClock(epoch_ns)
 
@@ -89,10 +94,10 @@ def replayed(
         )
         return primary, assistant
 
-    return Source(cameras, clock, True, description, origin_ns)
+    return Source(cameras, clock, True, description, origin_ns, notes, name_of)
 
 
-def _as_camera(frames: Iterable[Frame]) -> Iterator[Frame]:
+def _as_camera(frames: Iterable[Frame | Unusable]) -> Iterator[Frame | Unusable]:
     """Yield the frames; an unreadable file raises CameraError, as a camera does."""
     try:
         yield from frames
@@ -104,7 +109,15 @@ def of_sequence(folder: Path, paced: bool) -> Source:
     """Source that replays the images of a sequence folder; raises CalmEdgeError."""
     sequence = SequenceFolder(folder)
     epoch_ns = min(int(sequence.t_ns(eye)[0]) for eye in Eye)
-    return replayed(sequence.frames, epoch_ns, paced, str(folder), ORIGIN_NS)
+    return replayed(
+        sequence.stream,
+        epoch_ns,
+        paced,
+        str(folder),
+        ORIGIN_NS,
+        sequence.notes,
+        lambda frame: str(sequence.file(frame.eye, frame.sequence)),
+    )
 
 
 def of_recording(recording: Recording, paced: bool) -> Source:

@@ -100,8 +100,12 @@ class TrackerLink:
             self._answered_s = time.monotonic()
         self._in_ring[slot] = frame
         size = len(frame.image)
-        self.child.send(FrameIn(frame.eye, frame.sequence, frame.t_ns, slot, size))
+        self.child.send(FrameIn(frame.eye, frame.sequence, frame.t_ns, slot, size, frame.own_stamp))
         return True
+
+    def frame_in(self, slot: int) -> Frame:
+        """Return the frame in a slot of the ring."""
+        return self._in_ring[slot]
 
     def attach(self, update: LocalizerUpdate) -> None:
         """Send a sub-map to localise against."""

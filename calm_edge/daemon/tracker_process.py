@@ -95,7 +95,7 @@ class TrackerWork:
 
     def _handle_frame(self, message: FrameIn) -> Tracked:
         late, is_keyframe, problem, repeat = self._is_late(message), False, "", False
-        frame = Frame(message.eye, message.sequence, message.t_ns, b"")
+        frame = Frame(message.eye, message.sequence, message.t_ns, b"", message.own_stamp)
         windows: tuple[SubmapWindow, ...] = ()
         if late and self._can_wait(message.t_ns):
             windows = self._builder.advance(message.t_ns)
@@ -158,7 +158,7 @@ class TrackerWork:
         if repeats.is_repeat(frame.t_ns, image, eighth(gray, self._reduction)):
             return self._builder.advance(frame.t_ns), False, True
         self._tracked_ns = frame.t_ns
-        sample = self._tracker.track(frame.t_ns, gray)
+        sample = self._tracker.track(frame.t_ns, gray, own_stamp=frame.own_stamp)
         if not late:
             # before keyframe selection, which takes time: latency of the pose matters
             self._send(Posed(sample))

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from calm_edge.evaluation import EvaluationError
 from calm_edge.geometry.camera import Camera, Perspective
-from calm_edge.recording.sequence_folder import DEFAULT_RATE_HZ, ORIGIN_NS, read_times
+from calm_edge.recording.picture_folder import DEFAULT_RATE_HZ
+from calm_edge.recording.sequence_folder import ORIGIN_NS, read_times
 from calm_edge.trajectories import read_kitti
 from calm_edge.types import Float, Float32, Int
 

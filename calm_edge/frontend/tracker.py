@@ -57,8 +57,12 @@ class Tracker:
         self._drift = Drift()
         self._replaced = 0.0
 
-    def track(self, t_ns: int, gray: Bytes) -> PoseSample:
-        """Pose of the frame exposed at t_ns; LOST and NaN if it cannot be localised."""
+    def track(self, t_ns: int, gray: Bytes, *, own_stamp: bool = True) -> PoseSample:
+        """Pose of the frame exposed at t_ns; LOST and NaN if it cannot be localised.
+
+        own_stamp: False if t_ns is not measured: the sample has no velocity then, and later
+        velocities do not use it.
+        """
         guess = self._predict(t_ns)
         fit = self._follow(gray, guess)
         T_m_c = None if fit is None else fit.T_w_c
@@ -75,7 +79,7 @@ class Tracker:
             nothing = np.full((4, 4), np.nan), np.full(3, np.nan), np.full((6, 6), np.nan)
             return PoseSample(t_ns, *nothing, self.epoch, PoseStatus.LOST)
         T_o_c = se3.inverse(self.T_map_odom) @ fit.T_w_c
-        self._path.add(t_ns, T_o_c, fit.covariance)
+        self._path.add(t_ns, T_o_c, fit.covariance, own_stamp=own_stamp)
         twist, twist_covariance = self._path.twist()
         errors, drift = tracks.errors, self._drift
         slower = errors.of_turn(twist[3:])

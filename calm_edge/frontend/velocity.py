@@ -76,7 +76,7 @@ class RecentPath:
     """Poses T_o_c (4, 4) of the last WINDOW_NS, to predict the next pose and fit the twist."""
 
     def __init__(self) -> None:
-        self._rows: deque[tuple[int, Float, Float]] = deque()
+        self._rows: deque[tuple[int, Float, Float, bool]] = deque()
 
     def __bool__(self) -> bool:
         return bool(self._rows)
@@ -89,9 +89,14 @@ class RecentPath:
     def newest(self) -> Float:
         return self._rows[-1][1]
 
-    def add(self, t_ns: int, T_o_c: Float, covariance: Float = _UNKNOWN) -> None:
-        """Add a pose with its covariance (6, 6), if known, and drop old ones."""
-        self._rows.append((t_ns, T_o_c, covariance))
+    def add(
+        self, t_ns: int, T_o_c: Float, covariance: Float = _UNKNOWN, *, own_stamp: bool = True
+    ) -> None:
+        """Add a pose with its covariance (6, 6), if known, and drop old ones.
+
+        own_stamp: False if t_ns is not measured; such a pose gives no velocity.
+        """
+        self._rows.append((t_ns, T_o_c, covariance, own_stamp))
         while len(self._rows) > 2 and t_ns - self._rows[1][0] >= WINDOW_NS:
             self._rows.popleft()
 
@@ -103,10 +108,15 @@ class RecentPath:
         """Extrapolate the last two poses to t_ns, (4, 4); None without a pose."""
         if len(self._rows) < 2:
             return self.newest if self._rows else None
-        (t_0, T_0, _), (t_1, T_1, _) = self._rows[-2], self._rows[-1]
+        (t_0, T_0, *_), (t_1, T_1, *_) = self._rows[-2], self._rows[-1]
         return se3.interpolate(T_0, T_1, (t_ns - t_0) / (t_1 - t_0))
 
     def twist(self) -> tuple[Float, Float]:
-        """Twist (6,) at the newest pose and its covariance (6, 6), see `twist_now`."""
-        stamps, poses, covariances = zip(*self._rows, strict=True)
+        """Twist (6,) at the newest pose and its covariance (6, 6), see `twist_now`.
+
+        NaN if the newest pose has no stamp of its own.
+        """
+        if not self._rows[-1][3]:
+            return np.full(6, np.nan), _UNKNOWN
+        stamps, poses, covariances, _ = zip(*(row for row in self._rows if row[3]), strict=True)
         return twist_now(np.array(stamps, np.int64), np.stack(poses), np.stack(covariances))

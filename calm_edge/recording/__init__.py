@@ -1,4 +1,4 @@
-"""Errors of recordings."""
+"""Errors of recordings and of folders of pictures."""
 
 from __future__ import annotations
 
@@ -7,3 +7,7 @@ from calm_edge.types import CalmEdgeError
 
 class RecordingError(CalmEdgeError):
     """A recording cannot be opened, read or created; one line with the file and the remedy."""
+
+
+class SequenceError(CalmEdgeError):
+    """A folder of pictures or a file of times is incomplete or invalid."""

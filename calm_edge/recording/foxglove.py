@@ -56,12 +56,11 @@ def poses(T: Float) -> list[Pose]:
     return made
 
 
-def image(eye: Eye, t_ns: int, data: bytes) -> CompressedImage:
-    """Wrap the bytes of a PNG or JPEG, unchanged."""
+def image(eye: Eye, t_ns: int | None, data: bytes) -> CompressedImage:
+    """Wrap the bytes of a PNG or JPEG, unchanged. t_ns: None if the frame's is not its own."""
     kind = "png" if data.startswith(b"\x89PNG") else "jpeg"
-    return CompressedImage(
-        timestamp=timestamp(t_ns), frame_id=camera_frame(eye), data=data, format=kind
-    )
+    stamp = None if t_ns is None else timestamp(t_ns)
+    return CompressedImage(timestamp=stamp, frame_id=camera_frame(eye), data=data, format=kind)
 
 
 def camera_calibration(eye: Eye, camera: Camera, t_ns: int) -> CameraCalibration:
@@ -123,6 +122,7 @@ def frame_transform(child: str, T_w_child: Float, t_ns: int) -> FrameTransform:
 
 
 def log(t_ns: int, level: int, message: str, name: str) -> Log:
-    """Convert a log line; level as in Python's logging."""
+    """Convert a log line; level as in Python's logging. Names of files need not be UTF-8."""
+    message = message.encode(errors="backslashreplace").decode()
     mapped = next(found for least, found in _LEVELS if level >= least)
     return Log(timestamp=timestamp(t_ns), level=mapped, message=message, name=name)

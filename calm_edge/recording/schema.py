@@ -15,6 +15,7 @@
 | /clock, /status, /health | JSON | time of writing |
 | /log | foxglove.Log | time of logging |
 
+An image without Frame.own_stamp has no timestamp of its own, only a log_time.
 An update is stored exactly except for depth (fp16; beyond its range: 0, unknown) and confidence
 (uint8, steps of 1/255); storing an update read from a recording changes nothing more.
 """
@@ -115,7 +116,8 @@ def _message(topic: str, log_time: int, message: Any, sequence: int = 0) -> LogM
 def frame_message(frame: Frame) -> LogMessage:
     """Encode a frame's JPEG or PNG bytes, unchanged."""
     assert isinstance(frame.image, bytes)
-    message = foxglove.image(frame.eye, frame.t_ns, frame.image)
+    stamp = frame.t_ns if frame.own_stamp else None
+    message = foxglove.image(frame.eye, stamp, frame.image)
     return _message(IMAGE_TOPICS[frame.eye], frame.t_ns, message, frame.sequence)
 
 
@@ -126,7 +128,8 @@ def read_frame(eye: Eye, sequence: int, log_time: int, data: bytes) -> Frame:
         message.ParseFromString(data)
     except DecodeError as error:
         raise RecordingError(f"{IMAGE_TOPICS[eye]} {sequence}: not an image ({error})") from None
-    return Frame(eye, sequence, log_time, bytes(message.data))
+    own_stamp = message.HasField("timestamp")
+    return Frame(eye, sequence, log_time, bytes(message.data), own_stamp)
 
 
 def pose_messages(sample: PoseSample) -> list[LogMessage]:

@@ -99,7 +99,7 @@ class Segment:
             )
             self._writer.start(library="calm-edge")
             for name, values in metadata.items():
-                self._writer.add_metadata(name, values)
+                self._writer.add_metadata(name, _utf8(values))
             self._channels = {topic: self._register(topic) for topic in TOPICS}
             sync_folder(folder)
         except OSError:
@@ -128,7 +128,7 @@ class Segment:
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record to the file at once."""
         self.flush()
-        self._writer.add_metadata(name, dict(values))
+        self._writer.add_metadata(name, _utf8(values))
         self._keep()
 
     def flush(self) -> None:
@@ -212,3 +212,8 @@ class Segment:
         self.kept_messages += len(self._pending)
         self._pending.clear()
         self._kept_bytes = self._sink.position
+
+
+def _utf8(values: Mapping[str, str]) -> dict[str, str]:
+    """Replace in texts what is not UTF-8, as names of files may hold."""
+    return {key: text.encode(errors="backslashreplace").decode() for key, text in values.items()}

@@ -1,183 +1,154 @@
-"""Read a drive stored as two folders of images and optional files of their time stamps.
+"""Read a drive stored as a folder of pictures for each camera, and optional files of their times.
 
 Ground truth in the same folder (`calib.txt`, `poses0.txt`) is read by `evaluation` only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calm_edge.types import CalmEdgeError, Int
-from device.frame import Eye, Frame
+from calm_edge.recording import SequenceError
+from calm_edge.recording.picture_file import SUFFIXES
+from calm_edge.recording.picture_folder import PictureFolder
+from calm_edge.recording.stamp_order import ordered
+from calm_edge.recording.stamp_text import read_stamps
+from calm_edge.types import Int
+from device.frame import Eye, Frame, Unusable
 
 # added to every stamp, so that stamps from 0 s on are positive
 ORIGIN_NS = 1_000_000_000
-DEFAULT_RATE_HZ = 10.0
 
-_SUFFIXES = {".png", ".jpg", ".jpeg"}
-_PNG = b"\x89PNG\r\n\x1a\n"
-# start-of-frame markers of JPEG; C4, C8 and CC in this range have other meanings
-_JPEG_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+# One camera may start when the other ends: pairs of pictures are at most so far apart.
+_MAX_APART_NS = 1_000_000_000
 
-
-class SequenceError(CalmEdgeError):
-    """A sequence folder is incomplete or invalid."""
-
-
-def image_size(path: Path) -> tuple[int, int]:
-    """Read (width, height) in px from the header of a PNG or JPEG; raises SequenceError."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(24)
-            if head.startswith(_PNG) and len(head) == 24:
-                return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
-            if head.startswith(b"\xff\xd8"):
-                file.seek(2)
-                while (mark := file.read(4)) and len(mark) == 4 and mark[0] == 0xFF:
-                    if mark[1] == 0xFF:  # skip a fill byte before the marker
-                        file.seek(-3, 1)
-                        continue
-                    if mark[1] in _JPEG_FRAME:
-                        body = file.read(5)
-                        if len(body) == 5:
-                            height, width = body[1:3], body[3:5]
-                            return int.from_bytes(width, "big"), int.from_bytes(height, "big")
-                        break
-                    file.seek(int.from_bytes(mark[2:4], "big") - 2, 1)
-    except OSError as error:
-        raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
-    raise SequenceError(f"{path}: not a readable image; replace it or remove it from the folder")
+# folder of each camera's pictures and file of their times; the first layout found counts
+_LAYOUTS = (
+    ("cam{}", "times{}.txt"),
+    # EuRoC
+    ("mav0/cam{}/data", "mav0/cam{}/data.csv"),
+    ("cam{}/data", "cam{}/data.csv"),
+)
+_IMPORTED = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".ts", ".bag", ".db3"}
 
 
 def read_times(path: Path) -> Int:
-    """Read stamps (N,) in ns from a file of seconds, one per line: round(s * 1e9) + ORIGIN_NS.
+    """Read stamps (N,) in ns from a file of times as `stamp_text` does; ORIGIN_NS is added.
 
-    Raises SequenceError if a line is not a number or the stamps do not increase.
+    Single ones out of order are replaced (`stamp_order`). Raises SequenceError if they do not
+    increase otherwise, or are at or before -ORIGIN_NS.
     """
-    stamps: list[int] = []
-    try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise SequenceError(f"{path}: cannot be read ({error})") from None
-    for number, line in enumerate(lines, 1):
-        if not line.strip():
-            continue
-        try:
-            t_ns = round(float(line) * 1e9) + ORIGIN_NS
-        except (ValueError, OverflowError):
-            raise SequenceError(f"{path}:{number}: {line!r} is not a time in seconds") from None
-        if t_ns <= 0:
-            raise SequenceError(
-                f"{path}:{number}: {line.strip()} s: not after -1 s; add a constant to all times"
-            )
-        if stamps and t_ns <= stamps[-1]:
-            raise SequenceError(
-                f"{path}:{number}: {line.strip()} s is not after the line before; "
-                "stamps must increase from line to line"
-            )
-        stamps.append(t_ns)
-    return np.array(stamps, np.int64)
+    t_ns, _ = ordered(read_stamps(path).t_ns)
+    if (np.diff(t_ns) <= 0).any():
+        raise SequenceError(f"{path}: its times do not increase from line to line")
+    return _shifted(t_ns, path)
 
 
 class SequenceFolder:
-    """A folder with `cam0/ cam1/` (png or jpg, sorted by name), optional `times0.txt times1.txt`.
+    """A folder with `cam0/ cam1/` and optional `times0.txt times1.txt`, or in EuRoC's layout.
 
-    Stamps are round(seconds * 1e9) + ORIGIN_NS; without time files both cameras run at 10 Hz.
-    Opening checks the headers of all images; raises SequenceError.
+    Stamps are those of the files or of the pictures' names plus ORIGIN_NS; without either, both
+    cameras run at 10 Hz. notes: lines for the user on how the folder was read. Raises
+    SequenceError.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        if not self.path.is_dir():
-            raise SequenceError(f"{self.path}: no such folder; a sequence holds cam0/ and cam1/")
-        self._files = (self._list(Eye.PRIMARY), self._list(Eye.ASSISTANT))
-        self._size = (self._one_size(Eye.PRIMARY), self._one_size(Eye.ASSISTANT))
-        self._t_ns = self._stamps()
+        folders, times = _layout(self.path)
+        pair = [
+            PictureFolder(folder, file if file.is_file() else None)
+            for folder, file in zip(folders, times, strict=True)
+        ]
+        self._cameras = pair[0], pair[1]
+        for camera, file in zip(pair, times, strict=True):
+            if not camera.has_times and any(each.has_times for each in pair):
+                raise SequenceError(f"{file}: missing; give times of both cameras, or of neither")
+        self._t_ns = tuple(_shifted(camera.t_ns, camera.folder) for camera in pair)
+        self.notes = tuple(dict.fromkeys(note for camera in pair for note in camera.notes))
+        self._check_common_time()
 
     def count(self, eye: Eye) -> int:
         """Number of frames of an eye."""
-        return len(self._files[eye])
+        return len(self._cameras[eye].files)
 
     def size(self, eye: Eye) -> tuple[int, int]:
-        """(width, height) in px of all images of an eye."""
-        return self._size[eye]
+        """(width, height) in px of an eye's first image, decoded."""
+        return self._cameras[eye].size
 
     def t_ns(self, eye: Eye) -> Int:
         """Stamps (N,) in ns of an eye's frames."""
         return self._t_ns[eye].copy()
 
+    def file(self, eye: Eye, sequence: int) -> Path:
+        """File of one frame."""
+        return self._cameras[eye].files[sequence]
+
+    def stream(self, eye: Eye) -> Iterator[Frame | Unusable]:
+        """Iterate over an eye's frames; an Unusable stands for a file that is not a picture."""
+        return self._cameras[eye].frames(eye, ORIGIN_NS)
+
     def frames(self, eye: Eye) -> Iterator[Frame]:
-        """Iterate over an eye's frames: a JPEG as its bytes, a PNG as (H, W, 3) BGR.
+        """Iterate over an eye's frames as `stream`; raises SequenceError for an Unusable."""
+        for frame in self.stream(eye):
+            if isinstance(frame, Unusable):
+                raise SequenceError(f"{frame.reason}; replace it or remove it from the folder")
+            yield frame
 
-        Raises SequenceError at an image that cannot be read.
-        """
-        for i, file in enumerate(self._files[eye]):
-            yield Frame(eye, i, int(self._t_ns[eye][i]), _read_image(file))
+    def _check_common_time(self) -> None:
+        ranges = [(int(t_ns[0]), int(t_ns[-1])) for t_ns in self._t_ns]
+        apart_ns = max(first for first, _ in ranges) - min(last for _, last in ranges)
+        if apart_ns <= _MAX_APART_NS:
+            return
+        each = ", ".join(
+            f"{camera.folder.relative_to(self.path)} {(first - ORIGIN_NS) / 1e9:.3f} to "
+            f"{(last - ORIGIN_NS) / 1e9:.3f} s"
+            for camera, (first, last) in zip(self._cameras, ranges, strict=True)
+        )
+        raise SequenceError(
+            f"{self.path}: both cameras have no time in common: {each}; write their times on one "
+            "clock, e.g. by adding a constant to those of one"
+        )
 
-    def _list(self, eye: Eye) -> list[Path]:
-        folder = self.path / f"cam{int(eye)}"
+
+def _layout(path: Path) -> tuple[list[Path], list[Path]]:
+    """Folders of pictures and files of times of both cameras, present or not."""
+    if path.is_file():
+        command = "record --replay" if path.suffix == ".mcap" else "calm-edge import"
+        if path.suffix.lower() not in (*_IMPORTED, ".mcap"):
+            command = "record --sequence with its folder"
+        raise SequenceError(f"{path}: a file, not a folder of pictures; use {command}")
+    if not path.is_dir():
+        raise SequenceError(f"{path}: no such folder; a sequence holds cam0/ and cam1/")
+    for camera, times in _LAYOUTS:
+        folders = [path / camera.format(int(eye)) for eye in Eye]
+        if all(_holds(folder, SUFFIXES) for folder in folders):
+            return folders, [path / times.format(int(eye)) for eye in Eye]
+    folders = [path / f"cam{int(eye)}" for eye in Eye]
+    for folder in folders:
+        if _holds(folder, _IMPORTED) or _holds(path, _IMPORTED):
+            raise SequenceError(f"{path}: holds videos or bags, not pictures; use calm-edge import")
         if not folder.is_dir():
-            raise SequenceError(f"{folder}: missing; calm-edge needs both cam0/ and cam1/")
-        files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES)
-        if not files:
-            raise SequenceError(f"{folder}: holds no .png or .jpg; put this camera's images there")
-        return files
-
-    def _one_size(self, eye: Eye) -> tuple[int, int]:
-        files = self._files[eye]
-        first = image_size(files[0])
-        for file in files[1:]:
-            size = image_size(file)
-            if size != first:
-                raise SequenceError(
-                    f"{file}: {size[0]}x{size[1]} px, but {files[0].name} has "
-                    f"{first[0]}x{first[1]}; all images of a camera must have one size"
-                )
-        return first
-
-    def _stamps(self) -> tuple[Int, Int]:
-        paths = [self.path / f"times{int(eye)}.txt" for eye in Eye]
-        there = [p.is_file() for p in paths]
-        if any(there) and not all(there):
-            missing = paths[there.index(False)]
             raise SequenceError(
-                f"{missing}: missing; give times of both cameras, or of neither "
-                f"(then {DEFAULT_RATE_HZ} Hz is assumed)"
+                f"{folder}: missing; calm-edge needs both cam0/ and cam1/, or use calm-edge import"
             )
-        stamps = []
-        for eye, path in zip(Eye, paths, strict=True):
-            n = self.count(eye)
-            if not all(there):
-                period = round(1e9 / DEFAULT_RATE_HZ)
-                stamps.append(np.arange(n, dtype=np.int64) * period + ORIGIN_NS)
-                continue
-            t_ns = read_times(path)
-            if len(t_ns) != n:
-                raise SequenceError(
-                    f"{path}: {len(t_ns)} times for {n} images in cam{int(eye)}/; "
-                    "it must hold one line per image"
-                )
-            stamps.append(t_ns)
-        return stamps[0], stamps[1]
+    return folders, [path / f"times{int(eye)}.txt" for eye in Eye]
 
 
-def _read_image(path: Path) -> NDArray[np.uint8] | bytes:
+def _holds(folder: Path, suffixes: Sequence[str] | set[str] | frozenset[str]) -> bool:
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SequenceError(f"{path}: cannot be read ({error.strerror})") from None
-    if data.startswith(b"\xff\xd8"):
-        # decoders fill a truncated JPEG with grey, so check for its end marker
-        if b"\xff\xd9" in data[-4096:]:
-            return data
-    elif b"IEND" in data[-64:]:
-        import cv2
+        return any(
+            file.suffix.lower() in suffixes and not file.name.startswith(".")
+            for file in folder.iterdir()
+        )
+    except OSError:
+        return False
 
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        if image is not None:
-            return np.asarray(image, np.uint8)
-    raise SequenceError(f"{path}: truncated or damaged; replace it or remove it from the folder")
+
+def _shifted(t_ns: Int, source: Path) -> Int:
+    if len(t_ns) and t_ns.min() <= -ORIGIN_NS:
+        raise SequenceError(
+            f"{source}: {t_ns.min() / 1e9:g} s: not after -1 s; add a constant to all times"
+        )
+    return np.asarray(t_ns + ORIGIN_NS)

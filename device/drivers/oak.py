@@ -21,8 +21,8 @@ from device.drivers.live import LiveCamera, RawFrame
 from device.drivers.oak_pipeline import Factory, Pipeline, Queue, SocketRequest, shared_pipeline
 from device.errors import CameraError
 from device.frame import Eye
+from device.jpeg import completed
 
-_JPEG_START = b"\xff\xd8"
 _QUALITY = 92
 _QUEUE = 8
 # an older stamp was taken before the device synchronised its clock to the host's
@@ -245,8 +245,7 @@ def control_values(message: Any) -> dict[str, int]:
 def image_of(message: Any) -> NDArray[np.uint8] | bytes | None:
     """Return the JPEG bytes of a message, or (H, W, 3) BGR if raw; None for invalid JPEG."""
     if not hasattr(message, "getCvFrame"):
-        data = bytes(message.getData())
-        return data if data.startswith(_JPEG_START) else None
+        return completed(bytes(message.getData()))
     pixels = np.asarray(message.getCvFrame(), np.uint8)
     if pixels.ndim == 2:
         pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR), np.uint8)

@@ -2,34 +2,45 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterable, Iterator
 
 from device.camera import CameraSpec, CameraStats
 from device.clock import NS_PER_S, Clock
 from device.errors import CameraError
-from device.frame import Frame
+from device.frame import Frame, Unusable
+from device.seldom import Seldom
 from device.stream import Stream
+
+log = logging.getLogger(__name__)
 
 
 class ReplayCamera:
     """A Camera that plays given frames, with their own stamps.
 
-    frames: of the spec's eye, in order of time; iterated lazily. paced: deliver each frame when
-    `clock`, in the time of the stamps, has reached its stamp; else as fast as read() is called.
+    frames: of the spec's eye, in order of time; iterated lazily. Unusable ones are left out,
+    counted as corrupt and logged, at most one a minute. paced: deliver each frame when `clock`, in
+    the time of the stamps, has reached its stamp; else as fast as read() is called.
     """
 
     def __init__(
-        self, spec: CameraSpec, clock: Clock, *, frames: Iterable[Frame], paced: bool = True
+        self,
+        spec: CameraSpec,
+        clock: Clock,
+        *,
+        frames: Iterable[Frame | Unusable],
+        paced: bool = True,
     ) -> None:
         self.spec = spec
         self._clock = clock
-        self._frames: Iterator[Frame] = iter(frames)
+        self._frames: Iterator[Frame | Unusable] = iter(frames)
         self._paced = paced
         self._stream = Stream()
         self._pending: Frame | None = None
         self._exhausted = False
         self._running = False
+        self._warn = Seldom(log.warning)
 
     @property
     def exhausted(self) -> bool:
@@ -61,7 +72,7 @@ class ReplayCamera:
             return None
         limit_ns = self._clock.now_ns() + math.floor(timeout_s * NS_PER_S)
         if self._pending is None:
-            self._pending = next(self._frames, None)
+            self._pending = self._next_usable()
         frame = self._pending
         if frame is None:
             self._exhausted = True
@@ -78,6 +89,14 @@ class ReplayCamera:
             self._clock.sleep_until_ns(frame.t_ns)
         self._pending = None
         return self._stream.admit(frame, self._clock.now_ns() if self._paced else None)
+
+    def _next_usable(self) -> Frame | None:
+        for frame in self._frames:
+            if isinstance(frame, Frame):
+                return frame
+            self._stream.lose(frame.sequence)
+            self._warn(frame.reason)
+        return None
 
     def stop(self) -> None:
         """End the replay; the remaining frames are not read."""

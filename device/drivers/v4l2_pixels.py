@@ -1,4 +1,4 @@
-"""Decode V4L2 buffers: JPEG bytes stay as they are, other pixel formats become BGR by OpenCV."""
+"""Decode V4L2 buffers: JPEG stays encoded, other pixel formats become BGR by OpenCV."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.drivers.v4l2_ioctl import PixelFormat
+from device.jpeg import completed
 
 JPEGS = ("MJPG", "JPEG")
-_JPEG_START = b"\xff\xd8"
 # fourcc -> OpenCV's conversion code to BGR; None: it is BGR already
 _PAIRS = {
     "YUYV": cv2.COLOR_YUV2BGR_YUYV,
@@ -25,9 +25,9 @@ WANTED = (*JPEGS, *_PAIRS, *_SEMI_PLANAR, *_PLANAR, *_TRIPLES, *_GRAYS)
 
 
 def decode(data: bytes, form: PixelFormat) -> NDArray[np.uint8] | bytes | None:
-    """Return JPEG bytes unchanged, or (H, W, 3) uint8 BGR; None for an invalid buffer."""
+    """Return a complete JPEG, or (H, W, 3) uint8 BGR; None for an invalid buffer."""
     if form.fourcc in JPEGS:
-        return data if data.startswith(_JPEG_START) else None
+        return completed(data)
     width, height = form.width_px, form.height_px
     if form.fourcc in _PAIRS:
         rows = _rows(data, height, 2 * width, form.stride_bytes)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from bench import perturb
 from bench.perturb import Clocks, Perturbation, perturbed
-from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.truth import read_truth
+from calm_edge.recording import SequenceError
 from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.trajectories import read_kitti, write_kitti
 from device.frame import Eye
@@ -157,5 +157,5 @@ def test_what_is_no_picture_is_named(tmp_path: Path) -> None:
         cv2.imwrite(str(folder / f"cam{eye}" / "0.png"), np.zeros((30, 30, 3), np.uint8))
     broken = folder / "cam0" / "0.png"
     broken.write_bytes(broken.read_bytes()[:40])
-    with pytest.raises(EvaluationError, match=r"cam0/0\.png"):
+    with pytest.raises(SequenceError, match=r"cam0/0\.png"):
         perturbed(folder, tmp_path / "o", Perturbation(blur_px=1.0))

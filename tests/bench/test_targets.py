@@ -14,7 +14,8 @@ from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.estimate import from_updates
 from calm_edge.evaluation.results import compare
 from calm_edge.evaluation.truth import read_truth
-from calm_edge.recording.sequence_folder import SequenceError, SequenceFolder
+from calm_edge.recording import SequenceError
+from calm_edge.recording.sequence_folder import SequenceFolder
 from calm_edge.trajectories import write_kitti
 from tests.evaluation.worlds import curve, stamps, update
 

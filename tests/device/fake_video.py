@@ -12,12 +12,16 @@ import struct
 from collections import deque
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 
 from device.drivers.v4l2_identity import NodeFacts
 from tests.manual_clock import ManualClock
 
-JPEG = b"\xff\xd8 picture %d \xff\xd9"
+# a JPEG with a number of four digits in its comment: JPEG % 7
+JPEG = b"\xff\xd8\xff\xfe\x00\x06%04d" + bytes(
+    cv2.imencode(".jpg", np.full((8, 8, 3), 90, np.uint8))[1][2:]
+).replace(b"%", b"%%")
 MONOTONIC = 0x2000
 ERROR = 0x40
 

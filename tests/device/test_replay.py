@@ -5,7 +5,7 @@ import pytest
 from device.camera import CameraSpec
 from device.drivers.replay import ReplayCamera
 from device.errors import CameraError
-from device.frame import Eye, Frame
+from device.frame import Eye, Frame, Unusable
 from tests.manual_clock import ManualClock
 
 PERIOD_NS = 100_000_000
@@ -60,3 +60,19 @@ def test_a_frame_of_the_other_eye_raises() -> None:
     camera.start()
     with pytest.raises(CameraError, match=r"primary camera replay:.*frame of the assistant"):
         camera.read(0.0)
+
+
+def test_an_unusable_frame_is_left_out_counted_and_logged_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    whole = recording(6)
+    frames = [
+        Unusable(f.eye, f.sequence, f"{f.sequence}.jpg: not a JPEG") if f.sequence in (1, 4) else f
+        for f in whole
+    ]
+    camera = ReplayCamera(SPEC, ManualClock(3), frames=frames, paced=False)
+    camera.start()
+    assert [camera.read(1.0) for _ in range(4)] == [whole[k] for k in (0, 2, 3, 5)]
+    assert camera.read(1.0) is None and camera.exhausted
+    assert camera.stats().corrupt == 2 and camera.stats().drops == 0
+    assert [record.getMessage() for record in caplog.records] == ["1.jpg: not a JPEG"]

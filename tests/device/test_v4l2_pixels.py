@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from device.drivers.v4l2_ioctl import PixelFormat
 from device.drivers.v4l2_pixels import JPEGS, WANTED, decode
+from tests.device.fake_video import JPEG
 
 WIDTH, HEIGHT = 32, 16
 
@@ -73,8 +74,9 @@ def test_a_buffer_that_is_too_short_is_invalid(fourcc: str, picture: NDArray[np.
 
 
 @pytest.mark.parametrize("fourcc", JPEGS)
-def test_jpeg_bytes_are_unchanged(fourcc: str) -> None:
-    data = b"\xff\xd8 anything \xff\xd9 and padding\0\0"
-    assert decode(data, PixelFormat(fourcc, WIDTH, HEIGHT, 0)) is data
-    assert decode(b"", PixelFormat(fourcc, WIDTH, HEIGHT, 0)) is None
-    assert decode(b"\0" + data, PixelFormat(fourcc, WIDTH, HEIGHT, 0)) is None
+def test_a_jpeg_is_cut_out_of_the_buffer(fourcc: str) -> None:
+    data = JPEG % 7
+    for buffer in (data, data + b"padding\0\0", b"\0" + data, data[:-2]):
+        assert decode(buffer, PixelFormat(fourcc, WIDTH, HEIGHT, 0)) == data
+    for buffer in (b"", data[2:], data[:30], b"\xff\xd8 anything \xff\xd9"):
+        assert decode(buffer, PixelFormat(fourcc, WIDTH, HEIGHT, 0)) is None

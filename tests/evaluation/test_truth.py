@@ -8,7 +8,7 @@ import pytest
 from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.geometry.camera import Perspective
-from calm_edge.recording.sequence_folder import SequenceError
+from calm_edge.recording import SequenceError
 from calm_edge.trajectories import TrajectoryError, write_kitti
 from tests.evaluation.worlds import curve, stamps
 
@@ -72,5 +72,5 @@ def test_a_folder_without_truth_is_an_error(tmp_path: Path) -> None:
         read_truth(tmp_path / "nowhere")
     (tmp_path / "times0.txt").write_text("0.1\n0.0\n")
     write_kitti(tmp_path / "poses0.txt", curve(2))
-    with pytest.raises(SequenceError, match="not after the line before"):
+    with pytest.raises(SequenceError, match="do not increase"):
         read_truth(tmp_path)

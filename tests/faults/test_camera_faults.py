@@ -9,7 +9,7 @@ import numpy as np
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
 from device.camera import CameraSpec, open_camera
-from device.frame import Eye
+from device.frame import Eye, jpeg
 from tests.device.fake_video import FakeCamera, FakeVideoIO, Shot
 from tests.manual_clock import ManualClock
 from tests.recording import samples
@@ -20,8 +20,7 @@ S, MS = 1_000_000_000, 1_000_000
 def test_mjpeg_bytes_are_recorded_unchanged_across_a_reconnect(tmp_path: Path) -> None:
     random = np.random.default_rng(7)
     clock = ManualClock(10 * S)
-    # odd lengths, and bytes after the image, as cameras pad their buffers
-    sent = [b"\xff\xd8" + random.bytes(int(n)) for n in random.integers(100, 9000, 40)]
+    sent = [jpeg(random.integers(0, 255, (8, int(n), 3), np.uint8)) for n in range(8, 88, 2)]
     fakes = FakeCamera("usb-1"), FakeCamera("usb-2")
     io = FakeVideoIO(clock, {"/dev/video0": fakes[0], "/dev/video2": fakes[1]})
     cameras = [
@@ -33,7 +32,8 @@ def test_mjpeg_bytes_are_recorded_unchanged_across_a_reconnect(tmp_path: Path) -
 
     def shoot(fake: FakeCamera, k: int, sequence: int) -> None:
         t_ns = clock.now_ns() + MS
-        fake.shots.append(Shot(t_ns, sequence, sent[k], t_ns))
+        # cameras pad their buffers
+        fake.shots.append(Shot(t_ns, sequence, sent[k] + bytes(k), t_ns))
 
     with RecordingWriter(tmp_path, samples.config()) as writer:
         for k in range(0, 40, 2):

@@ -103,6 +103,25 @@ def test_standing_still_is_a_live_pose_without_velocity() -> None:
     assert np.linalg.norm(samples[-1].T_w_c[:3, 3] - samples[0].T_w_c[:3, 3]) < 0.01
 
 
+def test_a_frame_without_a_stamp_of_its_own_has_a_pose_and_no_velocity() -> None:
+    poses = drive(24)
+    tracker = attached(poses, 12)
+    samples = []
+    for i in range(12, 24):
+        # one frame is stamped 60 ms early
+        own = i != 18
+        t_ns = stamp(i) - (0 if own else 60_000_000)
+        samples.append(tracker.track(t_ns, WORLD.render(poses[i]), own_stamp=own))
+        tracker.prepare()
+    marked = samples.pop(6)
+    assert marked.status is PoseStatus.LIVE and np.isnan(marked.velocity_c).all()
+    np.testing.assert_allclose(marked.T_w_c[:3, 3], poses[18][:3, 3], atol=0.05)
+    speed = np.linalg.norm(poses[13][:3, 3] - poses[12][:3, 3]) / 0.1
+    for sample in samples[3:]:
+        assert sample.status is PoseStatus.LIVE
+        assert abs(np.linalg.norm(sample.velocity_c) - speed) < 0.1 * speed
+
+
 def test_darkness_is_lost_at_once_and_short_darkness_is_bridged() -> None:
     poses = drive(30)
     tracker = attached(poses, 10)

@@ -124,3 +124,17 @@ def test_a_path_is_extrapolated_and_drops_old_poses() -> None:
     assert np.linalg.norm(path.twist()[0][:3] - expected[:3]) < 1.5
     path.clear()
     assert not path
+
+
+def test_poses_without_a_stamp_of_their_own_have_no_say() -> None:
+    T, expected = braking_turn()
+    path = RecentPath()
+    for k in range(5):
+        path.add(int(T_NS[k]), T[k], SURE[k])
+        if k == 2:
+            # a repeated stamp in between, replaced by one that is a long way off
+            path.add(int(T_NS[k]) + 1_000_000, T[k + 1], SURE[k], own_stamp=False)
+            assert np.isnan(path.twist()[0]).all() and np.isnan(path.twist()[1]).all()
+            np.testing.assert_array_equal(path.newest, T[k + 1])
+    np.testing.assert_allclose(path.twist()[0], expected, atol=1e-9)
+    assert np.isfinite(path.twist()[1]).all()

@@ -128,3 +128,9 @@ def test_the_cameras_of_a_sub_map_are_published_with_their_lenses() -> None:
         assert len(found.D) == {"plumb_bob": 5, "kannala_brandt": 4}[model]
     alone = dataclasses.replace(submap, assistant_ids=())
     assert len(schema.calibration_messages(alone, 7)) == 1
+
+
+def test_a_frame_without_a_stamp_of_its_own_stays_marked() -> None:
+    frame = dataclasses.replace(samples.frame(Eye.PRIMARY, 3), own_stamp=False)
+    message = schema.frame_message(frame)
+    assert schema.read_frame(Eye.PRIMARY, 3, message.log_time, message.data) == frame

@@ -6,13 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from calm_edge.recording.sequence_folder import (
-    ORIGIN_NS,
-    SequenceError,
-    SequenceFolder,
-    image_size,
-    read_times,
-)
+from calm_edge.recording import SequenceError
+from calm_edge.recording.sequence_folder import ORIGIN_NS, SequenceFolder, read_times
 from device.frame import Eye
 
 
@@ -78,29 +73,19 @@ def _empty_camera(drive: Path) -> Path:
     return drive
 
 
-def _unequal(drive: Path) -> Path:
-    cv2.imwrite(str(drive / "cam0" / "000002.jpg"), _picture(5, width=48))
-    return drive
-
-
-def _not_an_image(drive: Path) -> Path:
-    (drive / "cam1" / "000001.jpg").write_text("not a picture")
-    return drive
-
-
-def _no_header(drive: Path) -> Path:
-    file = drive / "cam1" / "000001.jpg"
-    file.write_bytes(file.read_bytes()[:100])
+def _no_pictures(drive: Path) -> Path:
+    for file in (drive / "cam1").iterdir():
+        file.write_text("not a picture")
     return drive
 
 
 def _backwards(drive: Path) -> Path:
-    (drive / "times1.txt").write_text("0.0\n0.2\n0.1\n")
+    (drive / "times1.txt").write_text("0.2\n0.1\n0.0\n")
     return drive
 
 
 def _standing(drive: Path) -> Path:
-    (drive / "times0.txt").write_text("0.0\n0.1\n0.1\n")
+    (drive / "times0.txt").write_text("0.1\n0.1\n0.1\n")
     return drive
 
 
@@ -109,9 +94,32 @@ def _words(drive: Path) -> Path:
     return drive
 
 
-def _infinite(drive: Path) -> Path:
-    (drive / "times0.txt").write_text("0.0\n0.1\ninf\n")
+def _apart(drive: Path) -> Path:
+    (drive / "times1.txt").write_text("64.0\n64.1\n64.2\n")
     return drive
+
+
+def _long_ago(drive: Path) -> Path:
+    (drive / "times0.txt").write_text("-9.0\n-8.9\n-8.8\n")
+    return drive
+
+
+def _video(drive: Path) -> Path:
+    (drive / "front.mp4").write_bytes(b"")
+    return drive / "front.mp4"
+
+
+def _videos(drive: Path) -> Path:
+    for eye in range(2):
+        for file in (drive / f"cam{eye}").iterdir():
+            file.unlink()
+        (drive / f"cam{eye}" / "a.MP4").write_bytes(b"")
+    return drive
+
+
+def _recording(drive: Path) -> Path:
+    (drive / "0000.mcap").write_bytes(b"")
+    return drive / "0000.mcap"
 
 
 def _too_few_times(drive: Path) -> Path:
@@ -130,13 +138,15 @@ def _one_time_file(drive: Path) -> Path:
         (_no_folder, "nowhere: no such folder"),
         (_one_camera, "cam1: missing"),
         (_empty_camera, "cam0: holds no"),
-        (_unequal, "000002.jpg: 48x24 px"),
-        (_not_an_image, "000001.jpg: not a readable image"),
-        (_no_header, "000001.jpg: not a readable image"),
-        (_backwards, "times1.txt:3: 0.1 s is not after the line before"),
-        (_standing, "times0.txt:3: 0.1 s is not after the line before"),
+        (_no_pictures, "000000.jpg: not a JPEG"),
+        (_backwards, "times1.txt: its times do not increase"),
+        (_standing, "times0.txt: its times do not increase"),
         (_words, "times0.txt:2: 'noon'"),
-        (_infinite, "times0.txt:3: 'inf'"),
+        (_apart, "no time in common: cam0 0.000 to 0.200 s, cam1 64.000 to 64.200 s"),
+        (_long_ago, "not after -1 s"),
+        (_video, "front.mp4: a file, not a folder of pictures; use calm-edge import"),
+        (_videos, "videos or bags, not pictures; use calm-edge import"),
+        (_recording, "record --replay"),
         (_too_few_times, "times1.txt: 2 times for 3 images"),
         (_one_time_file, "times0.txt: missing"),
     ],
@@ -148,25 +158,48 @@ def test_invalid_folders_raise_one_line(tmp_path: Path, damage, message: str) ->
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_a_truncated_image_raises_when_it_is_read(tmp_path: Path, suffix: str) -> None:
-    drive = _drive(tmp_path / "d", suffix=suffix)
-    file = drive / "cam0" / f"000001{suffix}"
+def test_a_truncated_png_raises_where_all_pictures_are_needed(tmp_path: Path) -> None:
+    drive = _drive(tmp_path / "d", suffix=".png")
+    file = drive / "cam0" / "000001.png"
     file.write_bytes(file.read_bytes()[:-300])
     frames = SequenceFolder(drive).frames(Eye.PRIMARY)
     assert next(frames).sequence == 0
-    with pytest.raises(SequenceError, match=r"000001.* truncated"):
+    with pytest.raises(SequenceError, match=r"000001.* truncated; replace it or remove it"):
         next(frames)
 
 
-@pytest.mark.parametrize("flags", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]])
-def test_image_size_reads_baseline_and_progressive_jpeg(tmp_path: Path, flags: list[int]) -> None:
-    file = tmp_path / "a.jpg"
-    cv2.imwrite(str(file), _picture(0, width=321, height=57), flags)
-    assert image_size(file) == (321, 57)
+@pytest.mark.parametrize("layout", ["mav0/cam{}", "cam{}"])
+@pytest.mark.parametrize("listed", [True, False])
+def test_the_layout_of_euroc_is_read(tmp_path: Path, layout: str, listed: bool) -> None:
+    epoch_ns = 1_403_715_273_262_142_976
+    for eye in range(2):
+        camera = tmp_path / layout.format(eye)
+        (camera / "data").mkdir(parents=True)
+        stamps = [epoch_ns + k * 50_000_000 + 7 * eye for k in range(4)]
+        for k, t_ns in enumerate(stamps):
+            cv2.imwrite(str(camera / "data" / f"{t_ns}.png"), _picture(k))
+        if listed:
+            rows = "".join(f"{t_ns},{t_ns}.png\r\n" for t_ns in stamps)
+            (camera / "data.csv").write_text(f"#timestamp [ns],filename\r\n{rows}")
+    folder = SequenceFolder(tmp_path)
+    for eye in Eye:
+        expected = [ORIGIN_NS + epoch_ns + k * 50_000_000 + 7 * eye for k in range(4)]
+        assert folder.t_ns(eye).tolist() == expected
+    assert folder.file(Eye.PRIMARY, 2).name == f"{epoch_ns + 100_000_000}.png"
+    assert len(folder.notes) == 2 and all("read as ns" in note for note in folder.notes)
+
+
+def test_pictures_may_change_their_size(tmp_path: Path) -> None:
+    drive = _drive(tmp_path / "d")
+    cv2.imwrite(str(drive / "cam0" / "000002.jpg"), _picture(5, width=48))
+    folder = SequenceFolder(drive)
+    widths = [frame.gray().shape[1] for frame in folder.frames(Eye.PRIMARY)]
+    assert widths == [40, 40, 48] and folder.size(Eye.PRIMARY) == (40, 24)
 
 
 def test_times_keep_nanoseconds(tmp_path: Path) -> None:
     file = tmp_path / "times.txt"
-    file.write_text("-0.004\n0.000000001\n1234.5\n\n")
-    assert read_times(file).tolist() == [996_000_000, 1_000_000_001, 1_235_500_000_000]
+    file.write_text("-0.004\n0.000000001\n1234.5\n1234.6\n1234.7\n\n")
+    assert read_times(file).tolist() == [
+        996_000_000, 1_000_000_001, 1_235_500_000_000, 1_235_600_000_000, 1_235_700_000_000,
+    ]  # fmt: skip

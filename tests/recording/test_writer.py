@@ -90,6 +90,15 @@ def test_log_and_status_are_read_back(tmp_path: Path) -> None:
     assert status == [{"state": "lagging", "frames": 7, "where": "x"}]
 
 
+def test_names_that_are_not_utf8_are_recorded(tmp_path: Path) -> None:
+    name = os.fsdecode(b"s\xe9quence")
+    with RecordingWriter(tmp_path, samples.config(), {"source": name}) as writer:
+        writer.write_log(logging.WARNING, f"{name}/0.jpg: not a JPEG")
+        writer.write_metadata(schema.CAMERAS_METADATA, {"primary": name})
+    assert logged(tmp_path) == ["s\\udce9quence/0.jpg: not a JPEG"]
+    assert Recording(tmp_path).metadata["source"] == "s\\udce9quence"
+
+
 def test_camera_settings_are_in_every_segment_and_the_last_ones_apply(
     tmp_path: Path,
 ) -> None:
