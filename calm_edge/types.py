@@ -242,7 +242,9 @@ class Submap:
     stamps_off_ns: (A,) additional offset of each assistant view, or None.
     scale_log_sigma: sigma of the log of the sub-map's length, given the spacing; inf if unknown.
     kit_epoch: how often the kit had changed before it in this drive, e.g. by a mount that slipped.
-    drawn: (2,) as of the Prediction, or None.
+    drawn: (2,) as of the Prediction, or None. cuts: primary views that no picture connects with
+    those before. bridged_s: time for which constant velocity was assumed before the sub-map, 0 if
+    it has keyframes of an earlier one.
     """
 
     id: int
@@ -262,6 +264,8 @@ class Submap:
     scale_log_sigma: float = np.inf
     kit_epoch: int = 0
     drawn: Float | None = None
+    cuts: tuple[int, ...] = ()
+    bridged_s: float = 0.0
 
     @property
     def n_primary(self) -> int:

@@ -89,6 +89,7 @@ def make_map(
 
     Raises CalmEdgeError; what was computed is then in `work`.
     """
+    from calm_edge.estimator.gaps import described
     from calm_edge.evaluation import EvaluationError
     from calm_edge.mapping.cloud_file import read_cloud
     from calm_edge.offline.map_drive import MAP, make_cloud, write_trajectory
@@ -98,6 +99,9 @@ def make_map(
     points_w, color = read_cloud(out / MAP)
     estimate = replace(estimate, points_w=points_w)
     losses = [*recording.losses, *drive.losses]
+    if (gaps := drive.gaps(config)) and drive.trajectory is not None:
+        metric = bool(config.scale.spacing_m)
+        losses.append(described(gaps, int(drive.trajectory.t_ns[0]), metric=metric))
     if not n_points:
         losses.append("the map has no points: no depth was found in any sub-map")
     recorded = recording.path.resolve()

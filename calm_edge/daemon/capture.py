@@ -183,6 +183,7 @@ class Capture:
             hub.result.trajectory = estimator.finished.trajectory
             hub.result.submaps += estimator.solved_late
             hub.result.metre = estimator.finished.metre
+            hub.result.gaps = finish.gaps(estimator.finished, hub.config)
             for update in finish.final_updates(estimator.finished, hub.kit):
                 hub.give_update(update)
 

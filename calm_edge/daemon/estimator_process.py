@@ -87,7 +87,13 @@ class EstimatorWork:
         if isinstance(message, Finish):
             trajectory = self._localizer.finish(np.inf if self._unhurried else SOLVE_AGAIN_S)
             localizer = self._localizer
-            return Finished(localizer.submaps, trajectory, localizer.metre, localizer.solved_again)
+            return Finished(
+                localizer.submaps,
+                trajectory,
+                localizer.metre,
+                localizer.solved_again,
+                localizer.gaps,
+            )
         if isinstance(message, Expect) and isinstance(self._backbone, ExpectsPictures):
             self._received.add(message.keyframe)
             # an unreadable image is reported later, when its window is processed

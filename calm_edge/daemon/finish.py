@@ -6,11 +6,21 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calm_edge.config import Config
 from calm_edge.daemon.messages import Finished
+from calm_edge.estimator.gaps import described
 from calm_edge.types import KitBelief, LocalizerUpdate, Prediction, Trajectory
 
 REPLAY_LIMIT_S = 900.0
 LIVE_LIMIT_S = 20.0
+
+
+def gaps(finished: Finished, config: Config) -> str:
+    """One line for the user on the gaps of the path; empty without any."""
+    if not finished.gaps or finished.trajectory is None:
+        return ""
+    start_ns = int(finished.trajectory.t_ns[0])
+    return described(finished.gaps, start_ns, metric=bool(config.scale.spacing_m))
 
 
 def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[LocalizerUpdate]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from calm_edge.estimator.gaps import Gap
 from calm_edge.recording.window_record import FrameKey, WindowRecord
 from calm_edge.types import (
     Float,
@@ -216,13 +217,15 @@ class Finished:
     """Answer to Finish: all sub-maps with their final poses, and the metre of the drive.
 
     trajectory: None without a sub-map. solved_again: by sub-map id, the solutions of windows that
-    have been solved again from their pictures, or for the first time, since their Processed.
+    have been solved again from their pictures, or for the first time, since their Processed. gaps:
+    of the path, which nothing connects.
     """
 
     submaps: tuple[Submap, ...]
     trajectory: Trajectory | None
     metre: Metre
     solved_again: dict[int, Prediction] = field(default_factory=dict)
+    gaps: tuple[Gap, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,8 @@ class RecordResult:
     frames without a pose, because newer ones were waiting. unscaled_poses: number of poses that are
     not metric. clamped_stamps: number of frames with a corrected stamp. output_losses: lost
     messages by output, without the recording. spacing_m: as configured, 0 if not. repeated: frames
-    of each camera whose picture repeats the one before.
+    of each camera whose picture repeats the one before. gaps: of the path that nothing connects, as
+    line of text, empty if there are none.
     """
 
     frames: list[int] = field(default_factory=lambda: [0, 0])
@@ -57,6 +58,7 @@ class RecordResult:
     trajectory: Trajectory | None = None
     spacing_m: float = 0.0
     metre: Metre = field(default_factory=Metre)
+    gaps: str = ""
     error: str = ""
     _worst_age_ms: float | None = None
     _ages_ms: deque[float] = field(default_factory=lambda: deque(maxlen=AGES))
@@ -132,6 +134,8 @@ class RecordResult:
             lines.append(f"{self.untracked} frames were recorded but not tracked in time")
         if self.unreadable:
             lines.append(f"{self.unreadable} frames were not readable")
+        if self.gaps:
+            lines.append(self.gaps)
         if self.overflowed:
             lines.append(f"{self.overflowed} frames came faster than they could be read")
         return lines
@@ -144,6 +148,7 @@ class RecordResult:
             "pose_age_ms": self.pose_age_ms(),
             "untracked": self.untracked,
             "repeated": list(self.repeated),
+            "gaps": self.gaps,
             "camera_drops": self.camera_drops,
             "clamped_stamps": self.clamped_stamps,
             "late_ticks": self.late_ticks,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calm_edge.config import Config
-from calm_edge.estimator import scale
+from calm_edge.estimator import gaps, scale
 from calm_edge.geometry import se3
 from calm_edge.posegraph.joint_graph import JointGraph
 from calm_edge.posegraph.optimiser import Optimiser
@@ -38,6 +38,9 @@ class Atlas:
         self._loops: list[LoopClosure] = []
         self._stamps: dict[int, int] = {}
         self._graph = JointGraph(config.posegraph, config.scale.spacing)
+        self._acceleration = gaps.acceleration(
+            config.scale.spacing, metric=bool(config.scale.spacing_m)
+        )
         self.epoch = 0
 
     def __len__(self) -> int:
@@ -80,6 +83,7 @@ class Atlas:
         graph, ids = self._graph, submap.primary_ids
         self._stamps.update(zip(ids, submap.t_ns[: submap.n_primary].tolist(), strict=True))
         primary, assistant = np.split(_rig_views(submap), [submap.n_primary])
+        bridged_s = 0.0
         t_p, t_a = submap.exposed_ns[primary], submap.exposed_ns[assistant]
         T_s_p, T_s_a = submap.T_s_c[primary], submap.T_s_c[assistant]
         common = [view for view, keyframe_id in enumerate(ids) if keyframe_id in graph]
@@ -87,18 +91,29 @@ class Atlas:
             T_w_f = np.stack([graph.pose(ids[view]) for view in common])
             T_w_s = scale.placement(T_w_f, T_s_p[common], self._config.scale.average_placement)
         else:
-            T_w_s = scale.placement(self._bridge(submap)[None], T_s_p[:1])
+            T_w_f, bridged_s = self._bridge(submap)
+            T_w_s = scale.placement(T_w_f[None], T_s_p[:1])
         if not len(graph):
             graph.set_rig_prior(_own_rig(submap))
         if submap.kit_epoch:
             # the graph has one rig, that of the first epoch: where the assistant would have been
             T_s_a = T_s_a @ se3.inverse(_own_rig(submap)) @ graph.T_p_a
-        graph.add_submap(ids, T_w_s, T_s_p, *scale.resampled(t_a, T_s_a, t_p), submap.drawn)
-        if self._submaps and not common:
-            graph.add_bridge(self._submaps[-1].primary_ids[-1], ids[0])
-        placed = replace(submap, n_overlap=len(common), T_w_s=T_w_s)
+        seen = scale.resampled(t_a, T_s_a, t_p)
+        graph.add_submap(ids, T_w_s, T_s_p, *seen, submap.drawn, submap.cuts)
+        placed = replace(submap, n_overlap=len(common), T_w_s=T_w_s, bridged_s=bridged_s)
+        before = self._submaps[-1:]
         self._submaps.append(placed)
+        for gap in gaps.find([*before, placed], (), self._acceleration):
+            graph.add_bridge(gap.before_id, gap.after_id, gap.sigma_translation, gap.sigma_rotation)
+        if before and not (common or bridged_s):
+            # at standstill
+            graph.add_bridge(before[0].primary_ids[-1], ids[0])
         return placed
+
+    @property
+    def gaps(self) -> tuple[gaps.Gap, ...]:
+        """Gaps of the path that no loop closes."""
+        return gaps.find(self._submaps, self._loops, self._acceleration)
 
     def add_loop(self, loop: LoopClosure) -> None:
         """Add a loop closure to the graph (E_loop, IV-C), once both keyframes have a pose."""
@@ -166,27 +181,29 @@ class Atlas:
         t_ns = np.fromiter((self._stamps[int(i)] for i in ids), np.int64, len(ids))
         return Trajectory(ids, t_ns, T_w_c, self.T_p_a, self.epoch)
 
-    def _bridge(self, submap: Submap) -> Float:
+    def _bridge(self, submap: Submap) -> tuple[Float, float]:
         """Predict T_w_f (4, 4) of a sub-map's first frame if none of its frames has a pose.
 
-        Assumes the velocity of the last two keyframes, except at standstill. A moving car gives a
-        keyframe every max_keyframe_gap_s or sooner; longer gaps between the stamps of skipped
-        keyframes are standstill.
+        Assumes the velocity of the last two keyframes, except at standstill; returns also for how
+        many seconds. A moving car gives a keyframe every max_keyframe_gap_s or sooner; longer gaps
+        between the stamps of skipped keyframes are standstill.
         """
         if not self._submaps:
-            return np.eye(4)
+            return np.eye(4), 0.0
         ids = self._submaps[-1].primary_ids[-2:]
         start, end = self._stamps[ids[-1]], int(submap.t_ns[0])
         between = [t for skipped in self._skipped for t in skipped.t_ns if start < t < end]
-        gaps = np.diff(np.unique([start, *between, end])) * 1e-9
+        waits = np.diff(np.unique([start, *between, end])) * 1e-9
         # twice the limit: a keyframe is the first frame after the limit, so it comes a little later
-        moving_s = gaps[gaps < 2 * self._config.frontend.max_keyframe_gap_s].sum()
+        moving = waits < 2 * self._config.frontend.max_keyframe_gap_s
+        # without a skipped window the tracker was restarted
+        moving_s = float(waits[moving].sum() if between else waits.sum())
         T_last = self._graph.pose(ids[-1])
         step_s = (start - self._stamps[ids[0]]) * 1e-9
         if step_s == 0:
-            return T_last
+            return T_last, moving_s
         step = se3.inverse(self._graph.pose(ids[0])) @ T_last
-        return np.asarray(T_last @ se3.exp(se3.log(step) * moving_s / step_s))
+        return np.asarray(T_last @ se3.exp(se3.log(step) * moving_s / step_s)), moving_s
 
 
 def _own_rig(submap: Submap) -> Float:

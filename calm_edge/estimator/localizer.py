@@ -17,7 +17,7 @@ import numpy as np
 
 from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
 from calm_edge.config import Config
-from calm_edge.estimator import scale, window_submap
+from calm_edge.estimator import gaps, scale, window_submap
 from calm_edge.estimator.atlas import Atlas, SkippedWindow
 from calm_edge.estimator.direction_memory import DirectionMemory
 from calm_edge.estimator.held_windows import HeldWindows, unsettled
@@ -128,6 +128,11 @@ class Localizer:
     def metre(self) -> Metre:
         """How well the drive's lengths are known so far, given the spacing."""
         return self._metre.of(self._atlas.submaps)
+
+    @property
+    def gaps(self) -> tuple[gaps.Gap, ...]:
+        """Gaps of the path that no picture and no loop connects."""
+        return self._atlas.gaps
 
     @property
     def intrinsics(self) -> GlobalIntrinsics | None:

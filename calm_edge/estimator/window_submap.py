@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calm_edge.estimator.gaps import cuts
 from calm_edge.types import (
     Bytes,
     Hints,
@@ -20,7 +21,7 @@ from device.frame import Eye
 
 def raw_submap(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Submap:
     """Create a sub-map of a window, neither rectified nor placed."""
-    return Submap(
+    submap = Submap(
         id=window.submap_id,
         primary_ids=tuple(keyframe.id for keyframe in window.primary),
         assistant_ids=tuple(keyframe.id for keyframe in window.assistant),
@@ -32,13 +33,15 @@ def raw_submap(window: SubmapWindow, hints: Hints, prediction: Prediction) -> Su
         T_w_s=np.eye(4),
         **_raw_fields(prediction, len(window.primary)),
     )
+    return replace(submap, cuts=cuts(submap, prediction.landmarks))
 
 
 def solved_again(submap: Submap, prediction: Prediction | None) -> Submap:
     """Replace the raw poses and cameras of a sub-map by those of a later prediction, if any."""
     if prediction is None:
         return submap
-    return replace(submap, **_raw_fields(prediction, submap.n_primary))
+    later = replace(submap, **_raw_fields(prediction, submap.n_primary))
+    return replace(later, cuts=cuts(later, prediction.landmarks))
 
 
 def sizes(window: SubmapWindow, images: list[Bytes]) -> Int | None:

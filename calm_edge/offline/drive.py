@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from calm_edge.config import Config
+from calm_edge.estimator import gaps
 from calm_edge.geometry.camera import Camera, back_project_each
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import Float, Landmarks, LocalizerUpdate, Metre, Prediction, Trajectory
@@ -28,6 +30,14 @@ class Drive:
     unsolved: list[int] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
     metre: Metre = field(default_factory=Metre)
+
+    def gaps(self, config: Config) -> tuple[gaps.Gap, ...]:
+        """Gaps of the path that no picture and no loop connects."""
+        scale = config.scale
+        loops = [update.loop for update in self.updates if update.loop is not None]
+        submaps = [update.submap for update in self.updates]
+        sigma = gaps.acceleration(scale.spacing, metric=bool(scale.spacing_m))
+        return gaps.find(submaps, loops, sigma)
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,7 +95,10 @@ def write_trajectory(
     estimate = replace(estimate, t_ns=estimate.t_ns - origin_ns)
     write_tum(out / TUM, estimate.t_ns, estimate.T_w_c)
     write_kitti(out / KITTI, estimate.T_w_c)
-    content = summary(estimate) | {"seams": asdict(seams) if seams is not None else None}
+    content = summary(estimate) | {
+        "seams": asdict(seams) if seams is not None else None,
+        "gaps": [asdict(gap) for gap in drive.gaps(config)],
+    }
     (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n")
     return estimate
 

@@ -17,7 +17,7 @@ from calm_edge.posegraph.optimiser import Snapshot, Solved
 from calm_edge.posegraph.problem import Edges, Problem, State, joined
 from calm_edge.types import Float, Int, LoopClosure
 
-# Information of a bridge (see `add_bridge`) relative to an odometry edge: ten times the sigma.
+# Most information of a bridge (see `add_bridge`) relative to an odometry edge: ten times the sigma.
 _BRIDGE_WEIGHT = 0.01
 _KEYS = count()
 
@@ -81,6 +81,7 @@ class JointGraph:
         T_s_a: Float,
         seen: Int,
         drawn: Float | None = None,
+        cuts: tuple[int, ...] = (),
     ) -> None:
         """Add a sub-map's measurements between each keyframe and its `window` predecessors.
 
@@ -88,12 +89,15 @@ class JointGraph:
         4) assistant poses interpolated to the stamps of the primary views with index `seen` (V,).
         All rectified, world units. A keyframe that is in the graph already keeps its pose; a pair
         of keyframes that lies in two sub-maps gets an edge from each. drawn: (2,) `Submap.drawn`.
+        cuts: `Submap.cuts`; pairs on both sides of one get no edge.
         """
         for keyframe_id, T in zip(ids, T_w_s @ T_s_p, strict=True):
             if keyframe_id not in self._row:
                 self._row[keyframe_id] = len(self._T_w_p)
                 self._T_w_p.append(T)
         i, j = _preceding(len(ids), self._config.window)
+        part = np.searchsorted(cuts, np.arange(len(ids)), side="right")
+        i, j = i[part[i] == part[j]], j[part[i] == part[j]]
         if not len(i):
             return
         rows = np.array([self._row[keyframe_id] for keyframe_id in ids])
@@ -116,13 +120,22 @@ class JointGraph:
         self._drawn.append(np.ones(2) if drawn is None else drawn)
         self._scale_variance += _scale_variance(T_s_p[seen], T_s_a)
 
-    def add_bridge(self, before_id: int, after_id: int) -> None:
+    def add_bridge(
+        self, before_id: int, after_id: int, translation: float = 0.0, rotation: float = 0.0
+    ) -> None:
         """Add a weak edge with the current relative pose of two keyframes as measurement.
 
-        It connects the graph across a gap for which no sub-map could be reconstructed.
+        It connects the graph across a gap for which no sub-map could be reconstructed. translation,
+        rotation: its sigmas, world units and rad; never less than ten times an odometry edge's.
         """
         T_j_i = se3.inverse(self.pose(before_id)) @ self.pose(after_id)
-        self._add_single(before_id, after_id, T_j_i, _BRIDGE_WEIGHT, robust=False)
+        config = self._config
+        ratio2 = max(
+            (translation / self._spacing) ** 2 / config.translation_variance,
+            rotation**2 / config.rotation_variance,
+        )
+        weight = min(_BRIDGE_WEIGHT, 1 / ratio2 if ratio2 else np.inf)
+        self._add_single(before_id, after_id, T_j_i, weight, robust=False)
 
     def add_loop(self, loop: LoopClosure) -> None:
         """Add a loop closure (E_loop), under a robust kernel.

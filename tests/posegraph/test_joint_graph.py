@@ -213,3 +213,28 @@ def test_optimising_needs_a_rig_prior():
 def test_gtsam_waits_until_it_is_needed():
     code = "import calm_edge.estimator.localizer, sys; sys.exit('gtsam' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_a_longer_bridge_is_looser():
+    T = curved(4)
+    weights = []
+    for sigma in ((0.0, 0.0), (5.0, 0.5), (50.0, 1.5)):
+        graph = JointGraph(CONFIG)
+        graph.set_rig_prior(T_P_A)
+        graph.add_submap(tuple(range(4)), np.eye(4), T, T @ T_P_A, np.arange(4))
+        graph.add_bridge(0, 3, *sigma)
+        weights.append(float(graph.problem().edges.weight[-1]))
+    assert weights[0] > weights[1] > 50 * weights[2]
+    # one edge's sigma is that of the paper, in spacings
+    assert weights[1] == pytest.approx(CONFIG.translation_variance / 25)
+
+
+def test_no_edge_crosses_a_cut():
+    T = curved(10)
+    graph = JointGraph(CONFIG)
+    graph.set_rig_prior(T_P_A)
+    graph.add_submap(tuple(range(10)), np.eye(4), T, T @ T_P_A, np.arange(10), None, (4, 7))
+    edges = graph.problem().edges
+    part = np.searchsorted([4, 7], np.arange(10), side="right")
+    assert len(edges.i) > 9 and (part[edges.i] == part[edges.j]).all()
+    assert len(graph) == 10
