@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import deque
+from statistics import median
 from typing import Literal
 
 from device.camera import CameraStats
 from device.frame import Frame
+
+# assumed before the first step
+_STEP_NS = 100_000_000
+# frames whose delay between exposure and arrival is remembered
+_DELAYS = 15
 
 Count = Literal["reconnects", "host_stamped", "corrupt"]
 
@@ -21,6 +28,8 @@ class Stream:
         self.stats = CameraStats()
         self.newest: Frame | None = None
         self.last_sequence: int | None = None
+        self._step_ns = _STEP_NS
+        self._delays_ns: deque[int] = deque(maxlen=_DELAYS)
 
     def count(self, what: Count) -> None:
         """Increment a counter."""
@@ -32,14 +41,20 @@ class Stream:
         self._advance(sequence)
 
     def admit(self, frame: Frame, now_ns: int | None) -> Frame:
-        """Count a frame and clamp its stamp to lie after the preceding one and not after now_ns.
+        """Count a frame; replace its stamp if it is after now_ns or not after the preceding one.
 
-        Some drivers give stamps in the future (virtual cameras by 178 ms); `clamped` counts the
-        corrected ones. now_ns: current time on the clock of the stamps; None in a replay.
+        Some drivers give stamps in the future (virtual cameras by 178 ms): these become now_ns. One
+        that repeats or steps back is not the frame's own (`Frame.own_stamp`): it becomes the time
+        of arrival less the usual delay, in a replay the preceding stamp plus the last step.
+        `clamped` counts both. now_ns: current time on the clock of the stamps; None in a replay.
         """
-        t_ns = frame.t_ns if now_ns is None else min(frame.t_ns, now_ns)
-        if self.newest is not None:
-            t_ns = max(t_ns, self.newest.t_ns + 1)
+        t_ns, own_stamp = frame.t_ns, frame.own_stamp
+        if now_ns is not None:
+            t_ns = min(t_ns, now_ns)
+        if self.newest is not None and t_ns <= self.newest.t_ns:
+            t_ns, own_stamp = self._next_ns(self.newest.t_ns, now_ns), False
+        elif own_stamp:
+            self._note(t_ns, now_ns)
         self._advance(frame.sequence)
         clamped = t_ns != frame.t_ns
         self.stats = dataclasses.replace(
@@ -47,8 +62,25 @@ class Stream:
             frames=self.stats.frames + 1,
             clamped=self.stats.clamped + clamped,
         )
-        self.newest = dataclasses.replace(frame, t_ns=t_ns) if clamped else frame
-        return self.newest
+        if clamped:
+            frame = dataclasses.replace(frame, t_ns=t_ns, own_stamp=own_stamp)
+        self.newest = frame
+        return frame
+
+    def _note(self, t_ns: int, now_ns: int | None) -> None:
+        """Note the step to a frame's own stamp, and the delay of its arrival."""
+        if self.newest is not None:
+            self._step_ns = t_ns - self.newest.t_ns
+        if now_ns is not None:
+            self._delays_ns.append(now_ns - t_ns)
+
+    def _next_ns(self, newest_ns: int, now_ns: int | None) -> int:
+        """Time of a frame without a usable stamp, after newest_ns and not after now_ns."""
+        if now_ns is None:
+            return newest_ns + self._step_ns
+        usual = now_ns - round(median(self._delays_ns)) if self._delays_ns else now_ns
+        # arrival itself is later than the preceding frame, unless the clock has not advanced
+        return usual if usual > newest_ns else max(now_ns, newest_ns + 1)
 
     def _advance(self, sequence: int) -> None:
         """Go on to the next sequence number; the numbers left out are drops."""

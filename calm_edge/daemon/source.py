@@ -10,6 +10,7 @@ from calm_edge.config import Config
 from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.sequence_folder import ORIGIN_NS, SequenceFolder
+from calm_edge.recording.stamp_order import check_common_time
 from calm_edge.types import CalmEdgeError
 from device.camera import (
     SAME_DEVICE,
@@ -121,13 +122,16 @@ def of_sequence(folder: Path, paced: bool) -> Source:
 
 
 def of_recording(recording: Recording, paced: bool) -> Source:
-    """Source that replays the frames of a recording; raises RecordingError."""
+    """Source that replays the frames of a recording; raises RecordingError, SequenceError."""
     path = recording.path
     stamps = [recording.frame_times(eye) for eye in Eye]
     if not all(len(t) for t in stamps):
         raise RecordingError(f"{path}: lacks frames of one camera; choose another recording")
     epoch_ns = min(int(t.min()) for t in stamps)
-    return replayed(recording.frames, epoch_ns, paced, str(path), recording.origin_ns)
+    check_common_time(path, [eye.name.lower() for eye in Eye], stamps)
+    # damage that was found on opening
+    notes = tuple(recording.losses)
+    return replayed(recording.frames, epoch_ns, paced, str(path), recording.origin_ns, notes)
 
 
 def live(config: Config) -> Source:

@@ -117,7 +117,10 @@ class Recording:
             yield from heapq.merge(*both, key=lambda frame: frame.t_ns)
             return
         for location, data in self._messages(schema.IMAGE_TOPICS[eye]):
-            yield schema.read_frame(eye, location.sequence, location.log_time, data)
+            try:
+                yield schema.read_frame(eye, location.sequence, location.log_time, data)
+            except RecordingError as error:
+                self.losses.append(f"{self.path}: {error}")
 
     def frame_times(self, eye: Eye) -> Int:
         """Stamps t_ns (N,) of an eye's frames in the order written, without reading pixels."""

@@ -13,16 +13,13 @@ import numpy as np
 from calm_edge.recording import SequenceError
 from calm_edge.recording.picture_file import SUFFIXES
 from calm_edge.recording.picture_folder import PictureFolder
-from calm_edge.recording.stamp_order import ordered
+from calm_edge.recording.stamp_order import check_common_time, ordered
 from calm_edge.recording.stamp_text import read_stamps
 from calm_edge.types import Int
 from device.frame import Eye, Frame, Unusable
 
 # added to every stamp, so that stamps from 0 s on are positive
 ORIGIN_NS = 1_000_000_000
-
-# One camera may start when the other ends: pairs of pictures are at most so far apart.
-_MAX_APART_NS = 1_000_000_000
 
 # folder of each camera's pictures and file of their times; the first layout found counts
 _LAYOUTS = (
@@ -67,7 +64,11 @@ class SequenceFolder:
                 raise SequenceError(f"{file}: missing; give times of both cameras, or of neither")
         self._t_ns = tuple(_shifted(camera.t_ns, camera.folder) for camera in pair)
         self.notes = tuple(dict.fromkeys(note for camera in pair for note in camera.notes))
-        self._check_common_time()
+        check_common_time(
+            self.path,
+            [str(folder.relative_to(self.path)) for folder in folders],
+            [t_ns - ORIGIN_NS for t_ns in self._t_ns],
+        )
 
     def count(self, eye: Eye) -> int:
         """Number of frames of an eye."""
@@ -95,21 +96,6 @@ class SequenceFolder:
             if isinstance(frame, Unusable):
                 raise SequenceError(f"{frame.reason}; replace it or remove it from the folder")
             yield frame
-
-    def _check_common_time(self) -> None:
-        ranges = [(int(t_ns[0]), int(t_ns[-1])) for t_ns in self._t_ns]
-        apart_ns = max(first for first, _ in ranges) - min(last for _, last in ranges)
-        if apart_ns <= _MAX_APART_NS:
-            return
-        each = ", ".join(
-            f"{camera.folder.relative_to(self.path)} {(first - ORIGIN_NS) / 1e9:.3f} to "
-            f"{(last - ORIGIN_NS) / 1e9:.3f} s"
-            for camera, (first, last) in zip(self._cameras, ranges, strict=True)
-        )
-        raise SequenceError(
-            f"{self.path}: both cameras have no time in common: {each}; write their times on one "
-            "clock, e.g. by adding a constant to those of one"
-        )
 
 
 def _layout(path: Path) -> tuple[list[Path], list[Path]]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.recording import SequenceError
 from calm_edge.types import Int
 
 Bool = NDArray[np.bool_]
@@ -16,6 +20,8 @@ MAX_WRONG_SHARE = 0.3
 # wrong stamps at one end, where there is nothing to compare with on the other side
 _END_SHARE = 0.1
 _LONGEST = 1000
+# One camera may start when the other ends: pictures that belong together are at most so far apart.
+_MAX_APART_NS = 1_000_000_000
 
 
 def ordered(t_ns: Int) -> tuple[Int, Bool]:
@@ -71,3 +77,21 @@ def _fill(t_ns: Int, first: int, end: int, period: int) -> None:
     after = int(t_ns[end]) if end < last else int(t_ns[first - 1]) + period * (n + 1)
     before = int(t_ns[first - 1]) if first > 0 else after - period * (n + 1)
     t_ns[first:end] = before + (after - before) * np.arange(1, n + 1) // (n + 1)
+
+
+def check_common_time(path: Path, names: Sequence[str], stamps: Sequence[Int]) -> None:
+    """Check that both cameras' stamps (N,), (M,) in ns overlap; raises SequenceError.
+
+    path, names: of the drive and of its cameras, for the message.
+    """
+    ranges = [(int(t_ns.min()), int(t_ns.max())) for t_ns in stamps]
+    if max(first for first, _ in ranges) - min(last for _, last in ranges) <= _MAX_APART_NS:
+        return
+    each = ", ".join(
+        f"{name} {first / 1e9:.3f} to {last / 1e9:.3f} s"
+        for name, (first, last) in zip(names, ranges, strict=True)
+    )
+    raise SequenceError(
+        f"{path}: both cameras have no time in common: {each}; write their times on one clock, "
+        "e.g. by adding a constant to those of one"
+    )

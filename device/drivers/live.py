@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from device.arrival import ArrivalCheck
 from device.camera import CameraSpec, CameraStats
 from device.clock import NS_PER_S, Clock
 from device.errors import CameraError
@@ -70,6 +71,7 @@ class LiveCamera(ABC):
         self._needs_offset = False
         self._remarks: tuple[str, ...] = ()
         self._stream = Stream()
+        self._arrival = ArrivalCheck()
 
     @abstractmethod
     def _open(self) -> None:
@@ -144,6 +146,7 @@ class LiveCamera(ABC):
         self._is_open = self._needs_offset = True
         self._usable_ns = self._clock.now_ns()
         self._unusable = 0
+        self._arrival = ArrivalCheck()
         self._settle_ns = self._usable_ns + _SETTLE_NS
         log.info("%s: %s", self.spec.name, self._described())
 
@@ -198,9 +201,15 @@ class LiveCamera(ABC):
         if raw is None or raw.image is None:
             return None
         self._usable_ns, self._unusable, self._warned = now_ns, 0, False
-        if raw.t_ns is None:
+        t_ns = raw.t_ns
+        if t_ns is None or not self._arrival.usable(t_ns, now_ns):
             self._stream.count("host_stamped")
-        t_ns = now_ns if raw.t_ns is None else raw.t_ns
+            t_ns = now_ns
+        if self._arrival.reason:
+            self._remark(
+                f"{self.spec.name}: its stamps are of another clock ({self._arrival.reason} on "
+                "arrival); the times of arrival are used"
+            )
         frame = Frame(self.spec.eye, self._sequence(raw.sequence), t_ns, raw.image)
         frame = self._stream.admit(frame, now_ns)
         hz = self._meter.add(frame.sequence, frame.t_ns) if self._settle_ns is None else None

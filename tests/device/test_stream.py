@@ -1,28 +1,53 @@
 from __future__ import annotations
 
+import pytest
+
 from device.frame import Eye, Frame
 from device.stream import Stream
+
+PERIOD, DELAY = 1000, 40
 
 
 def frame(sequence: int, t_ns: int) -> Frame:
     return Frame(Eye.PRIMARY, sequence, t_ns, b"")
 
 
-def test_stamps_in_the_future_or_out_of_order_are_clamped_and_counted() -> None:
+def test_stamps_in_the_future_are_clamped_and_remain_the_frames_own() -> None:
     stream = Stream()
-    stamps = [
-        stream.admit(frame(k, t), now).t_ns
-        for k, (t, now) in enumerate([(100, 150), (400, 200), (90, 300), (250, 300)])
-    ]
-    assert stamps == [100, 200, 201, 250]
+    admitted = [stream.admit(frame(k, t), now) for k, t, now in [(0, 100, 150), (1, 400, 200)]]
+    assert [f.t_ns for f in admitted] == [100, 200] and all(f.own_stamp for f in admitted)
+    assert (stream.stats.clamped, stream.stats.frames) == (1, 2)
+
+
+@pytest.mark.parametrize("wrong", [PERIOD * 3, PERIOD * 3 - 1, 0, PERIOD])
+def test_a_stamp_that_repeats_or_steps_back_becomes_arrival_less_the_usual_delay(
+    wrong: int,
+) -> None:
+    stream = Stream()
+    for k in range(4):
+        stream.admit(frame(k, PERIOD * k), PERIOD * k + DELAY)
+    for k in (4, 5):
+        marked = stream.admit(frame(k, wrong), PERIOD * k + DELAY + 3)
+        assert (marked.t_ns, marked.own_stamp) == (PERIOD * k + 3, False)
+    after = stream.admit(frame(6, PERIOD * 6), PERIOD * 6 + DELAY)
+    assert (after.t_ns, after.own_stamp) == (PERIOD * 6, True)
     assert stream.stats.clamped == 2
-    assert stream.stats.frames == 4
 
 
-def test_recorded_stamps_are_only_clamped_to_their_order() -> None:
+def test_a_frame_that_arrives_early_without_a_stamp_is_still_after_the_one_before() -> None:
     stream = Stream()
-    assert stream.admit(frame(0, 10**15), None).t_ns == 10**15
-    assert stream.admit(frame(1, 10**15), None).t_ns == 10**15 + 1
+    for k in range(4):
+        stream.admit(frame(k, PERIOD * k), PERIOD * k + DELAY)
+    marked = stream.admit(frame(4, 0), PERIOD * 3 + DELAY + 1)
+    assert (marked.t_ns, marked.own_stamp) == (PERIOD * 3 + 1, False)
+
+
+def test_replayed_stamps_go_on_by_the_last_step() -> None:
+    stream = Stream()
+    stamps = [10**15, 10**15 + 7, 10**15 + 7, 10**15 + 20]
+    admitted = [stream.admit(frame(k, t), None) for k, t in enumerate(stamps)]
+    assert [f.t_ns - 10**15 for f in admitted] == [0, 7, 14, 20]
+    assert [f.own_stamp for f in admitted] == [True, True, False, True]
     assert stream.stats.clamped == 1
 
 

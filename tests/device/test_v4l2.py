@@ -107,6 +107,19 @@ def test_a_stamp_in_the_future_is_clamped() -> None:
     assert bench.camera.stats().clamped == 1
 
 
+@pytest.mark.parametrize("off_s", [-1.5, 0.7, 3600.0])
+def test_stamps_of_another_clock_are_replaced_and_said_once(off_s: float) -> None:
+    bench = Bench()
+    for k in range(3):
+        bench.shoot(k, stamp_ns=10 * S + round(off_s * S), due_ns=10 * S + 33 * k * MS)
+        frame = bench.camera.read(0.1)
+        assert frame is not None and frame.own_stamp
+        assert frame.t_ns == 10 * S + 33 * k * MS
+    assert bench.camera.stats().host_stamped == 3
+    (remark,) = bench.camera.remarks
+    assert "another clock" in remark and "primary camera" in remark
+
+
 @pytest.mark.parametrize("changes", [{"flags": MONOTONIC | ERROR}, {"data": b""}, {"data": b"no"}])
 def test_unusable_buffers_are_counted_not_delivered(changes: dict[str, object]) -> None:
     bench = Bench()
