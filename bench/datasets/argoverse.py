@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.datasets.drive import Dataset, DatasetError, Drive, first, folder
+from bench.datasets.drive import Dataset, Drive, first
 from bench.datasets.point_file import read_points
 from calm_edge.geometry import se3
+from calm_edge.interchange.published import DatasetError, folder
 from calm_edge.types import Float, Int
 
 EYES = ("stereo_front_left", "stereo_front_right")

@@ -50,8 +50,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run each sequence, print a table row for each and the average; return 1 if one failed."""
     from bench.datasets import table
-    from bench.datasets.drive import DatasetError
     from calm_edge.evaluation.table import json_text
+    from calm_edge.interchange.published import DatasetError
 
     if arguments.frames is not None and arguments.frames < 2:
         raise DatasetError(f"--frames {arguments.frames}: at least 2 pairs are needed")

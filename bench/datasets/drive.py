@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from calm_edge.evaluation import EvaluationError
 from calm_edge.geometry import se3
+from calm_edge.interchange.published import DatasetError
 from calm_edge.recording.picture_file import PictureFiles
 from calm_edge.trajectories import write_kitti
 from calm_edge.types import Float, Int
-
-
-class DatasetError(EvaluationError):
-    """A dataset's folder does not have the published layout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,69 +51,6 @@ class Dataset:
     frames: int | None = None
     settings: tuple[str, ...] = ()
     cloud: bool = False
-
-
-def folder(path: Path, what: str) -> Path:
-    """Return `path` if it is a folder, else raise DatasetError.
-
-    what: description of the expected content, for the message.
-    """
-    if not path.is_dir():
-        raise DatasetError(f"{path}: no such folder; it should hold {what}")
-    return path
-
-
-def lines(path: Path, what: str) -> list[str]:
-    """Read the non-blank lines of a text file; raises DatasetError.
-
-    what: description of the expected content, for the message.
-    """
-    try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError):
-        raise DatasetError(f"{path}: cannot be read; it should hold {what}") from None
-    return [line for line in text.splitlines() if line.strip()]
-
-
-def numbers(path: Path, line: str, columns: Iterable[int]) -> Float:
-    """Parse the numbers (C,) of one line of `path`.
-
-    columns: allowed values of C. Raises DatasetError.
-    """
-    try:
-        values = np.array([float(word) for word in line.split()])
-    except ValueError:
-        raise DatasetError(f"{path}: not a row of numbers: {line[:60]!r}") from None
-    allowed = tuple(columns)
-    if len(values) not in allowed or not np.isfinite(values).all():
-        wanted = " or ".join(map(str, allowed))
-        raise DatasetError(f"{path}: a row has {len(values)} numbers; {wanted} are expected")
-    return values
-
-
-def keyed(path: Path, what: str) -> dict[str, str]:
-    """Read the lines `key: values` of a text file as {key: values}; raises DatasetError."""
-    pairs = (line.partition(":") for line in lines(path, what))
-    return {key.strip(): value.strip() for key, _, value in pairs}
-
-
-def projection(path: Path, rows: dict[str, str], key: str) -> tuple[Float, Float]:
-    """K (3, 3) px of a rectified camera, and its centre (3,) [m] in the reference camera's frame.
-
-    rows: {key: 12 numbers of P = K [I | t]}; the centre is -t. Raises DatasetError.
-    """
-    if key not in rows:
-        raise DatasetError(f"{path}: no line `{key}:`")
-    P = numbers(path, rows[key], (12,)).reshape(3, 4)
-    return P[:, :3], np.asarray(-np.linalg.solve(P[:, :3], P[:, 3]))
-
-
-def pngs(path: Path, what: str) -> tuple[Path, ...]:
-    """PNG files of a folder, sorted by name; raises DatasetError if there are none."""
-    found = tuple(sorted(p for p in folder(path, what).iterdir() if p.suffix.lower() == ".png"))
-    if not found:
-        raise DatasetError(f"{path}: empty; it should hold {what}")
-    return found
 
 
 def first(drive: Drive, frames: int | None) -> Drive:

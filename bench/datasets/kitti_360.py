@@ -8,16 +8,15 @@ the last pose are left out. Line k (from 0) of `timestamps.txt` belongs to frame
 
 from __future__ import annotations
 
-import datetime
 from pathlib import Path
 
 import numpy as np
 
-from bench.datasets.drive import (
-    Dataset,
+from bench.datasets.drive import Dataset, Drive, first
+from calm_edge.geometry import se3
+from calm_edge.interchange.published import (
     DatasetError,
-    Drive,
-    first,
+    dated,
     folder,
     keyed,
     lines,
@@ -25,7 +24,6 @@ from bench.datasets.drive import (
     pngs,
     projection,
 )
-from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
 
 FRAMES = 2000
@@ -47,21 +45,6 @@ def sequences(root: Path) -> list[str]:
     if not names:
         raise DatasetError(f"{raw}: no drive in it has poses in {poses}")
     return names
-
-
-def _stamps(path: Path) -> Int:
-    """Read stamps (L,) ns from lines `YYYY-MM-DD HH:MM:SS.nnnnnnnnn`, without rounding."""
-    out = []
-    for line in lines(path, "a date and time a row"):
-        whole, _, part = line.strip().partition(".")
-        try:
-            at = datetime.datetime.strptime(whole, "%Y-%m-%d %H:%M:%S")
-            fraction = int(part.ljust(9, "0")[:9] or 0)
-        except ValueError:
-            raise DatasetError(f"{path}: {line.strip()!r} is not a date and time") from None
-        seconds = at.replace(tzinfo=datetime.UTC).timestamp()
-        out.append(int(seconds) * 10**9 + fraction)
-    return np.array(out, np.int64)
 
 
 def _numbered(files: tuple[Path, ...]) -> dict[int, Path]:
@@ -91,7 +74,7 @@ def load(root: Path, name: str, frames: int | None = None) -> Drive:
     raw = folder(root / "data_2d_raw" / drive, "image_00 and image_01")
     eyes = [raw / f"image_0{eye}" for eye in range(2)]
     pictures = [_numbered(pngs(eye / "data_rect", "pictures 0000000000.png ...")) for eye in eyes]
-    stamps = [_stamps(eye / "timestamps.txt") for eye in eyes]
+    stamps = [dated(eye / "timestamps.txt") for eye in eyes]
     numbered, T_w_c = _poses(root / "data_poses" / drive / "cam0_to_world.txt")
     both = np.array(sorted(set(pictures[0]) & set(pictures[1])), np.int64)
     chosen = both[(both >= numbered[0]) & (both <= numbered[-1])]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.datasets.drive import DatasetError
+from calm_edge.interchange.published import DatasetError
 from calm_edge.types import Float
 
 _KINDS = {

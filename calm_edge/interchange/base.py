@@ -18,8 +18,8 @@ class ImportOptions:
 
     single: accept one camera. offset_s: assistant's clock behind the primary's, None to find it.
     quality: of JPEG pictures that have to be encoded. topics: of a bag, one for each camera.
-    turn_deg: clockwise rotation of each camera's pictures, None for what the file says. sequence:
-    name of the sequence of a data set, "" for its only one. unsteady: accept stabilised video.
+    turn_deg: clockwise rotation of each camera's pictures, None for what the file says.
+    unsteady: accept stabilised video.
     """
 
     single: bool = False
@@ -27,7 +27,6 @@ class ImportOptions:
     quality: int = JPEG_QUALITY
     topics: tuple[str, str] = ("", "")
     turn_deg: tuple[int, ...] | None = None
-    sequence: str = ""
     unsteady: bool = False
 
 

@@ -7,10 +7,19 @@ from pathlib import Path
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.bag import Bags
 from calm_edge.interchange.base import Importer
+from calm_edge.interchange.euroc import EuRoC
+from calm_edge.interchange.kitti_odometry import KittiOdometry
+from calm_edge.interchange.kitti_raw import KittiRaw
 from calm_edge.interchange.video_pair import VideoPair
 
 # in the order in which they are asked: a folder of a data set may also look like a plainer one
-IMPORTERS: tuple[Importer, ...] = (Bags(), VideoPair())
+IMPORTERS: tuple[Importer, ...] = (
+    KittiRaw(),
+    KittiOdometry(),
+    EuRoC(),
+    Bags(),
+    VideoPair(),
+)
 
 
 def importer(sources: tuple[Path, ...]) -> Importer:

@@ -13,6 +13,7 @@ from calm_edge.interchange.base import Importer, ImportOptions
 from calm_edge.interchange.registry import IMPORTERS, importer
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from device.frame import Eye
+from tests.interchange import layouts
 from tests.interchange.bags import write_ros
 from tests.interchange.moving import SIZE, pictures, write_video
 
@@ -30,7 +31,13 @@ def bag(folder: Path) -> tuple[Path, ...]:
     return (write_ros(folder / "drive", T),)
 
 
-BUILDS: dict[str, Build] = {"bag": bag, "video": videos}
+BUILDS: dict[str, Build] = {
+    "bag": bag,
+    "video": videos,
+    "KITTI raw": lambda folder: (layouts.kitti_raw(folder, T),),
+    "KITTI odometry": lambda folder: (layouts.kitti_odometry(folder, T),),
+    "EuRoC": lambda folder: (layouts.euroc(folder, T),),
+}
 OPTIONS = ImportOptions(offset_s=0.0)
 
 

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from bench.datasets.argoverse import load, sequences
-from bench.datasets.drive import DatasetError, write
+from bench.datasets.drive import write
 from calm_edge.evaluation.truth import read_truth
+from calm_edge.interchange.published import DatasetError
 from calm_edge.recording.sequence_folder import SequenceFolder
 from device.frame import Eye
 from tests.bench.datasets import trees

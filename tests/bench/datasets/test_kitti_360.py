@@ -3,9 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.datasets.drive import DatasetError, write
+from bench.datasets.drive import write
 from bench.datasets.kitti_360 import KITTI_360, load, sequences
 from calm_edge.evaluation.truth import read_truth
+from calm_edge.interchange.published import DatasetError
 from calm_edge.recording.sequence_folder import SequenceFolder
 from device.frame import Eye
 from tests.bench.datasets import trees

@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.datasets.drive import DatasetError
 from bench.datasets.point_file import read_points
+from calm_edge.interchange.published import DatasetError
 
 POINTS = np.array([[1.0, 2.0, 3.0], [-4.5, 5.25, 6.0]])
 
