@@ -13,8 +13,10 @@ DEMO_PACE ?= lockstep
 setup: .venv/.stamp
 
 DECLARED := pyproject.toml constraints.txt deploy/setup.sh
+# EXTRAS of pyproject.toml, such as oak,import; each only if it is needed, for their size
+EXTRAS ?=
 .venv/.stamp: $(DECLARED)
-	@deploy/setup.sh oak && touch $@
+	@deploy/setup.sh "$(EXTRAS)" && touch $@
 
 # what tests and lints besides
 .venv/.stamp-dev: $(DECLARED)

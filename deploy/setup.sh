@@ -3,7 +3,7 @@
 # in the versions of constraints.txt. Safe to run again; asks nothing. PYTHON picks the interpreter.
 set -eu
 cd "$(dirname "$0")/.."
-extras=${1:-oak}
+extras=${1-}
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 
@@ -48,8 +48,8 @@ if ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
 fi
 
 pip=".venv/bin/python -m pip --disable-pip-version-check --no-input -q"
-say "installing calm-edge[$extras] (a few minutes the first time)"
-$pip install -c constraints.txt -e ".[$extras]" >.venv/install.log 2>&1 || { cat .venv/install.log >&2; exit 1; }
+say "installing calm-edge${extras:+[$extras]} (a few minutes the first time)"
+$pip install -c constraints.txt -e ".${extras:+[$extras]}" >.venv/install.log 2>&1 || { cat .venv/install.log >&2; exit 1; }
 
 if ! .venv/bin/python -c 'import systemd.daemon' 2>/dev/null; then
     header=$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
@@ -61,4 +61,4 @@ if ! .venv/bin/python -c 'import systemd.daemon' 2>/dev/null; then
 and no readiness under systemd; all else works. Remedy: apt-get install gcc pkg-config libsystemd-dev python3-dev && make setup"
 fi
 
-say "done: .venv/bin/calm-edge --help"
+say "done: .venv/bin/calm-edge --help ($(du -smL .venv | cut -f1) MB)"

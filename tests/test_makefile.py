@@ -43,9 +43,11 @@ def test_a_drive_that_was_not_recorded_is_left_out(tmp_path: Path) -> None:
     assert code == 0 and not any("aalborg" in line for line in given)
 
 
-def _set_up(folder: Path, target: str) -> list[str]:
+def _set_up(folder: Path, *target: str) -> list[str]:
     """The extras that a target has installed, by a stand-in for setup.sh."""
-    done = subprocess.run(["make", target], cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["make", *target], cwd=folder, capture_output=True, text=True, check=False
+    )
     return [line.split()[1] for line in done.stdout.splitlines() if line.startswith("extras ")]
 
 
@@ -56,10 +58,12 @@ def test_only_tests_and_lint_install_the_tools_for_them(tmp_path: Path) -> None:
     for name in DECLARED:
         (tmp_path / name).touch()
     script = tmp_path / "deploy" / "setup.sh"
-    script.write_text('#!/bin/sh\necho extras "$1"\n')
+    script.write_text('#!/bin/sh\necho extras "${1:-none}"\n')
     script.chmod(0o755)
-    assert _set_up(tmp_path, "setup") == ["oak"] and _set_up(tmp_path, "demo") == []
+    assert _set_up(tmp_path, "setup") == ["none"] and _set_up(tmp_path, "demo") == []
     assert _set_up(tmp_path, "test") == ["oak,import,dev"]
     assert _set_up(tmp_path, "lint") == _set_up(tmp_path, "setup") == []
+    os.utime(tmp_path / "pyproject.toml")
+    assert _set_up(tmp_path, "setup", "EXTRAS=oak,import") == ["oak,import"]
     os.utime(tmp_path / "pyproject.toml")
     assert _set_up(tmp_path, "lint") == ["oak,import,dev"] and _set_up(tmp_path, "demo") == []

@@ -39,7 +39,9 @@ def load() -> Any:
     try:
         import depthai
     except ImportError:
-        raise CameraError("OAK cameras need depthai: pip install depthai") from None
+        raise CameraError(
+            "OAK cameras need depthai: install the package calm-edge-oak, or make setup EXTRAS=oak"
+        ) from None
     return depthai
 
 
