@@ -117,10 +117,11 @@ def bounded(belief: KitBelief) -> KitBelief:
     """Multiply by the prior on the parts that are not tested; ValueError for another size."""
     _check(belief)
     prior = layout.prior((None, None))
-    information = np.diag(prior.information).copy()
-    information[layout.LOG_FOCAL] = 0
-    information[layout.RIG] = 0
-    joint = product([belief, KitBelief(mean=prior.mean, information=np.diag(information))])
+    information = prior.information.copy()
+    for tested in (layout.LOG_FOCAL, layout.RIG):
+        information[tested] = 0
+        information[:, tested] = 0
+    joint = product([belief, KitBelief(mean=prior.mean, information=information)])
     assert joint is not None
     return gaussian(joint)
 

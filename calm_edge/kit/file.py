@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.kit import layout
+from calm_edge.kit import earlier, layout
 from calm_edge.kit.change import faded
 from calm_edge.types import CalmEdgeError, Float, Int, KitBelief
 from device.atomic_file import replace_text
@@ -88,6 +88,8 @@ def read(path: Path) -> KitFile | None:
     information = _numbers(path, content, "information", 2)
     if information.shape != (len(mean), len(mean)):
         raise _damaged(path, "mean and information differ in size")
+    if len(mean) == earlier.SIZE:
+        mean, information = earlier.converted(mean), earlier.converted(information)
     if len(mean) != layout.SIZE:
         return KitFile(unknown=f"holds {len(mean)} entries of a kit, this program {layout.SIZE}")
     if not _is_information(information):

@@ -1,10 +1,10 @@
 """Layout of the kit vector theta, its prior, and its drift between two drives.
 
 theta (SIZE,): for each eye log(f / width), the principal point's offset from the image centre as a
-share of the width (x, y) and distortion (k1, see `geometry/distortion`); then the rig T_p_a as
-a rotation vector [rad] and the assistant's centre in the primary camera [spacings]; then the time
-offset: how much later than its stamp, on the primary's clock, an assistant's picture is exposed
-[s]. This file alone holds the index of a term; elsewhere terms are named.
+share of the width (x, y) and distortion (k1, k2, see `geometry/distortion`); then the rig T_p_a
+as a rotation vector [rad] and the assistant's centre in the primary camera [spacings]; then the
+time offset: how much later than its stamp, on the primary's clock, an assistant's picture is
+exposed [s]. This file alone holds the index of a term; elsewhere terms are named.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from calm_edge.types import Float, Int, KitBelief
 
 # Indices into theta: the optics of each eye (2, terms), then single terms of both eyes. The optics
 # of the primary come first, so its indices are also those within the optics of one eye.
-OPTICS = np.arange(8).reshape(2, 4)
+OPTICS = np.arange(10).reshape(2, 5)
 LOG_FOCAL = OPTICS[:, 0]
 PRINCIPAL_POINT = OPTICS[:, 1:3]
 DISTORTION = OPTICS[:, 3:]
@@ -35,7 +35,10 @@ DEFAULT_HFOV_DEG = 73.0
 LOG_FOCAL_SIGMA = 0.30
 HINTED_LOG_FOCAL_SIGMA = 0.01
 PRINCIPAL_POINT_SIGMA = 0.02
-RADIAL_SIGMA = 0.02
+# Lenses of phone, dashboard and web cameras have k1 of -0.3 to 0.05. Where k1 bends the picture, k2
+# bends it back: the mean of k2 is this multiple of k1, its sigma given k1 the second of these.
+RADIAL_SIGMA = np.array([0.15, 0.05])
+RADIAL_RATIO = -0.25
 RIG_ROTATION_SIGMA_RAD = 0.5
 RIG_DIRECTION_SIGMA = 1.0
 SPACING_SIGMA = 1e-4
@@ -56,7 +59,7 @@ KIT_KNOWN = np.array([RIG_KNOWN_RAD, FOCAL_KNOWN])
 LOG_FOCAL_DRIFT = 0.015
 # A lens shifts in its mount by some pixels.
 PRINCIPAL_POINT_DRIFT = 0.003
-RADIAL_DRIFT = 0.002
+RADIAL_DRIFT = np.array([0.002, 0.002])
 # 0.3 degrees: vibration, and a windscreen that warms up
 RIG_ROTATION_DRIFT_RAD = 0.005
 # 5 mm for cameras half a metre apart
@@ -68,7 +71,7 @@ TIME_OFFSET_DRIFT_S = 1.0
 def _vector(
     log_focal: float,
     principal_point: float,
-    radial: float,
+    radial: Float,
     rotation: float,
     centre: float,
     time_offset: float,
@@ -92,7 +95,14 @@ def prior(hfov_deg: tuple[float | None, float | None]) -> KitBelief:
         mean[index] = -np.log(width_over_f)
         if hfov:
             sigma[index] = HINTED_LOG_FOCAL_SIGMA
-    return KitBelief(mean=mean, information=np.diag(sigma**-2.0))
+    information = np.diag(sigma**-2.0)
+    # k2 - RADIAL_RATIO k1 is independent of k1
+    for k1, k2 in DISTORTION:
+        row = np.zeros(SIZE)
+        row[[k1, k2]] = -RADIAL_RATIO, 1.0
+        information[k2, k2] = 0.0
+        information += np.outer(row, row) / RADIAL_SIGMA[1] ** 2
+    return KitBelief(mean=mean, information=information)
 
 
 def drift_sigma() -> Float:

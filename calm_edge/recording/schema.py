@@ -37,6 +37,7 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.message import DecodeError
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from calm_edge.kit import earlier
 from calm_edge.recording import RecordingError, camera_record, foxglove, record
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import LocalizerUpdate, PoseSample, Submap
@@ -198,12 +199,24 @@ def read_update(data: bytes, size_of: Callable[[Eye], tuple[int, int]]) -> Local
     """
     header, arrays = record.decode("Submap", data)
     camera_record.replace_matrices(header, arrays, size_of)
+    _convert_kits(arrays)
     if "prediction.depth" in arrays:
         arrays["prediction.depth"] = arrays["prediction.depth"].astype(np.float32)
     if "prediction.confidence" in arrays:
         steps = arrays["prediction.confidence"].astype(np.float32)
         arrays["prediction.confidence"] = steps / np.float32(255)
     return record.unflatten(LocalizerUpdate, header, arrays)
+
+
+def _convert_kits(arrays: record.Arrays) -> None:
+    """Convert the kits in an update of version 0.1.0, in place."""
+    for kit in ("kit.", "prediction.kit."):
+        for name in ("mean", "information", "noise", "measured"):
+            if kit + name in arrays:
+                arrays[kit + name] = earlier.converted(arrays[kit + name])
+    for name in ("prediction.overlap.kit", "prediction.overlap.by_kit"):
+        if name in arrays:
+            arrays[name] = earlier.converted(arrays[name])
 
 
 def window_message(window: WindowRecord) -> LogMessage:

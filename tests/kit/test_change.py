@@ -12,10 +12,10 @@ from calm_edge.types import KitBelief
 D = layout.SIZE
 # how sure one drive is of optics and rig, and what happens until the next; then the clocks' offset
 SIGMA = np.full(D, 0.002)
-SIGMA[layout.OPTICS] = 0.01, 0.004, 0.004, 2e-3
+SIGMA[layout.OPTICS] = 0.01, 0.004, 0.004, 2e-3, 2e-3
 SIGMA[layout.RIG] = 0.004, 0.004, 0.004, 0.01, 0.02, 0.02
 FADES = np.full(D, 1.0)
-FADES[layout.OPTICS] = 0.015, 0.003, 0.003, 2e-3
+FADES[layout.OPTICS] = 0.015, 0.003, 0.003, 2e-3, 2e-3
 FADES[layout.RIG] = 0.005, 0.005, 0.005, 0.01, 0.01, 0.01
 DRIFT = FADES.copy()
 DRIFT[layout.TIME_OFFSET] = 0.005
@@ -47,7 +47,7 @@ def learned(rng, theta, unknown=()):
 
 def drives(seed, bump=None, unknown=()):
     """The faded belief of one drive, and the evidence of the next after a change by `bump`."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(2000 + seed)
     theta = true_kit()
     remembered = change.faded(learned(rng, theta))
     later = theta + DRIFT * rng.normal(size=D) + (0 if bump is None else bump)

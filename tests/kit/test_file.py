@@ -82,6 +82,17 @@ def test_another_version_is_reported_and_not_used(tmp_path):
     assert back is None and "holds 12 entries" in reason
 
 
+def test_a_kit_of_one_radial_term_has_nothing_on_the_second(tmp_path):
+    J = np.random.default_rng(0).normal(size=(15, 15))
+    mean, information = np.arange(15.0), J.T @ J
+    older = saved(tmp_path, mean=mean.tolist(), information=information.tolist())
+    back = file.read(older).belief
+    names = np.r_[layout.OPTICS[0, :4], layout.OPTICS[1, :4], np.r_[layout.RIG], layout.TIME_OFFSET]
+    assert np.array_equal(back.mean[names], mean)
+    assert np.array_equal(back.information[np.ix_(names, names)], information)
+    assert not back.information[layout.DISTORTION[:, 1]].any()
+
+
 NOT_POSITIVE = np.diag([-1.0] + [1.0] * (layout.SIZE - 1)).tolist()
 INDEFINITE = (np.eye(layout.SIZE) + 2 * np.eye(layout.SIZE)[::-1]).tolist()
 LOPSIDED = (np.eye(layout.SIZE) + np.eye(layout.SIZE, k=1)).tolist()

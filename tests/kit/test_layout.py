@@ -26,6 +26,14 @@ def test_drift_and_prior_are_set_for_every_term():
     assert (drift < sigma)[: layout.TIME_OFFSET].all() and drift[layout.TIME_OFFSET] == 1.0
 
 
+def test_the_second_radial_term_is_expected_to_bend_back():
+    covariance = np.linalg.inv(layout.prior((None, None)).information)
+    for k1, k2 in layout.DISTORTION:
+        assert covariance[k1, k1] == pytest.approx(0.15**2)
+        assert covariance[k1, k2] / covariance[k1, k1] == pytest.approx(-0.25)
+        assert covariance[k2, k2] == pytest.approx(0.05**2 + (0.25 * 0.15) ** 2)
+
+
 def test_a_hint_sets_the_focal_of_its_eye_and_its_sigma():
     belief = layout.prior((90.0, None))
     sigma = np.diag(belief.information) ** -0.5

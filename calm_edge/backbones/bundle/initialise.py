@@ -27,7 +27,6 @@ from calm_edge.backbones.bundle.rig_search import (
     usable,
 )
 from calm_edge.geometry import se3
-from calm_edge.geometry.camera import Perspective
 from calm_edge.geometry.triangulation import triangulate
 from calm_edge.kit import layout
 from calm_edge.types import Float, Int
@@ -39,19 +38,20 @@ Poses = dict[int, Float]
 
 
 def normalised(m: Measurements, theta: Float) -> Float:
-    """Rays (O, 2) on z = 1 of all observations, ignoring distortion: exact enough for a start.
+    """Rays (O, 2) on z = 1 of all observations; without distortion where it cannot be undone.
 
-    theta: the kit, for the focals and principal points.
+    theta: the kit, for the optics.
     """
     out = np.empty_like(m.uv)
-    for eye, camera in enumerate(_pinholes(m, theta)):
+    for eye, camera in enumerate(layout.cameras(theta, m.size)):
         rows = m.eye[m.view] == eye
-        out[rows] = camera.normalized(m.uv[rows])
+        rays = camera.normalized(m.uv[rows])
+        out[rows] = np.where(np.isfinite(rays), rays, camera.pinhole.normalized(m.uv[rows]))
     return out
 
 
-def _pinholes(m: Measurements, theta: Float) -> list[Perspective]:
-    return [camera.pinhole for camera in layout.cameras(theta, m.size)]
+def _focals(m: Measurements, theta: Float) -> list[float]:
+    return [camera.fx for camera in layout.cameras(theta, m.size)]
 
 
 def _rows_of(m: Measurements, view: int) -> Int:
@@ -110,7 +110,7 @@ def driven(m: Measurements, theta: Float, remembered: Float | None) -> Iterator[
     First with the steps from ratios of neighbouring ones, then with those of a constant speed.
     theta: the kit, for the focal. remembered: (3,) direction of travel, camera axes, or None.
     """
-    matches = travel.matches(m, normalised(m, theta), _pinholes(m, theta)[0].fx)
+    matches = travel.matches(m, normalised(m, theta), _focals(m, theta)[0])
     primary = np.flatnonzero(m.eye == 0).tolist()
     for course in travel.courses(matches, remembered):
         for steps in (travel.signed_steps(matches, course), matches.dt / np.median(matches.dt)):
@@ -125,7 +125,7 @@ def chained(m: Measurements, theta: Float, seed_share: float) -> Poses:
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
     primary = np.flatnonzero(m.eye == 0)
-    f = [camera.fx for camera in _pinholes(m, theta)]
+    f = _focals(m, theta)
     poses = _seed(m, rays, primary, f[0], seed_share)
     X = _triangulate_known(m, rays, poses, n_points)
     for view in _outward(primary, list(poses)):
@@ -157,7 +157,7 @@ def initial_state(m: Measurements, theta: Float, rig: Rig, poses: Poses) -> Stat
     rays = normalised(m, theta)
     n_points = int(m.point.max()) + 1
     primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
-    f = [camera.fx for camera in _pinholes(m, theta)]
+    f = _focals(m, theta)
     X = _triangulate_known(m, rays, poses, n_points)
     T_s_p = se3.inverse(np.stack([poses[int(v)] for v in primary]))
     instants = m.t[assistant] + theta[layout.TIME_OFFSET]

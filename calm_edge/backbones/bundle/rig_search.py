@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
@@ -49,13 +48,12 @@ def fitted_rig(
     rotation = se3.log(se3.inverse(stack)[:, None] @ stack[None])[..., 3:]
     start = stack[int(np.argmin(np.median(np.linalg.norm(rotation, axis=2), axis=1)))]
     uv, p_p = _seen_across(m, X, assistant, at)
-    camera = layout.cameras(theta, m.size)[1].pinhole
-    unit = replace(camera, fx=1.0, fy=1.0)
+    camera = layout.cameras(theta, m.size)[1]
 
     def error_px(x: Float) -> Float:
-        f = np.exp(x[6]) * camera.fx
+        zoomed = camera.with_focal(float(np.exp(x[6])) * camera.fx)
         p_a = se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p))
-        predicted = unit.project(_in_front(p_a) * [f, f, 1.0])
+        predicted = zoomed.project(_in_front(p_a))
         return np.asarray(np.clip(predicted - uv, -1e3, 1e3).ravel())
 
     fit = least_squares(error_px, np.zeros(7), loss="cauchy", f_scale=2.0, max_nfev=30)
@@ -95,7 +93,7 @@ def spacing_of(
     `assistant`.
     """
     uv, p_p = _seen_across(m, X, assistant, at)
-    camera, T_p_a = layout.cameras(theta, m.size)[1].pinhole, layout.rig(theta)
+    camera, T_p_a = layout.cameras(theta, m.size)[1], layout.rig(theta)
     rotated = p_p @ T_p_a[:3, :3]
     step = T_p_a[:3, :3].T @ T_p_a[:3, 3]
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from calm_edge.backbones.bundle.first_sight import FirstSights
 from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.flow import Gray, LucasKanade, away_from, follow, neighbouring_flow
 from calm_edge.types import Float, Float32, Int
 
@@ -82,20 +83,54 @@ def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) ->
     return np.asarray(new[inside], np.float32)
 
 
-def on_epipolar_lines(a: Float32, b: Float32, threshold_px: float) -> NDArray[np.bool_]:
+def on_epipolar_lines(
+    a: Float32, b: Float32, threshold_px: float, lenses: tuple[Camera, Camera] | None = None
+) -> NDArray[np.bool_]:
     """Inliers of matches (N, 2), (N, 2) px for one fundamental matrix; all where none is found.
 
-    cv2.findFundamentalMat with USAC_MAGSAC.
+    cv2.findFundamentalMat with USAC_MAGSAC. lenses: of either picture, whose distortion is undone;
+    distances from the epipolar lines are then angles, in pixels of the middle of the picture.
     """
+    if lenses is not None and not all(lens.is_pinhole for lens in lenses):
+        return _on_epipolar_planes(a, b, threshold_px, lenses)
     if len(a) < 16:
         return np.ones(len(a), bool)
+    found = _fundamental(a, b, threshold_px)
+    return np.ones(len(a), bool) if found is None else found[1]
+
+
+def _on_epipolar_planes(
+    a: Float32, b: Float32, threshold_px: float, lenses: tuple[Camera, Camera]
+) -> NDArray[np.bool_]:
+    seen_by = zip(lenses, (a, b), strict=True)
+    ray_a, ray_b = (lens.rays(uv.astype(np.float64)) for lens, uv in seen_by)
+    seen = np.isfinite(ray_a[:, 0]) & np.isfinite(ray_b[:, 0])
+    if seen.sum() < 16:
+        return np.ones(len(a), bool)
+    f = np.sqrt(lenses[0].fx * lenses[1].fx)
+    flat = [f * ray[seen, :2] / ray[seen, 2:] for ray in (ray_a, ray_b)]
+    found = _fundamental(flat[0], flat[1], threshold_px)
+    if found is None:
+        return np.ones(len(a), bool)
+    F = found[0] * np.array([f, f, 1.0]) * np.array([[f], [f], [1.0]])
+    distance = np.zeros(len(a))
+    for there, normal in ((ray_b, ray_a @ F.T), (ray_a, ray_b @ F)):
+        sine = (there * normal).sum(1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+        distance = np.maximum(distance, np.abs(sine) * f)
+    return np.asarray(seen & (distance < threshold_px))
+
+
+def _fundamental(
+    a: Float | Float32, b: Float | Float32, threshold_px: float
+) -> tuple[Float, NDArray[np.bool_]] | None:
+    """F (3, 3) and its inliers (N,); None if no sample gives a model."""
     try:
         F, mask = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, threshold_px, 0.999, 500)
     except cv2.error:  # raised if no sample gives a model
-        return np.ones(len(a), bool)
+        return None
     if F is None or mask is None:
-        return np.ones(len(a), bool)
-    return np.asarray(mask.ravel() > 0)
+        return None
+    return np.asarray(F, np.float64), np.asarray(mask.ravel() > 0)
 
 
 def sift_homography(primary: Gray, assistant: Gray) -> Float | None:
@@ -127,12 +162,13 @@ def _apply(H: Float, uv: Float32) -> Float32:
 
 
 def temporal_tracks(
-    pictures: list[Gray], matching: Matching | None = None
+    pictures: list[Gray], matching: Matching | None = None, lens: Camera | None = None
 ) -> Iterator[tuple[Int, Float32, Float32]]:
-    """Corner tracks through consecutive pictures.
+    """Corner tracks through consecutive pictures. lens: as far as known.
 
     Yields for each picture the track ids (n,), uv (n, 2) px and sigma (n,) px.
     """
+    lenses = None if lens is None else (lens, lens)
     uv = detect_corners(pictures[0], np.zeros((0, 2), np.float32))
     ids, sights = np.arange(len(uv)), FirstSights()
     sights.add(pictures[0], uv)
@@ -150,7 +186,7 @@ def temporal_tracks(
             found = matching.along(source, target, uv)
             moved, ok, sigma = found.uv, found.sure, found.sigma_px
         inlier = np.flatnonzero(ok)
-        inlier = inlier[on_epipolar_lines(uv[inlier], moved[inlier], EPIPOLAR_PX)]
+        inlier = inlier[on_epipolar_lines(uv[inlier], moved[inlier], EPIPOLAR_PX, lenses)]
         sights.keep(inlier)
         at, registered = sights.corrected(target, moved[inlier])
         # while young a track has not drifted yet, and its last step may be blurred
@@ -187,12 +223,18 @@ def _followed(
 
 
 def across_eyes(
-    primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32, guess: Float32
+    primary: Gray,
+    assistant: Gray,
+    H_a_p: Float,
+    uv: Float32,
+    guess: Float32,
+    lenses: tuple[Camera, Camera] | None = None,
 ) -> tuple[Float32, NDArray[np.bool_]]:
     """Match primary corners uv (N, 2) px to the assistant: (N, 2) px and whether found (N,).
 
     The assistant is first warped by H_a_p to look like the primary, so that patches match in zoom
     and roll. guess: (N, 2) px, expected motion from primary to warped picture, i.e. parallax.
+    lenses: of primary and assistant, as far as known.
     """
     height, width = primary.shape
     warped = cv2.warpPerspective(
@@ -209,7 +251,7 @@ def across_eyes(
     ok &= seen[xy[:, 1], xy[:, 0]] > 0
     index = np.flatnonzero(ok)
     there = _apply(H_a_p, moved[index])
-    keep = on_epipolar_lines(uv[index], there, EPIPOLAR_PX)
+    keep = on_epipolar_lines(uv[index], there, EPIPOLAR_PX, lenses)
     out = np.zeros_like(uv)
     out[index] = there
     ok[index[~keep]] = False
@@ -222,35 +264,38 @@ def window_tracks(
     partner: list[int],
     H_a_p: Float | None,
     matching: Matching | None = None,
+    lenses: tuple[Camera, Camera] | None = None,
 ) -> Tracks:
     """All tracks of a window. partner: for each assistant view the primary index nearest in time.
 
     H_a_p: the infinite homography of a known kit (Hartley and Zisserman, "Multiple View Geometry",
-    13.4); None to estimate it from matches.
+    13.4); None to estimate it from matches. lenses: of primary and assistant, as far as known.
     """
     if matching is not None:
         matching.expect(primary, assistant, H_a_p)
     if H_a_p is None:
         H_a_p = _first_homography(primary, assistant, partner, matching)
     parallax: dict[int, Float32] = {}
+    lens = None if lenses is None else lenses[0]
 
     def across(j: int, ids: Int, points: Float32, H_a_p: Float) -> Rows:
         eyes = primary[partner[j]], assistant[j]
         if matching is None:
-            there, ok = _across_from(parallax, ids, *eyes, H_a_p, points)
+            there, ok = _across_from(parallax, ids, *eyes, H_a_p, points, lenses)
             sigma = np.full(len(ids), FOLLOWED_PX, np.float32)
         else:
             found = matching.across(*eyes, H_a_p, points)
             there, ok, sigma = found.uv, found.sure, found.sigma_px
             index = np.flatnonzero(ok)
-            ok[index[~on_epipolar_lines(points[index], there[index], EPIPOLAR_PX)]] = False
+            kept = on_epipolar_lines(points[index], there[index], EPIPOLAR_PX, lenses)
+            ok[index[~kept]] = False
         return ids[ok], np.full(int(ok.sum()), len(primary) + j), there[ok], sigma[ok]
 
     rows: list[Rows] = []
     # a view's points are matched across the eyes while they are tracked to the next view
     with ThreadPoolExecutor(1, "across") as beside:
         found_across = []
-        for i, (ids, uv, sigma) in enumerate(temporal_tracks(primary, matching)):
+        for i, (ids, uv, sigma) in enumerate(temporal_tracks(primary, matching, lens)):
             rows.append((ids, np.full(len(ids), i), uv, sigma))
             if H_a_p is not None:
                 own = [j for j, primary_view in enumerate(partner) if primary_view == i]
@@ -276,6 +321,7 @@ def _across_from(
     assistant: Gray,
     H_a_p: Float,
     points: Float32,
+    lenses: tuple[Camera, Camera] | None,
 ) -> tuple[Float32, NDArray[np.bool_]]:
     """`across_eyes` from points with track ids `ids`, started from their parallax in earlier views.
 
@@ -286,7 +332,7 @@ def _across_from(
     if known.any():
         flow[known] = [parallax[i] for i in ids[known]]
     guess = neighbouring_flow(points, flow, known)
-    there, ok = across_eyes(primary, assistant, H_a_p, points, guess)
+    there, ok = across_eyes(primary, assistant, H_a_p, points, guess, lenses)
     back = _apply(np.asarray(np.linalg.inv(H_a_p), np.float64), there[ok])
     parallax.update(zip(ids[ok].tolist(), back - points[ok], strict=True))
     return there, ok

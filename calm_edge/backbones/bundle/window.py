@@ -14,6 +14,7 @@ from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
 from calm_edge.backbones.bundle.problem import Measurements, State, project
 from calm_edge.backbones.bundle.tracks import Tracks, window_tracks
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.kit import layout
 from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
 
@@ -21,6 +22,8 @@ MIN_VIEWS_OF_A_POINT = 3
 MIN_POINTS = 40
 FARTHEST = 1e6  # distance [spacings] stored for points at infinity
 RESCALED = 0.3  # log of the spacing beyond which a window's start is brought to the right scale
+# Grid of pixels over a picture, and largest angle off the axis, for a homography between lenses.
+GUIDED_COLUMNS, MAX_GUIDED_DEG = 9, 80.0
 KEPT_PX = 5.0  # observations with a larger reprojection error are dropped
 
 
@@ -67,16 +70,31 @@ def measure(
     t = seconds(hints)
     partner = [int(np.argmin(np.abs(t[primary] - t[j]))) for j in assistant]
     size = np.array([gray[primary[0]].shape[::-1], gray[assistant[0]].shape[::-1]])
-    H_a_p = _infinite_homography(theta, size) if rig_known else None
+    lenses = layout.cameras(theta, size)
+    H_a_p = _infinite_homography(lenses, layout.rig(theta)) if rig_known else None
     eyes = [[gray[i] for i in views] for views in (primary, assistant)]
-    tracks = window_tracks(eyes[0], eyes[1], partner, H_a_p, matching)
+    tracks = window_tracks(eyes[0], eyes[1], partner, H_a_p, matching, lenses)
     return _measurements(tracks, hints, size)
 
 
-def _infinite_homography(theta: Float, size: Int) -> Float:
-    """H_a_p (3, 3) px of points at infinity, from primary to assistant."""
-    K_p, K_a = (camera.matrix for camera in layout.cameras(theta, size))
-    return np.asarray(K_a @ layout.rig(theta)[:3, :3].T @ np.linalg.inv(K_p))
+def _infinite_homography(lenses: tuple[Camera, Camera], T_p_a: Float) -> Float:
+    """H_a_p (3, 3) px of points at infinity, from primary to assistant.
+
+    With distortion the homography that comes nearest to their motion, over a grid of pixels.
+    """
+    primary, assistant = lenses
+    R_a_p = T_p_a[:3, :3].T
+    if primary.is_pinhole and assistant.is_pinhole:
+        return np.asarray(assistant.matrix @ R_a_p @ np.linalg.inv(primary.matrix))
+    across = np.linspace(0, primary.width - 1, GUIDED_COLUMNS)
+    down = np.linspace(0, primary.height - 1, GUIDED_COLUMNS)
+    uv = np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)
+    rays = primary.rays(uv) @ R_a_p.T
+    seen = rays[:, 2] > np.cos(min(assistant.max_angle, np.radians(MAX_GUIDED_DEG)))
+    H, _ = cv2.findHomography(uv[seen], assistant.project(rays[seen]))
+    if H is None:
+        raise BackboneError("bundle: the cameras look in different directions")
+    return np.asarray(H, np.float64)
 
 
 def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:

@@ -36,10 +36,22 @@ def started(m, theta, rig, seed_share):
     return initialise.initial_state(m, theta, rig, poses)
 
 
-def test_rays_undo_the_pinhole(exact):
-    rays = initialise.normalised(exact.m, exact.truth.theta)
-    q = (exact.truth.T_c_s[exact.m.view] @ exact.truth.points[exact.m.point][..., None])[..., 0]
-    assert np.allclose(rays, q[:, :2] / q[:, 2:3])
+@pytest.mark.parametrize("radial", [(0.0, 0.0), (-0.2, 0.05)])
+def test_rays_undo_the_lens(radial):
+    made = window(turn(N), theta_of(radial=radial))
+    rays = initialise.normalised(made.m, made.truth.theta)
+    q = (made.truth.T_c_s[made.m.view] @ made.truth.points[made.m.point][..., None])[..., 0]
+    q = q[:, :2] / q[:, 2:3]
+    # a lens with such terms folds what is farther from the axis into the picture
+    unfolded = np.linalg.norm(q, axis=1) < 1.2
+    assert unfolded.mean() > 0.95
+    assert np.allclose(rays[unfolded], q[unfolded])
+
+
+def test_rays_of_a_lens_that_folds_the_picture_are_finite(exact):
+    theta = exact.truth.theta.copy()
+    theta[layout.DISTORTION] = -2.0, 0.0
+    assert np.isfinite(initialise.normalised(exact.m, theta)).all()
 
 
 def test_a_point_seen_once_starts_far_ahead(exact):

@@ -15,7 +15,7 @@ JITTER_S = 0.01  # a tenth of a spacing at 10 spacings a second
 def known(theta):
     """A belief as precise as after some windows."""
     sigma = np.full(layout.SIZE, 0.003)
-    sigma[layout.OPTICS] = 0.01, 5e-3, 5e-3, 3e-4
+    sigma[layout.OPTICS] = 0.01, 5e-3, 5e-3, 3e-4, 3e-4
     sigma[layout.RIG_CENTRE] = 0.1
     return KitBelief(theta.copy(), np.diag(sigma**-2.0))
 

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle import tracks
+from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.geometry.flow import follow
 
 SIZE = (320, 128)
@@ -99,6 +100,21 @@ def test_outliers_are_found_off_their_epipolar_lines():
     # an outlier along its epipolar line is not detected
     assert kept[wrong].mean() < 0.25
     assert tracks.on_epipolar_lines(a[:15], b[:15], 1.0).all()
+
+
+def test_distortion_is_undone_before_epipolar_lines_are_fitted():
+    lens = Fisheye(280.0, 280.0, 319.5, 179.5, 640, 360, (0.02, -0.01))
+    rng = np.random.default_rng(0)
+    p = np.c_[rng.uniform(-1, 1, (300, 2)) * [20, 8], rng.uniform(4, 20, 300)]
+    q = p @ cv2.Rodrigues(np.array([0.01, 0.25, 0.0]))[0].T + [0.3, 0.0, -1.0]
+    a, b = (lens.project(x).astype(np.float32) for x in (p, q))
+    wrong = rng.random(300) < 0.25
+    shift = rng.uniform(5, 20, (int(wrong.sum()), 2)) * rng.choice([-1, 1], (wrong.sum(), 2))
+    b[wrong] += shift.astype(np.float32)
+    kept = tracks.on_epipolar_lines(a, b, 1.0, (lens, lens))
+    assert kept[~wrong].mean() > 0.97 and kept[wrong].mean() < 0.25
+    as_pinhole = tracks.on_epipolar_lines(a, b, 1.0, (lens.pinhole, lens.pinhole))
+    assert as_pinhole[~wrong].mean() < 0.9
 
 
 @pytest.fixture(scope="module")

@@ -104,10 +104,17 @@ def test_thinning_keeps_the_longest_tracks_whole():
 def test_a_known_kit_maps_far_points_to_the_other_eye():
     theta = theta_of(rotation_deg=(3.0, -8.0, 5.0))
     far = np.array([[0.2, 0.1, 1.0], [-0.4, -0.1, 1.0], [0.0, 0.0, 1.0]])
-    K_p, K_a = (camera.matrix for camera in layout.cameras(theta, SIZE))
-    seen_p, seen_a = far @ K_p.T, far @ layout.rig(theta)[:3, :3] @ K_a.T
-    there = seen_p @ window._infinite_homography(theta, SIZE).T
+    lenses, T_p_a = layout.cameras(theta, SIZE), layout.rig(theta)
+    K_p, K_a = (camera.matrix for camera in lenses)
+    seen_p, seen_a = far @ K_p.T, far @ T_p_a[:3, :3] @ K_a.T
+    there = seen_p @ window._infinite_homography(lenses, T_p_a).T
     assert np.allclose(there / there[:, 2:], seen_a / seen_a[:, 2:])
+    # with distortion it is near
+    theta[layout.DISTORTION] = -0.1, 0.02
+    lenses = layout.cameras(theta, SIZE)
+    seen_p, seen_a = lenses[0].project(far), lenses[1].project(far @ T_p_a[:3, :3])
+    there = np.c_[seen_p, np.ones(3)] @ window._infinite_homography(lenses, T_p_a).T
+    assert np.abs(there[:, :2] / there[:, 2:] - seen_a).max() < 4.0
 
 
 T_NS = np.array([0, 200, 400, 17, 217]) * 1_000_000

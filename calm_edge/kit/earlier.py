@@ -1,0 +1,31 @@
+"""Conversion of kits from version 0.1.0, whose lenses had one radial term, k1.
+
+The 15 entries of its kit vector are those of kit/layout.py without the further lens terms.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calm_edge.kit import layout
+
+SIZE = 15
+_KEPT = np.delete(np.arange(layout.SIZE), layout.DISTORTION[:, 1:])
+
+
+def converted(array: NDArray[Any]) -> NDArray[Any]:
+    """Insert zeros for the new terms in every axis of SIZE entries: nothing is known of them.
+
+    array: a kit (SIZE,), an information matrix (SIZE, SIZE), or derivatives by a kit (n, SIZE).
+    """
+    for axis, length in enumerate(array.shape):
+        if length == SIZE:
+            shape = list(array.shape)
+            shape[axis] = layout.SIZE
+            wider = np.zeros(shape, array.dtype)
+            np.moveaxis(wider, axis, 0)[_KEPT] = np.moveaxis(array, axis, 0)
+            array = wider
+    return array
