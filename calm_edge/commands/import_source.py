@@ -128,6 +128,6 @@ def facts(imported: Imported) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """What was taken, dropped and assumed, with titles."""
     return (
         ("took", imported.took),
-        ("dropped", imported.dropped or ("nothing",)),
+        ("dropped", tuple(imported.dropped) or ("nothing",)),
         ("assumed", imported.assumed or ("nothing",)),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -43,14 +43,15 @@ class Imported:
     """Frames of one or two cameras, encoded and in order, and what the source says beside.
 
     frames: (eye) -> its frames, stamped from ORIGIN_NS of sequence folders on. took, dropped,
-    assumed: a line each. calibration: as published. beside: files in the scratch folder that the
-    recording keeps. facts: for the recording's metadata.
+    assumed: a line each; dropped is complete when all frames have been read. calibration: as
+    published. beside: files in the scratch folder that the recording keeps. facts: for the
+    recording's metadata.
     """
 
     eyes: tuple[Eye, ...]
     frames: Callable[[Eye], Iterator[Frame]]
     took: tuple[str, ...] = ()
-    dropped: tuple[str, ...] = ()
+    dropped: Sequence[str] = ()
     assumed: tuple[str, ...] = ()
     truth: GroundTruth | None = None
     calibration: Calibration | None = None

@@ -67,22 +67,15 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
     """
     now = ORIGIN_NS
     counts = dict.fromkeys(imported.eyes, 0)
-    facts = {
-        "format": name,
-        "took": json.dumps(imported.took),
-        "dropped": json.dumps(imported.dropped),
-        "assumed": json.dumps(imported.assumed),
-        **imported.facts,
-    }
     session = {"cameras": f"imported: {name}", ORIGIN_KEY: str(ORIGIN_NS)}
     writer = RecordingWriter(folder, config, session, lossless=True, now_ns=lambda: now)
     try:
-        writer.write_metadata(IMPORT_METADATA, facts)
         streams = [imported.frames(eye) for eye in imported.eyes]
         for frame in heapq.merge(*streams, key=lambda f: (f.t_ns, f.eye)):
             now = frame.t_ns
             writer.write_frame(frame)
             counts[frame.eye] += 1
+        writer.write_metadata(IMPORT_METADATA, _facts(imported, name))
     finally:
         health = writer.close()
     if health.error:
@@ -95,6 +88,16 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
     if imported.truth is not None:
         _write_truth(imported, folder / TRUTH)
     return counts
+
+
+def _facts(imported: Imported, name: str) -> dict[str, str]:
+    return {
+        "format": name,
+        "took": json.dumps(imported.took),
+        "dropped": json.dumps(list(imported.dropped)),
+        "assumed": json.dumps(imported.assumed),
+        **imported.facts,
+    }
 
 
 def remove(scratch: Path) -> None:

@@ -10,6 +10,7 @@ from calm_edge.interchange.base import Importer
 from calm_edge.interchange.euroc import EuRoC
 from calm_edge.interchange.kitti_odometry import KittiOdometry
 from calm_edge.interchange.kitti_raw import KittiRaw
+from calm_edge.interchange.picture_folders import PictureFolders
 from calm_edge.interchange.video_pair import VideoPair
 
 # in the order in which they are asked: a folder of a data set may also look like a plainer one
@@ -19,6 +20,7 @@ IMPORTERS: tuple[Importer, ...] = (
     EuRoC(),
     Bags(),
     VideoPair(),
+    PictureFolders(),
 )
 
 

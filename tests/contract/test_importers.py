@@ -26,6 +26,14 @@ def videos(folder: Path) -> tuple[Path, ...]:
     return tuple(write_video(folder / f"{i}.mp4", T, pictures(T + i)) for i in range(2))
 
 
+def folders(folder: Path) -> tuple[Path, ...]:
+    """A folder of pictures for each camera, with nanoseconds as names."""
+    found = folder / "left", folder / "right"
+    for eye, place in enumerate(found):
+        layouts.shoot(place, T, eye, [f"{layouts.START_NS + round(1e9 * t)}.png" for t in T])
+    return found
+
+
 def bag(folder: Path) -> tuple[Path, ...]:
     """A ROS 2 bag."""
     return (write_ros(folder / "drive", T),)
@@ -34,6 +42,7 @@ def bag(folder: Path) -> tuple[Path, ...]:
 BUILDS: dict[str, Build] = {
     "bag": bag,
     "video": videos,
+    "pictures": folders,
     "KITTI raw": lambda folder: (layouts.kitti_raw(folder, T),),
     "KITTI odometry": lambda folder: (layouts.kitti_odometry(folder, T),),
     "EuRoC": lambda folder: (layouts.euroc(folder, T),),
