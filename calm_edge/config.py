@@ -129,6 +129,40 @@ class BackboneConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class CalibratedCameraConfig:
+    """A calibrated camera: entries of geometry.camera.Camera, for pictures of its size.
+
+    fit_px: its largest difference [px] to the lens model of the file that it was read from.
+    """
+
+    model: Literal["perspective", "fisheye"]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    distortion: tuple[float, ...] = ()
+    fit_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationConfig:
+    """[calibration]: a known calibration, a prior on the kit.
+
+    file: of OpenCV, ROS, Kalibr or COLMAP, with both cameras, the primary first, or one file each.
+    sigma_px: sigma of the calibration, rms over the picture. cameras, rig: as read from the files
+    by `record`, which are then not needed by `map`. rig: rotation vector [rad] and centre
+    [spacings] of the assistant in the primary camera; empty if the files have none.
+    """
+
+    file: tuple[str, ...] = ()
+    sigma_px: float = 1.0
+    cameras: tuple[CalibratedCameraConfig, ...] = ()
+    rig: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class ScaleConfig:
     """[scale]: scale of sub-maps (paper IV-B).
 
@@ -276,6 +310,7 @@ class Config:
     degrade: DegradeConfig = field(default_factory=DegradeConfig)
     frontend: FrontendConfig = field(default_factory=FrontendConfig)
     backbone: BackboneConfig = field(default_factory=BackboneConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     correction: CorrectionConfig = field(default_factory=CorrectionConfig)
     scale: ScaleConfig = field(default_factory=ScaleConfig)
     loops: LoopConfig = field(default_factory=LoopConfig)

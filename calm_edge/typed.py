@@ -14,8 +14,8 @@ def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any
     """Convert a `value` read from TOML to the type `kind`; raises `error` with a one-line message.
 
     where: name of the key, which begins the message. Supported types: str, bool, int, float, Any,
-    Literal, tuple[X, ...] (from a single number too), dict[str, X], X | None, int | str, and
-    dataclasses of these.
+    Literal, tuple[X, ...] (from a single number or text too), dict[str, X], X | None, int | str,
+    and dataclasses of these.
     """
     origin = get_origin(kind)
     if kind is Any:
@@ -28,7 +28,8 @@ def coerce(where: str, kind: Any, value: Any, error: type[CalmEdgeError]) -> Any
             raise error(f"{where} = {value!r}: expected one of {', '.join(get_args(kind))}")
         return value
     if origin is tuple:
-        if isinstance(value, int | float) and not isinstance(value, bool):
+        single = str if get_args(kind)[0] is str else int | float
+        if isinstance(value, single) and not isinstance(value, bool):
             value = [value]
         if not isinstance(value, list | tuple):
             raise error(f"{where}: expected a list, got {value!r}")

@@ -51,6 +51,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="horizontal field of view, one value or one per camera: an optional hint",
     )
     parser.add_argument(
+        "--calibration",
+        type=Path,
+        nargs="+",
+        metavar="FILE",
+        help="known calibration (OpenCV, ROS, Kalibr, COLMAP): one file, or one per camera",
+    )
+    parser.add_argument(
         "--set",
         action="append",
         default=[],
@@ -60,12 +67,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def effective_config(arguments: argparse.Namespace, base: Config | None = None) -> Config:
-    """Merge `base`, file, --set, --spacing-m and --hfov-deg; later ones override earlier ones.
+    """Merge `base`, file, --set and the other options; later ones override earlier ones.
 
-    base: the defaults if None. If precision or views per run of a model are `auto`, they are chosen
-    for this computer. Raises ConfigError, BackboneError.
+    Calibration files are read into the configuration.
+
+    base: the defaults if None; its calibration is not read again. If precision or views per run of
+    a model are `auto`, they are chosen for this computer. Raises ConfigError, BackboneError,
+    CalibrationError.
     """
     from calm_edge.backbones.onnx.precision import pinned
+    from calm_edge.commands.calibration_file import with_calibration
     from calm_edge.config import ConfigError, load, merge
 
     config = load(arguments.config, arguments.set, base)
@@ -75,6 +86,11 @@ def effective_config(arguments: argparse.Namespace, base: Config | None = None) 
         if len(arguments.hfov_deg) > 2:
             raise ConfigError("--hfov-deg: give one value or one per camera")
         config = merge(config, {"backbone": {"hfov_deg": arguments.hfov_deg}})
+    if arguments.calibration is not None:
+        config = merge(config, {"calibration": {"file": [str(f) for f in arguments.calibration]}})
+    recorded = base.calibration.file if base is not None else ()
+    if config.calibration.file and (arguments.calibration or config.calibration.file != recorded):
+        config = with_calibration(config, say)
     if config.scale.spacing_m < 0:
         raise ConfigError(f"scale.spacing_m = {config.scale.spacing_m:g}: must not be negative")
     if any(not 0 < a < 180 for a in config.backbone.hfov_deg):
@@ -126,6 +142,7 @@ def open_source(
 
 def run(arguments: argparse.Namespace) -> int:
     """Record until the frames end or until SIGINT or SIGTERM."""
+    from calm_edge.commands.calibration_file import refuse_other_sizes
     from calm_edge.daemon.run import Target, record
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
@@ -141,6 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
             base = recorded_config(recording)
         config = effective_config(arguments, base)
         source = open_source(arguments, config, recording)
+        refuse_other_sizes(config, arguments.sequence, recording)
         target = Target(arguments.out or arguments.root, is_root=arguments.out is None)
         lockstep = arguments.pace == "lockstep"
         return report(*record(config, source, target, notifier, lockstep=lockstep, say=say))

@@ -30,6 +30,7 @@ from calm_edge.estimator.replacement import Replacements
 from calm_edge.estimator.stage_time import timed
 from calm_edge.estimator.stamp_correction import StampCorrection
 from calm_edge.estimator.window_solver import Reconstruction, WindowSolver
+from calm_edge.kit.belief import product
 from calm_edge.kit.prior import KitPrior
 from calm_edge.loops.descriptor import descriptor_of
 from calm_edge.loops.finder import LoopFinder, PlaceLoops
@@ -335,11 +336,11 @@ class Localizer:
     def _slipped(self, slip: Slip) -> tuple[str, ...]:
         """Begin a new epoch of the kit; return the line for the user."""
         first = slip.suspects[0]
-        self._memory.begin_epoch(first.submap_id, slip.carried)
+        known = self._kit_prior.forget(lens=slip.carried is None)
+        self._memory.begin_epoch(first.submap_id, product([slip.carried, known]))
         for suspect in slip.suspects:
             self._memory.add(suspect.submap_id, suspect.prediction, suspect.hints)
             self._again.add(suspect.submap_id)
-        self._kit_prior.forget()
         epoch = self._memory.epoch(None)
         self._replacements.begin(
             [

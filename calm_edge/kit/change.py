@@ -97,14 +97,14 @@ def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
     for eye, index in zip(("primary", "assistant"), layout.LOG_FOCAL, strict=True):
         moved, change = _part(remembered, evidence, axes[:, [index]], layout.LOG_FOCAL_SIGMA)
         percent = 100 * np.expm1(moved.sum())
-        out.append(_change(f"another lens on the {eye} camera, focal {percent:+.1f} %", change))
+        out.append(change_of(f"another lens on the {eye} camera, focal {percent:+.1f} %", change))
     rotation = axes[:, layout.RIG_ROTATION]
     moved, change = _part(remembered, evidence, rotation, layout.RIG_ROTATION_SIGMA_RAD)
     turned = np.degrees(np.linalg.norm(moved))
-    out.append(_change(f"the assistant has moved, turned by {turned:.1f} deg", change))
+    out.append(change_of(f"the assistant has moved, turned by {turned:.1f} deg", change))
     moved, change = _direction(remembered, evidence)
     swung = np.degrees(np.linalg.norm(moved))
-    out.append(_change(f"the assistant has moved by {swung:.1f} deg around the primary", change))
+    out.append(change_of(f"the assistant has moved by {swung:.1f} deg around the primary", change))
     return tuple(out)
 
 
@@ -126,7 +126,8 @@ def bounded(belief: KitBelief) -> KitBelief:
     return gaussian(joint)
 
 
-def _change(text: str, part: tuple[float, int]) -> Change:
+def change_of(text: str, part: tuple[float, int]) -> Change:
+    """The change of a part from the distance2 and rank of `compared`."""
     distance2, observed = part
     p_value = float(chdtrc(observed, distance2)) if observed else 1.0
     return Change(text, distance2, observed, p_value)
@@ -135,13 +136,13 @@ def _change(text: str, part: tuple[float, int]) -> Change:
 def _part(
     remembered: KitBelief, evidence: KitBelief, axes: Float, prior_sigma: float
 ) -> tuple[Float, tuple[float, int]]:
-    """`_compared` along k orthonormal `axes` (D, k). prior_sigma: sigma of these in the prior."""
+    """`compared` along k orthonormal `axes` (D, k). prior_sigma: sigma of these in the prior."""
     A, B = (marginal(belief.information, axes) for belief in (remembered, evidence))
-    return _compared(axes.T @ (evidence.mean - remembered.mean), A, B, prior_sigma)
+    return compared(axes.T @ (evidence.mean - remembered.mean), A, B, prior_sigma)
 
 
 def _direction(remembered: KitBelief, evidence: KitBelief) -> tuple[Float, tuple[float, int]]:
-    """Compare the directions of the assistant on the unit sphere, see `_compared`.
+    """Compare the directions of the assistant on the unit sphere, see `compared`.
 
     The spacing is the unit of all lengths, so only the direction can change. The difference is the
     arc between the two, in the tangent plane of the remembered one; the evidence's information is
@@ -169,10 +170,10 @@ def _direction(remembered: KitBelief, evidence: KitBelief) -> tuple[Float, tuple
         )
     )
     arc = angle * np.cross(normal, before)
-    return _compared(tangent.T @ arc, A, B, layout.RIG_DIRECTION_SIGMA)
+    return compared(tangent.T @ arc, A, B, layout.RIG_DIRECTION_SIGMA)
 
 
-def _compared(
+def compared(
     difference: Float, A: Float, B: Float, prior_sigma: float
 ) -> tuple[Float, tuple[float, int]]:
     """Return the observed part of a difference (k,), and (distance2, rank).

@@ -1,4 +1,4 @@
-"""The belief from earlier drives of the same cameras, used while this drive agrees with it."""
+"""The belief from before this drive: of earlier drives and of a known calibration."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from calm_edge.config import Config
 from calm_edge.kit import change, file
 from calm_edge.kit.belief import product
+from calm_edge.kit.calibrated import CalibratedKit
 from calm_edge.kit.observed import observed_part
 from calm_edge.types import Int, KitBelief
 
@@ -19,9 +20,10 @@ TRUSTED_AFTER = 3
 class KitPrior:
     """Read, test and save the belief of earlier drives; there is none without `backbone.kit_file`.
 
-    Windows solved under a wrong belief fail or reproduce it. So the first TRUSTED_AFTER sub-maps
-    are solved without it, and `belief` returns it once they agree. The constructor reads the file,
-    so that a damaged one stops the drive at its start; it raises KitFileError.
+    Besides it a calibration is used, see `CalibratedKit`. Windows solved under a wrong belief fail
+    or reproduce it. So the first TRUSTED_AFTER sub-maps are solved without that of earlier drives,
+    and `belief` includes it once they agree. The constructor reads the file, so that a damaged one
+    stops the drive at its start; it raises KitFileError, ConfigError.
     """
 
     def __init__(self, config: Config) -> None:
@@ -32,17 +34,22 @@ class KitPrior:
         self._sizes: Int | None = None
         self._remembered: KitBelief | None = None
         self._compared = 0
+        self._calibrated = CalibratedKit(config.calibration)
 
     @property
     def belief(self) -> KitBelief | None:
-        """Belief of earlier drives once it is trusted, else None."""
-        return self._remembered if self._compared >= TRUSTED_AFTER else None
+        """Product of the calibration and, once it is trusted, of the belief of earlier drives."""
+        trusted = self._compared >= TRUSTED_AFTER
+        return product([self._calibrated.belief, self._remembered if trusted else None])
 
     def open(self, sizes: Int | None) -> None:
-        """Use the file's belief if it was stored for images of these sizes (2, 2) [px]."""
-        if self._path is None or self._sizes is not None or sizes is None:
+        """Use what was stored, or calibrated, for images of these sizes (2, 2) [px]."""
+        if self._sizes is not None or sizes is None:
             return
         self._sizes = sizes
+        self._calibrated.open(sizes)
+        if self._path is None:
+            return
         self._remembered, reason = file.remembered(self._path, self._kept, self._cameras, sizes)
         if reason:
             log.info("kit memory: %s", reason)
@@ -50,22 +57,28 @@ class KitPrior:
     def contradicted(self, evidence: KitBelief | None) -> tuple[str, ...]:
         """Compare with the evidence of this drive: one line for each part that has changed.
 
-        On any change the whole belief is dropped, since other parts may have changed as well.
+        On any change the whole belief of earlier drives is dropped, since other parts may have
+        changed as well.
         """
+        lines = self._calibrated.contradicted(evidence)
         if self._remembered is None or evidence is None:
-            return ()
+            return lines
         texts = change.described(self._remembered, evidence)
         self._compared += 1
         if texts:
             self._remembered = None
-        return tuple(
+        return lines + tuple(
             f"the kit has changed since its last drive: {text}; it is learned again"
             for text in texts
         )
 
-    def forget(self) -> None:
-        """Drop the belief of earlier drives: the kit has changed since."""
+    def forget(self, *, lens: bool) -> KitBelief | None:
+        """Drop the belief of earlier drives: the kit has changed since, its lenses if `lens`.
+
+        Returns what holds of a calibration.
+        """
         self._remembered = None
+        return self._calibrated.after_change(lens=lens)
 
     def save(self, evidence: KitBelief | None) -> None:
         """Write what all drives have observed, for the next one; failures are logged.

@@ -97,3 +97,36 @@ def test_a_file_that_cannot_be_written_is_logged(tmp_path, caplog):
     with caplog.at_level(logging.ERROR):
         prior.save(evidence())
     assert "Not a directory" in caplog.text
+
+
+def test_a_calibration_is_used_beside_the_kit_file_and_kept_out_of_it(tmp_path):
+    camera = {"model": "perspective", "fx": 457.0, "fy": 457.0, "cx": 319.5, "cy": 179.5}
+    camera |= {"width": 640, "height": 360}
+    given = merge(config(tmp_path / "kit.json"), {"calibration": {"cameras": [camera, camera]}})
+    prior = KitPrior(given)
+    prior.open(SIZES)
+    calibrated = prior.belief
+    assert np.diag(calibrated.information)[layout.LOG_FOCAL].min() > 1e4
+    prior.save(evidence())
+    alone = KitPrior(config(tmp_path / "kit.json"))
+    alone.open(SIZES)
+    for _ in range(TRUSTED_AFTER):
+        alone.contradicted(evidence())
+    # what is stored is what this drive has shown
+    assert np.allclose(alone.belief.mean, evidence().mean)
+    again = KitPrior(given)
+    again.open(SIZES)
+    for _ in range(TRUSTED_AFTER):
+        again.contradicted(evidence())
+    more = np.diag(again.belief.information)[layout.LOG_FOCAL]
+    assert (more > np.diag(calibrated.information)[layout.LOG_FOCAL]).all()
+
+
+def test_a_change_during_the_drive_leaves_the_calibrated_optics():
+    camera = {"model": "perspective", "fx": 457.0, "fy": 457.0, "cx": 319.5, "cy": 179.5}
+    camera |= {"width": 640, "height": 360}
+    prior = KitPrior(merge(Config(), {"calibration": {"cameras": [camera]}}))
+    prior.open(SIZES)
+    held = prior.forget(lens=False)
+    assert held is not None and held.information[0, 0] > 0
+    assert prior.forget(lens=True) is None

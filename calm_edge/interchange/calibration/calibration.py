@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -13,8 +13,6 @@ from calm_edge.types import CalmEdgeError, Float
 
 # Largest share of the picture's pixels at which a lens model may have no inverse.
 MAX_FOLDED = 0.05
-# Sizes are of one video mode, scaled, if their aspect ratios differ by at most this share.
-SAME_ASPECT = 0.005
 
 
 class CalibrationError(CalmEdgeError):
@@ -122,23 +120,3 @@ def joined(parts: list[tuple[Path, Calibration]]) -> Calibration:
                 f"{path}: holds {len(each.cameras)} cameras; beside another file it must hold one"
             )
     return Calibration(first.cameras + parts[1][1].cameras)
-
-
-def matched(camera: Camera, width: int, height: int) -> tuple[Camera, str]:
-    """Convert a camera to pictures of another size; return a sentence if it was scaled.
-
-    Only a scaled picture is possible: how one of another aspect ratio was cropped is unknown.
-    Raises CalibrationError.
-    """
-    if (camera.width, camera.height) == (width, height):
-        return camera, ""
-    sizes = (
-        f"calibrated for {camera.width} x {camera.height} px, the pictures have {width} x {height}"
-    )
-    sx, sy = width / camera.width, height / camera.height
-    if abs(sx / sy - 1) > SAME_ASPECT:
-        raise CalibrationError(
-            f"{sizes}: the picture is cropped, nobody knows where; calibrate in this video mode"
-        )
-    scaled = replace(camera.scaled(sx, sy), width=width, height=height)
-    return scaled, f"{sizes}: scaled, which is wrong if this video mode shows only a part"

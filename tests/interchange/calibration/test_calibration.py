@@ -1,30 +1,9 @@
-import numpy as np
 import pytest
 
-from calm_edge.geometry.camera import Perspective
-from calm_edge.interchange.calibration.calibration import CalibrationError, matched
+from calm_edge.interchange.calibration.calibration import CalibrationError
 from calm_edge.interchange.calibration.formats import read
 
-CAMERA = Perspective(1000.0, 1002.0, 951.0, 545.0, 1920, 1080, (-0.3, 0.1))
 ROW = "{n} OPENCV 640 480 500 510 322 238 -0.2 0.05 0.001 -0.002\n"
-
-
-def test_pictures_of_the_same_size_are_taken_as_they_are():
-    assert matched(CAMERA, 1920, 1080) == (CAMERA, "")
-
-
-def test_a_smaller_picture_of_the_same_shape_is_scaled_with_a_sentence():
-    camera, said = matched(CAMERA, 1280, 720)
-    ray = np.array([0.3, -0.2, 1.0])
-    # pixel centres: the corner (-0.5, -0.5) stays
-    assert np.allclose(camera.project(ray) + 0.5, (CAMERA.project(ray) + 0.5) / 1.5)
-    assert "1920 x 1080" in said and "1280 x 720" in said and "scaled" in said
-
-
-@pytest.mark.parametrize("size", [(1280, 960), (1440, 1080), (1080, 1920)])
-def test_a_cropped_picture_is_refused(size):
-    with pytest.raises(CalibrationError, match="cropped"):
-        matched(CAMERA, *size)
 
 
 def files(folder, *counts):
