@@ -76,8 +76,8 @@ class DegradeConfig:
 class FrontendConfig:
     """[frontend]: keyframes, windows and the live tracker (paper IV-A and Implementation Details).
 
-    flow_px: mean optical flow from one keyframe to the next, in px of an image
-    flow_reference_width_px wide.
+    flow_px: mean optical flow from one keyframe to the next, in px of an image whose long side has
+    flow_reference_width_px.
     max_keyframe_gap_s: longest time between keyframes while moving. first_window: number of
     keyframes in the first window, at most n_max; small, for an early first pose. The second window
     contains them again. n_max: number of primary keyframes in the other windows, of which the first

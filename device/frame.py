@@ -71,6 +71,16 @@ class Frame:
             return self
         return replace(self, image=jpeg(self.image, quality))
 
+    def size(self) -> tuple[int, int]:
+        """(width, height) px as decoded, from the header of a JPEG; raises UnreadableImage."""
+        if isinstance(self.image, bytes) and not self.image.startswith(_PNG):
+            try:
+                return walk(self.image).size
+            except JpegError as error:
+                raise self._unreadable(str(error)) from None
+        height, width = self.bgr().shape[:2]
+        return int(width), int(height)
+
     def bgr(self) -> NDArray[np.uint8]:
         """Decode to (H, W, 3) uint8 BGR; raises UnreadableImage.
 
@@ -106,4 +116,7 @@ class Frame:
                 return jpeg_pixels.decode(walk(self.image), gray=gray, reduction=reduction)
             except JpegError as error:
                 reason = str(error)
-        raise UnreadableImage(f"{self.eye.name.lower()} frame {self.sequence}: {reason}")
+        raise self._unreadable(reason)
+
+    def _unreadable(self, reason: str) -> UnreadableImage:
+        return UnreadableImage(f"{self.eye.name.lower()} frame {self.sequence}: {reason}")

@@ -223,6 +223,8 @@ class Hub:
                 self.outputs.give(lambda output: output.attached(message))
             case Tracked():
                 self.result.late_poses += message.late
+                if message.resized:
+                    self.say(message.resized)
                 if message.repeat is not None:
                     self._repeated(message.repeat)
                 if unreadable is not None:

@@ -95,7 +95,8 @@ class Tracked:
     windows: completed by this frame. released: frames that no later window contains. is_keyframe:
     the frame is a primary keyframe. problem: why the frame could not be decoded, or empty. late:
     no pose was computed for this frame, since newer frames were already waiting. repeat: the
-    camera, if its frame repeats the picture before: it gets no pose and is no keyframe.
+    camera, if its frame repeats the picture before: it gets no pose and is no keyframe. resized:
+    a line for the user if the pictures have changed their size, or empty.
     """
 
     slot: int
@@ -104,6 +105,7 @@ class Tracked:
     is_keyframe: bool = False
     problem: str = ""
     late: bool = False
+    resized: str = ""
     repeat: Eye | None = None
 
 

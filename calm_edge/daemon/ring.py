@@ -6,12 +6,16 @@ from multiprocessing.shared_memory import SharedMemory
 
 
 class FrameRing:
-    """Writing side: owner of the shared memory and of the list of free slots."""
+    """Writing side: owner of the shared memory and of the list of free slots.
+
+    Data larger than a slot takes several neighbouring ones.
+    """
 
     def __init__(self, n_slots: int, slot_bytes: int) -> None:
         self.slot_bytes = slot_bytes
         self._memory = SharedMemory(create=True, size=n_slots * slot_bytes)
-        self._free = list(range(n_slots))
+        self._free = [True] * n_slots
+        self._taken: dict[int, int] = {}
 
     @property
     def name(self) -> str:
@@ -19,17 +23,22 @@ class FrameRing:
         return self._memory.name
 
     def put(self, data: bytes) -> int | None:
-        """Copy `data` into a free slot; None if it is too large or no slot is free."""
-        if not self._free or len(data) > self.slot_bytes:
+        """Copy `data` into free slots and return the first; None if there is no room."""
+        n = max(1, -(-len(data) // self.slot_bytes))
+        slots = range(len(self._free) - n + 1)
+        slot = next((i for i in slots if all(self._free[i : i + n])), None)
+        if slot is None:
             return None
-        slot = self._free.pop(0)
+        self._free[slot : slot + n] = [False] * n
+        self._taken[slot] = n
         start = slot * self.slot_bytes
         self._buffer()[start : start + len(data)] = data
         return slot
 
     def release(self, slot: int) -> None:
-        """Mark a slot as free, once the reader is done with it."""
-        self._free.append(slot)
+        """Mark the slots of data as free, once the reader is done with it. slot: the first."""
+        n = self._taken.pop(slot)
+        self._free[slot : slot + n] = [True] * n
 
     def close(self) -> None:
         """Remove the shared memory."""
@@ -50,7 +59,7 @@ class RingReader:
         self._slot_bytes = slot_bytes
 
     def read(self, slot: int, size: int) -> bytes:
-        """Return a copy of the first `size` bytes of a slot."""
+        """Return a copy of `size` bytes from a slot on."""
         buffer = self._memory.buf
         assert buffer is not None
         start = slot * self._slot_bytes

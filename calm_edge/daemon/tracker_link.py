@@ -91,7 +91,7 @@ class TrackerLink:
         return len(self._in_ring) + len(self._held)
 
     def offer(self, frame: Frame) -> bool:
-        """Send a frame (JPEG); False if it is too large or no slot of the ring is free."""
+        """Send a frame (JPEG); False if the ring has no room for it."""
         assert isinstance(frame.image, bytes)
         slot = self._ring.put(frame.image) if self.child.alive else None
         if slot is None:

@@ -31,6 +31,7 @@ from calm_edge.daemon.ring import RingReader
 from calm_edge.frontend.association import WindowBuilder, WindowError
 from calm_edge.frontend.half_size import MAX_PIXELS, halved
 from calm_edge.frontend.keyframes import KeyframeSelector
+from calm_edge.frontend.picture_sizes import PictureSizes
 from calm_edge.frontend.repeats import RepeatCheck, eighth
 from calm_edge.frontend.tracker import CATCH_UP_NS, Tracker
 from calm_edge.processes import follow_parent
@@ -68,6 +69,7 @@ class TrackerWork:
         self._newest_ns = self._tracked_ns = 0
         self._held: set[FrameKey] = set()
         self._repeats = {eye: RepeatCheck() for eye in Eye}
+        self._sizes = PictureSizes()
 
     def on_arrival(self, message: Any) -> None:
         """Note the stamp of the newest primary frame received, possibly not yet processed."""
@@ -97,12 +99,17 @@ class TrackerWork:
         late, is_keyframe, problem, repeat = self._is_late(message), False, "", False
         frame = Frame(message.eye, message.sequence, message.t_ns, b"", message.own_stamp)
         windows: tuple[SubmapWindow, ...] = ()
+        resized = ""
         if late and self._can_wait(message.t_ns):
             windows = self._builder.advance(message.t_ns)
         else:
             image = self._ring.read(message.slot, message.size)
             try:
-                windows, is_keyframe, repeat = self._track(frame, image, late)
+                picture = dataclasses.replace(frame, image=image)
+                resized = self._sizes.change(picture)
+                before = self._cut() if resized else ()
+                windows, is_keyframe, repeat = self._track(picture, frame, late)
+                windows = before + windows
             except UnreadableImage as error:
                 problem, late = str(error), False
         return Tracked(
@@ -112,8 +119,15 @@ class TrackerWork:
             is_keyframe,
             problem,
             late and not repeat,
-            frame.eye if repeat else None,
+            repeat=frame.eye if repeat else None,
+            resized=resized,
         )
+
+    def _cut(self) -> tuple[SubmapWindow, ...]:
+        """Begin anew, with pictures of another size; return the windows of the former one."""
+        self._tracker.restart()
+        self._repeats = {eye: RepeatCheck() for eye in Eye}
+        return self._builder.cut()
 
     def _released(self, frame: Frame) -> tuple[FrameKey, ...]:
         """Add the newest frame; return the held frames that no later window can contain."""
@@ -141,13 +155,15 @@ class TrackerWork:
         return gray
 
     def _track(
-        self, frame: Frame, image: bytes, late: bool
+        self, picture: Frame, frame: Frame, late: bool
     ) -> tuple[tuple[SubmapWindow, ...], bool, bool]:
         """Process a frame; return the windows it completes, and whether it is a primary keyframe.
 
-        Also whether it only repeats the picture before. Raises UnreadableImage.
+        picture: the frame with its image. Also whether it only repeats the picture before. Raises
+        UnreadableImage.
         """
-        picture = dataclasses.replace(frame, image=image)
+        image = picture.image
+        assert isinstance(image, bytes)
         repeats = self._repeats[frame.eye]
         if frame.eye is Eye.ASSISTANT:
             # not used for tracking: 1/8 of its size shows whether it is readable and a repeat

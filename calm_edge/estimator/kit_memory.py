@@ -12,7 +12,7 @@ import numpy as np
 from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
 from calm_edge.estimator.metre import UNKNOWN
 from calm_edge.kit.belief import product
-from calm_edge.types import Float, Hints, KitBelief, Overlap, Prediction
+from calm_edge.types import Float, Hints, Int, KitBelief, Overlap, Prediction
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,8 @@ class _Window:
 class KitMemory:
     """Collects the kit evidence of all windows; keeps the newest `limit` windows to solve again.
 
-    prior: belief of earlier drives, or None. Windows are kept, without their depth, only if the
+    prior: belief of earlier drives, or None. sizes: (2, 2) [px] of the newest window's pictures, or
+    None. Windows are kept, without their depth, only if the
     backbone can solve them again (has `resolve`).
     """
 
@@ -53,6 +54,8 @@ class KitMemory:
         self._begins: list[int] = [0]
         self._carried: list[KitBelief | None] = [None]
         self._windows: dict[int, _Window] = {}
+        self.sizes: Int | None = None
+        self._sized_by = -1
 
     def evidence(self, without: int | None = None) -> KitBelief | None:
         """Product of the evidence of the newest epoch of the kit.
@@ -79,6 +82,20 @@ class KitMemory:
         self._begins.append(submap_id)
         self._carried.append(carried)
         self._total = self._of_epoch(self.epoch(None))
+
+    def resized(self, submap_id: int, sizes: Int | None) -> bool:
+        """Note the sizes (2, 2) [px] of a window's pictures; begin an epoch if they have changed.
+
+        Only the newest window may do so. What was learned of the lenses holds for the former mode
+        of the cameras. Returns whether an epoch has begun.
+        """
+        if sizes is None or submap_id < self._sized_by:
+            return False
+        changed = self.sizes is not None and not np.array_equal(sizes, self.sizes)
+        self.sizes, self._sized_by = sizes, submap_id
+        if changed:
+            self.begin_epoch(submap_id, None)
+        return changed
 
     def epoch(self, submap_id: int | None) -> int:
         """Number of the epoch of a sub-map, None for the newest one."""

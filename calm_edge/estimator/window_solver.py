@@ -199,7 +199,10 @@ class WindowSolver:
     def _hints(self, window: SubmapWindow, images: list[Bytes]) -> Hints:
         frames = [keyframe.frame for keyframe in window.keyframes()]
         sizes = window_submap.sizes(window, images)
-        self._kit_prior.open(sizes)
+        if self._memory.resized(window.submap_id, sizes):
+            self._kit_prior.forget(lens=True)
+            self._watch.acquit()
+        self._kit_prior.open(self._memory.sizes)
         self._memory.prior = self._kit_prior.belief
         hints = Hints(
             eyes=np.array([frame.eye for frame in frames], np.int64),

@@ -96,6 +96,16 @@ class WindowBuilder:
         reach = max(n_new + self.config.n_overlap, self.config.n_max // 2 + 1)
         return (*windows, self._emit(min(reach, len(self._paired)), n_new))
 
+    def cut(self) -> tuple[SubmapWindow, ...]:
+        """Flush, and begin anew: later windows share no frame with earlier ones."""
+        windows = self.flush()
+        self._seen.clear()
+        self._paired.clear()
+        self._n_overlap = 0
+        self._first_submap_id = self._submap_id
+        self._last_assistant = None
+        return windows
+
     def _settle(self, t_ns: int) -> tuple[SubmapWindow, ...]:
         newest = self._exposed_ns(self._seen[-1]) if self._seen else None
         while self._open:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.config import FrontendConfig
-from calm_edge.geometry.flow import corners, follow
+from calm_edge.geometry.flow import corners, follow, long_side
 from calm_edge.types import Bytes, Float32, Keyframe
 from device.frame import Frame
 
@@ -63,7 +63,7 @@ class KeyframeSelector:
         flow_px, max_gap_s = (
             stretch * v for v in (self.config.flow_px, self.config.max_keyframe_gap_s)
         )
-        threshold = flow_px * gray.shape[1] / self.config.flow_reference_width_px
+        threshold = flow_px * long_side(gray) / self.config.flow_reference_width_px
         disparity = np.linalg.norm(moved - self._at_keyframe, axis=1)[good]
         alive = int(good.sum())
         if alive < max(MIN_TRACKS, SURVIVING_SHARE * self._n_detected):

@@ -21,7 +21,7 @@ from calm_edge.frontend.submap_errors import SubmapErrors
 from calm_edge.frontend.velocity import RecentPath
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
-from calm_edge.geometry.flow import follow
+from calm_edge.geometry.flow import follow, long_side
 from calm_edge.geometry.pnp import PoseFit, locate, reprojection
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
@@ -119,6 +119,13 @@ class Tracker:
         if not behind or self._tracks is None:
             self._advance_follower()
 
+    def restart(self) -> None:
+        """Forget all frames and points: the pictures that follow are of another size."""
+        self._tracks = self._pending = self._follower = None
+        self._candidates = Candidates.none()
+        self._past.clear()
+        self._path.clear()
+
     def attach(self, update: LocalizerUpdate) -> bool:
         """Switch to the points of a new sub-map; False if its keyframes are no longer kept.
 
@@ -209,7 +216,7 @@ class Tracker:
         return new / old
 
     def _threshold(self, gray: Bytes) -> float:
-        return float(max(2.0, INLIER_PX * gray.shape[1] / self.config.flow_reference_width_px))
+        return float(max(2.0, INLIER_PX * long_side(gray) / self.config.flow_reference_width_px))
 
     def _follow(self, gray: Bytes, T_predicted: Float | None) -> PoseFit | None:
         tracks = self._tracks

@@ -33,6 +33,15 @@ class LucasKanade:
 TRACKING = LucasKanade()
 
 
+def long_side(image: NDArray[np.generic]) -> int:
+    """Width or height [px] of an image (H, W) or (H, W, 3), whichever is larger.
+
+    Thresholds in px scale with it: an image on its side has the same focal length.
+    """
+    height, width = image.shape[:2]
+    return max(int(height), int(width))
+
+
 def away_from(shape: tuple[int, int], taken: Float32, radius_px: float) -> Gray:
     """Mask (H, W), 0 within radius_px of the points `taken` (Q, 2) px, else 255."""
     mask = np.full(shape, 255, np.uint8)

@@ -15,7 +15,7 @@ Float32 = NDArray[np.float32]
 Int = NDArray[np.int64]
 
 # Wider images are reduced to this width: features of the finest scale are rarely matched.
-WIDTH_PX = 960
+SIDE_PX = 960
 # Lowe's ratio test: largest ratio of the best to the second best distance.
 RATIO = 0.8
 # Half of OpenCV's default, for scenes of low texture; `count` limits the others.
@@ -40,9 +40,9 @@ class Features:
 def detect(gray: NDArray[np.uint8], count: int) -> Features:
     """Detect the `count` strongest features of a grey image (H, W)."""
     height, width = gray.shape
-    scale = min(1.0, WIDTH_PX / width)
+    scale = min(1.0, SIDE_PX / max(width, height))
     if scale < 1:
-        size = WIDTH_PX, max(2, round(height * scale))
+        size = max(2, round(width * scale)), max(2, round(height * scale))
         small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
     else:
         small = gray

@@ -83,18 +83,23 @@ def _vector(
     return out
 
 
-def prior(hfov_deg: tuple[float | None, float | None]) -> KitBelief:
-    """Prior belief; hfov_deg: horizontal field of view of each eye, None where unknown."""
+def prior(hfov_deg: tuple[float | None, float | None], sizes: Int | None = None) -> KitBelief:
+    """Prior belief; hfov_deg: horizontal field of view of each eye, None where unknown.
+
+    sizes: (2, 2) width, height [px]: an unknown field of view is that of the long side.
+    """
     mean = np.zeros(SIZE)
     sigma = _vector(
         LOG_FOCAL_SIGMA, PRINCIPAL_POINT_SIGMA, RADIAL_SIGMA,
         RIG_ROTATION_SIGMA_RAD, RIG_DIRECTION_SIGMA, TIME_OFFSET_SIGMA_S,
     )  # fmt: skip
-    for index, hfov in zip(LOG_FOCAL, hfov_deg, strict=True):
+    for eye, (index, hfov) in enumerate(zip(LOG_FOCAL, hfov_deg, strict=True)):
         width_over_f = 2 * np.tan(np.radians(hfov or DEFAULT_HFOV_DEG) / 2)
-        mean[index] = -np.log(width_over_f)
         if hfov:
             sigma[index] = HINTED_LOG_FOCAL_SIGMA
+        elif sizes is not None:
+            width_over_f *= sizes[eye, 0] / max(sizes[eye])
+        mean[index] = -np.log(width_over_f)
     information = np.diag(sigma**-2.0)
     # k2 - RADIAL_RATIO k1 is independent of k1
     for k1, k2 in DISTORTION:

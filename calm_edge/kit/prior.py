@@ -43,10 +43,15 @@ class KitPrior:
         return product([self._calibrated.belief, self._remembered if trusted else None])
 
     def open(self, sizes: Int | None) -> None:
-        """Use what was stored, or calibrated, for images of these sizes (2, 2) [px]."""
-        if self._sizes is not None or sizes is None:
+        """Use what was stored, or calibrated, for images of these sizes (2, 2) [px].
+
+        Within a drive only the first call does; later ones note the sizes that `save` writes.
+        """
+        if sizes is None:
             return
-        self._sizes = sizes
+        first, self._sizes = self._sizes is None, sizes
+        if not first:
+            return
         self._calibrated.open(sizes)
         if self._path is None:
             return

@@ -20,7 +20,7 @@ from calm_edge.geometry.sift import Features, cells, consistent, well_spread
 from calm_edge.geometry.triangulation import triangulate
 from calm_edge.types import Float, Float32, Int
 
-REFERENCE_WIDTH_PX = 640  # thresholds in px are for this width and scale with it
+REFERENCE_SIDE_PX = 640  # thresholds in px are for this long side and scale with it
 EPIPOLAR_PX = 1.0
 POSE_PX = 3.0
 # Sigma of the motion between the exposures of the two cameras, tens of milliseconds apart:
@@ -81,7 +81,7 @@ def same_place(
     inliers with the earlier image; a third of it is required of near points. None if no pose
     explains the matches.
     """
-    stretch = float(size[0]) / REFERENCE_WIDTH_PX
+    stretch = float(max(size)) / REFERENCE_SIDE_PX
     pairs = consistent(query, past, EPIPOLAR_PX * stretch)
     if len(pairs) < min_matches or not well_spread(query.uv[pairs[:, 0]], size):
         return None
@@ -129,7 +129,7 @@ def seen_again(
     uv = camera.project(p[front])
     similarity = vectors[front] @ past.vector.T
     away = np.linalg.norm(uv[:, None] - past.uv[None], axis=2)
-    away /= float(size[0]) / REFERENCE_WIDTH_PX
+    away /= float(max(size)) / REFERENCE_SIDE_PX
     there = ((similarity > SEEN_AGAIN_SIMILARITY) & (away < SEEN_AGAIN_PX)).any(1)
     _, cell = np.unique(cells(camera.project(points[front]), size), return_inverse=True)
     return float((np.bincount(cell, there) / np.bincount(cell)).mean())

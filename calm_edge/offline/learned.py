@@ -41,10 +41,10 @@ def learned(recording: Recording) -> tuple[Calibration, tuple[str, ...]]:
         calibration, notes = _of_submap(recording, last)
     else:
         hfov, spacing_m = recording.config.backbone.hfov_of_eye, recording.config.scale.spacing_m
-        belief = product([layout.prior(hfov), last.kit])
-        assert belief is not None
         views = last.submap.cameras[0], last.submap.cameras[last.submap.n_primary]
         sizes = np.array([[view.width, view.height] for view in views])
+        belief = product([layout.prior(hfov, sizes), last.kit])
+        assert belief is not None
         calibration, notes = _of_kit(recording, belief, sizes, spacing_m)
     return calibration, (head, *notes)
 

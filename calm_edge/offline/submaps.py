@@ -16,6 +16,7 @@ from calm_edge.config import Config, merge
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.frontend.keyframes import KeyframeSelector
+from calm_edge.frontend.picture_sizes import PictureSizes
 from calm_edge.offline.completion import completed, due
 from calm_edge.offline.drive import Drive, Logged, with_poses
 from calm_edge.offline.progress import Progress
@@ -170,7 +171,15 @@ def _windows(
 
 def _chosen_again(recording: Recording, config: Config, drive: Drive) -> Iterator[SubmapWindow]:
     selector, builder = KeyframeSelector(config.frontend), WindowBuilder(config.frontend)
+    sizes = PictureSizes()
     for frame in recording.frames():
+        try:
+            resized = sizes.change(frame)
+        except UnreadableImage as error:
+            drive.losses.append(str(error))
+            continue
+        if resized:
+            yield from builder.cut()
         if frame.eye is Eye.ASSISTANT:
             yield from builder.add_assistant(frame)
             continue

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calm_edge.config import FrontendConfig
-from calm_edge.daemon.messages import Attach, Counters, FrameIn, Posed, Tracked
+from calm_edge.daemon.messages import Attach, Counters, Flush, FrameIn, Posed, Tracked
 from calm_edge.daemon.ring import FrameRing, RingReader
 from calm_edge.daemon.tracker_process import LATE_NS, TrackerWork
 from calm_edge.types import PoseStatus
@@ -121,3 +121,49 @@ def test_a_repeated_picture_gets_no_pose_and_leaves_the_velocity_as_it_is(bench:
     speeds = [float(np.linalg.norm(message.sample.velocity_c)) for message in bench.posed]
     truth = float(np.linalg.norm((POSES[1] - POSES[0])[:3, 3])) / (EVERY_NS / 1e9)
     assert len(speeds) == 20 and np.abs(np.array(speeds[6:]) / truth - 1).max() < 0.1
+
+
+def put(bench: Bench, number: int, eye: Eye, picture: np.ndarray) -> Tracked:
+    jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
+    slot = bench.ring.put(jpeg)
+    assert slot is not None
+    frame = FrameIn(eye, number, START_NS + number * EVERY_NS, slot, len(jpeg))
+    bench.work.on_arrival(frame)
+    answer = bench.work.handle(frame)
+    bench.ring.release(slot)
+    assert isinstance(answer, Tracked)
+    return answer
+
+
+@pytest.mark.parametrize("eye", list(Eye))
+@pytest.mark.parametrize("scale", [(0.5, 0.5), (1.0, 0.75), (2.0, 2.0)])
+def test_pictures_of_another_size_begin_anew(
+    bench: Bench, eye: Eye, scale: tuple[float, float]
+) -> None:
+    """A camera that is reopened in another mode: no window holds pictures of both sizes."""
+    size_of: dict[tuple[int, int], tuple[int, int]] = {}
+    said, windows = [], []
+    for i in range(10, 60):
+        for each in Eye:
+            picture = WORLD.render(POSES[i])
+            if each is eye and i >= 40:
+                picture = cv2.resize(picture, None, fx=scale[0], fy=scale[1])
+            size_of[int(each), i] = picture.shape[1::-1]
+            answer = put(bench, i, each, picture)
+            said += [answer.resized] if answer.resized else []
+            windows += answer.windows
+    windows += bench.work.handle(Flush()).windows
+    (line,) = said
+    assert line.startswith(f"{eye.name.lower()} camera: its pictures change from ")
+    assert "at frame 40" in line
+    sizes = [
+        {size_of.get((e, s), size_of[e, 10]) for e, s, _ in window.frame_keys if e == eye}
+        for window in windows
+    ]
+    assert all(len(each) == 1 for each in sizes)
+    assert {size for each in sizes for size in each} == {size_of[eye, 10], size_of[eye, 59]}
+    later = [w for w, each in zip(windows, sizes, strict=True) if each == {size_of[eye, 59]}]
+    assert later[0].n_overlap == 0
+    # a sub-map of the former size does not disturb
+    newest = [m.sample.status for m in bench.posed]
+    assert newest[-1] is PoseStatus.LOST

@@ -145,3 +145,18 @@ def test_the_overlap_is_that_of_the_newest_solution_of_the_window_before():
     # nor across a change of the kit
     memory.begin_epoch(2, None)
     assert memory.overlap_before(2) is None and memory.overlap_before(1) is not None
+
+
+def test_pictures_of_another_size_begin_an_epoch_of_the_kit():
+    memory = KitMemory(Resolver(), 9)
+    wide, small = np.array([[640, 240], [640, 240]]), np.array([[640, 240], [320, 120]])
+    assert not memory.resized(0, None) and not memory.resized(0, wide)
+    memory.add(0, seen((400.0, 400.0), kit=1.0), HINTS)
+    assert not memory.resized(1, wide)
+    assert memory.resized(2, small) and not memory.resized(2, small)
+    assert memory.evidence() is None and memory.belief() is None
+    # an earlier window that is solved again keeps its epoch
+    assert not memory.resized(1, wide) and np.array_equal(memory.sizes, small)
+    assert memory.evidence(without=1).mean == 1.0
+    memory.add(2, seen((200.0, 200.0), kit=3.0), HINTS)
+    assert memory.evidence().mean == 3.0 and memory.overlap_before(2) is None

@@ -177,3 +177,24 @@ def test_frames_exposed_together_are_associated_once_the_stamps_are_known_to_be_
     pairs = late_pairs(late_ms, known_after)
     assert len(pairs) >= 5
     assert all(p == a for p, a in pairs)
+
+
+def test_after_a_cut_windows_share_nothing_with_those_before() -> None:
+    builder = WindowBuilder(FrontendConfig())
+    windows: list[SubmapWindow] = []
+    for i in range(40):
+        if i == 20:
+            windows += builder.cut()
+            n_before = len(windows)
+            assert not list(builder.held())
+        windows += builder.add_assistant(assistant(i, 100.0 * i + 1))
+        windows += builder.advance(int(100.0 * i * MS))
+        windows += builder.add_keyframe(primary(i, 100.0 * i))
+    windows += builder.flush()
+    before, after = windows[:n_before], windows[n_before:]
+    assert [w.submap_id for w in windows] == list(range(len(windows)))
+    assert {k.id for w in before for k in w.primary} == set(range(20))
+    assert {k.id for w in after for k in w.primary} == set(range(20, 40))
+    assert after[0].n_overlap == 0 and len(after[0].primary) == FrontendConfig().first_window
+    ids = [{k.id for w in part for k in w.assistant} for part in (before, after)]
+    assert not ids[0] & ids[1]

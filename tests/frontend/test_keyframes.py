@@ -73,3 +73,11 @@ def test_a_tenth_of_outliers_at_either_end_does_not_move_the_mean() -> None:
     disparity = np.concatenate([np.full(80, 10.0), np.full(10, 500.0), np.zeros(10)])
     assert robust_mean(disparity) == 10.0
     assert robust_mean(np.zeros(0)) == 0.0
+
+
+def test_a_camera_on_its_side_gives_the_same_keyframes() -> None:
+    images = [WORLD.render(T) for T in drive(40, 0.05)]
+    upright = [np.ascontiguousarray(np.rot90(image)) for image in images]
+    numbers = [[k.frame.sequence for k in select(each)] for each in (images, upright)]
+    assert len(numbers[0]) == len(numbers[1]) >= 4
+    assert np.abs(np.subtract(*numbers)).max() <= 1

@@ -93,3 +93,12 @@ def test_time_jitter_adds_variance_to_the_time_offset_only():
         layout.TIME_OFFSET, layout.TIME_OFFSET
     ] == pytest.approx(1 / (1e-8 + 0.002**2))
     assert layout.with_time_jitter(belief, 0.0) is belief
+
+
+def test_an_unknown_field_of_view_is_that_of_the_long_side():
+    upright, lying = (np.tile([size], (2, 1)) for size in [(208, 544), (544, 208)])
+    focals = [np.exp(layout.prior((None, None), s).mean[layout.LOG_FOCAL]) * s[0, 0]
+              for s in (upright, lying)]  # fmt: skip
+    assert focals[0] == pytest.approx(focals[1])
+    hinted = layout.prior((90.0, 90.0), upright).mean[layout.LOG_FOCAL]
+    assert np.exp(hinted) == pytest.approx([0.5, 0.5])

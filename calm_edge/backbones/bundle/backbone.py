@@ -153,7 +153,7 @@ def kit_belief(hints: Hints) -> KitBelief:
 
     The time offset is what is left of it after the known offsets of the stamps.
     """
-    prior = layout.with_time_jitter(layout.prior(hints.hfov_deg), hints.late_sigma_s)
+    prior = layout.with_time_jitter(layout.prior(hints.hfov_deg, hints.sizes), hints.late_sigma_s)
     joint = product([prior, hints.kit])
     assert joint is not None
     length = np.linalg.norm(joint.mean[layout.RIG_CENTRE])

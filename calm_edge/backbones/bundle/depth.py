@@ -17,9 +17,10 @@ from calm_edge.backbones.bundle.cost_volume import SweepView, match_scores, whit
 from calm_edge.backbones.bundle.scanline import aggregate
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.flow import long_side
 from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 
-DEPTH_WIDTH_PX = 192
+DEPTH_SIDE_PX = 192
 OVERSAMPLE = 2
 PLANES = 64
 # The nearest plane has NEAR_SHARE times the depth that NEAR_PERCENT % of the landmarks are below:
@@ -53,7 +54,7 @@ def sweep_window(
     if not prediction.loop_found:
         return _without_last(images, hints, prediction)
     eyes = np.asarray(hints.eyes)
-    size = _shrunk(images[0], DEPTH_WIDTH_PX)
+    size = _shrunk(images[0], DEPTH_SIDE_PX)
     sweep_size = size[0] * OVERSAMPLE, size[1] * OVERSAMPLE
     gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
     sweep = [
@@ -105,11 +106,10 @@ def judge(agreement: Agreement) -> tuple[Float32, Float32]:
     return depth, np.where(known, votes / (votes + 1) * precision, 0).astype(np.float32)
 
 
-def _shrunk(image: NDArray[np.uint8], width: int) -> tuple[int, int]:
-    """Size (w, h) of a picture reduced to `width`, with its aspect ratio."""
-    height, full = image.shape[:2]
-    width = min(width, full)
-    return width, max(2, round(height * width / full))
+def _shrunk(image: NDArray[np.uint8], side: int) -> tuple[int, int]:
+    """Size (w, h) of a picture reduced to `side` px on its long side, with its aspect ratio."""
+    scale = min(1.0, side / long_side(image))
+    return max(2, round(image.shape[1] * scale)), max(2, round(image.shape[0] * scale))
 
 
 def _shrink(gray: Bytes, size: tuple[int, int]) -> Bytes:

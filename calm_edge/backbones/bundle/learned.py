@@ -30,7 +30,7 @@ from calm_edge.backbones.bundle.warp import (
     warped,
     zoom_of,
 )
-from calm_edge.geometry.flow import Gray, follow, follow_ahead, neighbouring_flow
+from calm_edge.geometry.flow import Gray, follow, follow_ahead, long_side, neighbouring_flow
 from calm_edge.types import Float, Float32
 
 # Sigma of a refined match, the root of the sum of squares of two terms: a share of the features'
@@ -91,7 +91,7 @@ class LearnedMatching:
         uv = detect_corners(primary, np.zeros((0, 2), np.float32))
         found = _found(self.net, primary, assistant, uv)
         found = _rotated_or_zoomed(self.net, primary, assistant, uv, found)
-        return homography(uv, found, primary.shape[1])
+        return homography(uv, found, long_side(primary))
 
     def across(self, primary: Gray, assistant: Gray, H_a_p: Float, uv: Float32) -> Matches:
         """Match primary points uv (N, 2) px to the assistant's picture; raises BackboneError."""
@@ -101,7 +101,7 @@ class LearnedMatching:
         """Match points uv (N, 2) px of any picture to any other; raises BackboneError."""
         found = _found(self.net, a, b, uv)
         direct = finished(a, b, uv, found)
-        H_b_a = homography(uv, _rotated_or_zoomed(self.net, a, b, uv, found), a.shape[1])
+        H_b_a = homography(uv, _rotated_or_zoomed(self.net, a, b, uv, found), long_side(a))
         if H_b_a is None or are_alike(H_b_a, a):
             return direct
         return _better(direct, self._across(a, b, H_b_a, uv))
@@ -223,14 +223,14 @@ def _rotated_or_zoomed(net: FeatureNet, a: Gray, b: Gray, uv: Float32, found: Ma
     uv: (N, 2) px of a. found: their matches in b as it is.
     """
     best = found
-    most = agreeing(uv, best, b.shape[1])
+    most = agreeing(uv, best, long_side(b))
     if most >= ENOUGH_AGREE * len(uv):
         return best
     for turn, zoom in product(TURNS_DEG, ZOOMS):
         if (turn, zoom) != (0.0, 1.0):
             H_b_a = turned(a, b, turn, zoom)
             there = _through(_found(net, a, warped(b, H_b_a, a), uv), H_b_a, b)
-            agree = agreeing(uv, there, b.shape[1])
+            agree = agreeing(uv, there, long_side(b))
             if agree > most:
                 best, most = there, agree
     return best

@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from calm_edge.backbones.bundle.initialise import resection
 from calm_edge.geometry import pnp, se3, sift
 from calm_edge.geometry.camera import Camera, back_project_each, project_each
+from calm_edge.geometry.flow import long_side
 from calm_edge.geometry.triangulation import triangulate
 from calm_edge.loops.descriptor import GradientLayout
-from calm_edge.loops.same_place import EPIPOLAR_PX, POSE_PX, REFERENCE_WIDTH_PX
+from calm_edge.loops.same_place import EPIPOLAR_PX, POSE_PX, REFERENCE_SIDE_PX
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
 
 MAX_FEATURES = 800
 VIEWS_A_SIDE = 2  # primary views matched before and after the most similar one
-POINT_PX = 2.0  # largest reprojection error, in a picture REFERENCE_WIDTH_PX wide
+POINT_PX = 2.0  # largest reprojection error, in a picture of REFERENCE_SIDE_PX
 MIN_INLIERS = 20
 MIN_INLIER_SHARE = 0.5
 MAX_SIGMA = 0.3  # largest sigma of the loop view's position, spacings
@@ -108,7 +109,7 @@ def match_loop(images: Sequence[NDArray[np.uint8]], hints: Hints) -> LoopTracks:
     Only points that are matched in two views or more are kept.
     """
     loop = sift.detect(_gray(images[-1]), MAX_FEATURES)
-    stretch = images[-1].shape[1] / REFERENCE_WIDTH_PX
+    stretch = long_side(images[-1]) / REFERENCE_SIDE_PX
     row, view, uv = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros((0, 2), np.float32)]
     for v in _alike(images, hints):
         there = sift.detect(_gray(images[v]), MAX_FEATURES)
@@ -138,7 +139,7 @@ def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopP
         return None
     camera = cameras[0]
     size = 2 * np.array([camera.cx, camera.cy]) + 1
-    stretch = float(size[0]) / REFERENCE_WIDTH_PX
+    stretch = float(max(size)) / REFERENCE_SIDE_PX
     points, kept = _points(cameras, T_s_c, tracks, POINT_PX * stretch)
     (known,) = np.nonzero(np.isfinite(points[:, 0]))
     rays = camera.normalized(tracks.loop_uv)

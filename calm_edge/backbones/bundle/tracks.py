@@ -18,11 +18,19 @@ from numpy.typing import NDArray
 from calm_edge.backbones.bundle.first_sight import FirstSights
 from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
 from calm_edge.geometry.camera import Camera
-from calm_edge.geometry.flow import Gray, LucasKanade, away_from, follow, neighbouring_flow
+from calm_edge.geometry.flow import (
+    Gray,
+    LucasKanade,
+    away_from,
+    follow,
+    long_side,
+    neighbouring_flow,
+)
 from calm_edge.types import Float, Float32, Int
 
 CORNERS_PER_VIEW = 320
-GRID = (8, 4)  # columns, rows of cells that get equal numbers of corners
+# columns, rows of cells that get equal numbers of corners, if the picture is not upright
+GRID = (8, 4)
 EPIPOLAR_PX = 1.0
 # A track that cannot be registered against its first sight any more ends after so many views.
 YOUNG_VIEWS = 2
@@ -57,9 +65,9 @@ def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) ->
     count: number of corners wanted, the known ones included.
     """
     height, width = gray.shape
-    distance = max(5.0, width / 110)
+    distance = max(5.0, max(width, height) / 110)
     mask = away_from((height, width), known, distance)
-    columns, rows = GRID
+    columns, rows = GRID if width >= height else GRID[::-1]
     per_cell = -(-count // (columns * rows))
     found = []
     for r in range(rows):
@@ -152,7 +160,7 @@ def sift_homography(primary: Gray, assistant: Gray) -> Float | None:
     keep = on_epipolar_lines(a, b, 2.0)
     if keep.sum() < 12:
         return None
-    H, _ = cv2.findHomography(a[keep], b[keep], cv2.RANSAC, 0.03 * primary.shape[1])
+    H, _ = cv2.findHomography(a[keep], b[keep], cv2.RANSAC, 0.03 * long_side(primary))
     return None if H is None else np.asarray(H, np.float64)
 
 

@@ -17,19 +17,19 @@ from calm_edge.types import Float, Float32
 SAME_TURN_RAD, SAME_ZOOM = 0.07, 0.12
 MIN_FOR_WARP, WARP_SHARE, MIN_ZOOM = 12, 0.3, 0.2
 WARP_EPIPOLAR_PX = 3.0
-WARP_INLIER = 0.03  # inlier threshold, share of the picture's width; includes parallax
+WARP_INLIER = 0.03  # inlier threshold, share of the picture's long side; includes parallax
 
 
-def homography(uv: Float32, found: Matches, width: int) -> Float | None:
+def homography(uv: Float32, found: Matches, side: int) -> Float | None:
     """H_b_a (3, 3) px from the sure ones of N matches by RANSAC; None with too few inliers.
 
-    uv: (N, 2) px of a. found: matches in b. width: of b [px], for the inlier threshold.
+    uv: (N, 2) px of a. found: matches in b. side: long one of b [px], for the inlier threshold.
     """
     sure = found.sure.copy()
     sure[sure] = on_epipolar_lines(uv[sure], found.uv[sure], WARP_EPIPOLAR_PX)
     if sure.sum() < MIN_FOR_WARP:
         return None
-    H, fits = cv2.findHomography(uv[sure], found.uv[sure], cv2.RANSAC, WARP_INLIER * width)
+    H, fits = cv2.findHomography(uv[sure], found.uv[sure], cv2.RANSAC, WARP_INLIER * side)
     if H is None or fits.sum() < max(MIN_FOR_WARP, WARP_SHARE * sure.sum()):
         return None
     if not MIN_ZOOM < _zoom_and_turn(H, uv[sure].mean(0))[0] < 1 / MIN_ZOOM:
@@ -89,7 +89,7 @@ def seen_at(H_b_a: Float, uv: Float32, b: Gray) -> tuple[Float32, Bool]:
     return np.asarray(there, np.float32), inside
 
 
-def agreeing(uv: Float32, found: Matches, width: int) -> int:
+def agreeing(uv: Float32, found: Matches, side: int) -> int:
     """Number of sure matches that are inliers of one similarity (RANSAC).
 
     Mutual matches alone prove nothing: pictures of different scenes have them in half of all cells.
@@ -100,6 +100,6 @@ def agreeing(uv: Float32, found: Matches, width: int) -> int:
         uv[found.sure],
         found.uv[found.sure],
         method=cv2.RANSAC,
-        ransacReprojThreshold=WARP_INLIER * width,
+        ransacReprojThreshold=WARP_INLIER * side,
     )
     return 0 if fits is None else int(fits.sum())

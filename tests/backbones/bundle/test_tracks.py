@@ -208,3 +208,11 @@ def test_matches_are_all_kept_where_opencv_fails(monkeypatch):
     monkeypatch.setattr(tracks.cv2, "findFundamentalMat", fails)
     uv = np.random.default_rng(0).uniform(0, 300, (40, 2)).astype(np.float32)
     assert tracks.on_epipolar_lines(uv, uv + 3, 1.0).all()
+
+
+def test_an_upright_picture_has_the_corners_of_the_lying_one():
+    lying = tracks.detect_corners(texture(), NONE)
+    upright = tracks.detect_corners(np.ascontiguousarray(texture().T), NONE)
+    assert abs(len(upright) - len(lying)) <= 0.05 * len(lying)
+    nearest = np.linalg.norm(lying[:, None] - upright[None, :, ::-1], axis=2).min(1)
+    assert (nearest < 1.0).mean() > 0.95
