@@ -55,6 +55,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--hfov-deg", type=float, nargs="+", metavar="A", help="horizontal field of view, a hint"
     )
     parser.add_argument(
+        "--calibration", type=Path, nargs="+", metavar="FILE", help="as of record, for `map`"
+    )
+    parser.add_argument(
         "--set",
         action="append",
         default=[],

@@ -10,6 +10,9 @@ import pytest
 
 from calm_edge.cli import main
 from calm_edge.daemon.source import of_recording
+from calm_edge.geometry.camera import Perspective
+from calm_edge.interchange.calibration import formats
+from calm_edge.interchange.calibration.calibration import CalibratedCamera, Calibration
 from calm_edge.recording.reader import Recording
 from device.frame import Eye
 from tests.interchange.moving import pictures, write_video
@@ -74,3 +77,13 @@ def test_without_pyav_the_remedy_is_named(
     monkeypatch.setitem(sys.modules, "av", None)
     assert main(["import", str(file), str(file), "--out", str(tmp_path / "rec"), *SET]) == 1
     assert "pip install 'calm-edge[import]'" in capsys.readouterr().err
+
+
+def test_a_calibration_is_in_the_configuration_for_the_map(tmp_path: Path, file: Path) -> None:
+    lens = Perspective.from_hfov(70.0, 320, 240)
+    cameras = (CalibratedCamera(lens, "test"), CalibratedCamera(lens, "test"))
+    (path,) = formats.write("colmap", tmp_path / "calibration", Calibration(cameras))
+    out = tmp_path / "rec"
+    command = ["import", str(file), str(file), "--out", str(out), "--offset-s", "0.01"]
+    assert main([*command, "--spacing-m", "0.5", "--calibration", str(path), *SET]) == 0
+    assert [entry.fx for entry in Recording(out).config.calibration.cameras] == [lens.fx, lens.fx]
