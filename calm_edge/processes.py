@@ -52,6 +52,19 @@ def follow_parent() -> None:
 
 
 @contextmanager
+def signals_held() -> Iterator[None]:
+    """Hold back signals to the group within this context, where a child process is started.
+
+    The child is started with them held back, so that none ends it before it calls `follow_parent`.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, GROUP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def interrupted_by_sigterm() -> Iterator[None]:
     """Raise KeyboardInterrupt at SIGTERM, as at SIGINT, within this context."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 
 from calm_edge.daemon import finish
 from calm_edge.daemon.camera_notes import CameraNotes
-from calm_edge.daemon.hub import Hub
+from calm_edge.daemon.hub import DaemonError, Hub
 from calm_edge.daemon.monitor import Monitor
 from calm_edge.daemon.result import RecordResult
 from calm_edge.types import CalmEdgeError
@@ -44,7 +44,7 @@ class Capture:
         self._monitor = Monitor(hub.config, notifier, hub.outputs)
 
     def request_stop(self) -> None:
-        """Stop capturing and solve the remaining windows; at a second call, end at once.
+        """Stop capturing and solve the remaining windows; at a second call, leave them to `map`.
 
         Called from a signal handler.
         """
@@ -143,6 +143,8 @@ class Capture:
         for thread in threads:
             thread.stop()
         self._drain(threads)
+        if hub.result.error:
+            raise DaemonError(hub.result.error)
         hub.result.overflowed = sum(t.overflow for t in threads)
         hub.result.late_ticks = keeper.skipped
         hub.result.tick = monitor.latency.overall()
@@ -168,6 +170,11 @@ class Capture:
             limit_s = finish.REPLAY_LIMIT_S
         else:
             limit_s = finish.LIVE_LIMIT_S
+        if self._stop_requests and not hub.impatient and hub.estimator.waiting:
+            hub.say_to_user(
+                f"stopping: {hub.estimator.waiting} windows left to solve; interrupt again to "
+                "leave them to calm-edge map"
+            )
         # one limit for all waits below: systemd kills a service that stops too slowly
         end_s = time.monotonic() + limit_s
         tracker, estimator = hub.tracker, hub.estimator
@@ -181,6 +188,7 @@ class Capture:
         hub.until(lambda: estimator.finished is not None or estimator.given_up, end_s, "optimising")
         if estimator.finished is not None:
             hub.result.trajectory = estimator.finished.trajectory
+            hub.result.finished = estimator.finished.trajectory is not None
             hub.result.submaps += estimator.solved_late
             hub.result.metre = estimator.finished.metre
             hub.result.gaps = finish.gaps(estimator.finished, hub.config)

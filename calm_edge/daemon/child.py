@@ -10,7 +10,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
-from calm_edge.processes import CHILD_ENVIRONMENT, environment
+from calm_edge.processes import CHILD_ENVIRONMENT, environment, signals_held
 
 Target = Callable[..., None]
 
@@ -31,7 +31,7 @@ class Child:
         self._process = context.Process(
             target=target, args=(theirs, *arguments), name=f"calm-edge-{name}", daemon=True
         )
-        with environment(CHILD_ENVIRONMENT):
+        with environment(CHILD_ENVIRONMENT), signals_held():
             self._process.start()
         theirs.close()
         self._inbox = inbox

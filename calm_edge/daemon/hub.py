@@ -77,7 +77,7 @@ class Hub:
         now_ns = source.clock.now_ns()
         # time of the last frame of each camera, and of the last live pose
         self._frame_ns, self._pose_ns = [now_ns, now_ns], now_ns
-        self._say_to_user = say
+        self.say_to_user = say
         self._say_unreadable = Seldom(self.say)
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
         self.tracker = TrackerLink(config.frontend, self._events, self.say)
@@ -102,6 +102,7 @@ class Hub:
         """End tracker and estimator, count the losses in `result` and close the outputs."""
         self.estimator.stop()
         self.tracker.stop()
+        self.result.end_unfinished()
         result, estimator = self.result, self.estimator
         result.lost_windows = sorted(estimator.lost)
         result.windows_left_to_map = sorted(estimator.left_to_map)
@@ -181,12 +182,12 @@ class Hub:
                 return False
             if progress and now_s - reported_s > 5.0:
                 reported_s = now_s
-                self._say_to_user(f"{progress}: {self.estimator.waiting} windows left to solve")
+                self.say_to_user(f"{progress}: {self.estimator.waiting} windows left to solve")
         return True
 
     def say(self, text: str) -> None:
         """Print a warning for the user and pass it to the outputs."""
-        self._say_to_user(text)
+        self.say_to_user(text)
         self.outputs.give(lambda output: output.say(logging.WARNING, text, "daemon"))
 
     def give_update(self, update: LocalizerUpdate) -> None:
@@ -261,6 +262,7 @@ class Hub:
             if (record := message.window) is not None:
                 self.outputs.give(lambda output: output.window(record))
             self.give_update(update)
+            self.result.note_trajectory(update.trajectory, self.estimator.restarts)
             self.result.submaps += 1
             self.tracker.attach(update)
 

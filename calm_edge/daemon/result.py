@@ -9,18 +9,23 @@ from typing import Any
 import numpy as np
 
 from calm_edge.daemon.tick_latency import TickLatency
+from calm_edge.trajectories import folded
 from calm_edge.types import Metre, PoseStatus, Trajectory
 
 # ages kept for the percentiles: an hour at ten poses a second
 AGES = 36_000
+# parts of the trajectory that are kept apart
+PIECES = 64
 # without any keyframes for a window
 STOOD = "the pictures do not move: the car stood still"
 
 
 @dataclass(slots=True)
 class RecordResult:
-    """Counts of one run, and the final trajectory.
+    """Counts of one run, and its trajectory.
 
+    trajectory: as known when the run ended. finished: all windows were handled and the joint
+    optimum was computed.
     lost_windows: ids of windows that the estimator had not finished when it died or was stopped.
     windows_left_to_map: ids of windows not processed for lack of time, left for `calm-edge map`.
     unsolved_windows: ids of windows from which no sub-map could be computed. late_poses: number of
@@ -56,12 +61,37 @@ class RecordResult:
     pose_status: PoseStatus = PoseStatus.LOST
     output_losses: dict[str, int] = field(default_factory=dict)
     trajectory: Trajectory | None = None
+    finished: bool = False
     spacing_m: float = 0.0
     metre: Metre = field(default_factory=Metre)
     gaps: str = ""
     error: str = ""
     _worst_age_ms: float | None = None
     _ages_ms: deque[float] = field(default_factory=lambda: deque(maxlen=AGES))
+    _pieces: list[Trajectory] = field(default_factory=list)
+    _pieces_of: int = 0
+
+    def note_trajectory(self, piece: Trajectory, run: int) -> None:
+        """Take poses of keyframes that are new or have moved.
+
+        run: number of the estimator's restarts; each has a world of its own, the newest counts.
+        """
+        if run != self._pieces_of:
+            self._pieces_of = run
+            self._pieces.clear()
+        self._pieces.append(piece)
+        if len(self._pieces) > PIECES:
+            self._end_pieces()
+
+    def end_unfinished(self) -> None:
+        """Take the newest known poses as the trajectory of a run that did not finish."""
+        if not self.finished and self._pieces:
+            self._end_pieces()
+            self.trajectory = self._pieces[0]
+
+    def _end_pieces(self) -> None:
+        joined = folded(self._pieces)
+        self._pieces = [] if joined is None else [joined]
 
     def note_pose(self, status: PoseStatus, age_ms: float | None) -> None:
         """Count a pose. age_ms: time from exposure to publishing, None in lockstep."""
@@ -123,11 +153,11 @@ class RecordResult:
         if self.tracker_restarts:
             lines.append("the tracker was restarted; at most one window was lost each time")
         if self.lost_windows:
-            lines.append(
-                f"windows {self.lost_windows} were lost with the estimator; run calm-edge map"
-            )
+            lines.append(f"windows {self.lost_windows} were not solved; run calm-edge map")
         if self.windows_left_to_map:
             lines.append(f"{len(self.windows_left_to_map)} windows were skipped; run calm-edge map")
+        if self.submaps and not self.finished:
+            lines.append("stopped before all poses were optimised; run calm-edge map")
         if self.unrecorded:
             lines.append(f"{self.unrecorded} items could not be recorded")
         if self.untracked:
@@ -158,7 +188,7 @@ class RecordResult:
             "lost_windows": list(self.lost_windows),
             "windows_left_to_map": list(self.windows_left_to_map),
             "metre": self.final_metre().summary(),
-            "finished": self.trajectory is not None,
+            "finished": self.finished,
             "unsolved_windows": list(self.unsolved_windows),
             "output_losses": dict(self.output_losses),
         }

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,27 +89,48 @@ def record(
     recording = outputs.RecordingOutput(open_writer)
     hub = Hub(config, source, recording, consumers, lockstep=lockstep, say=say)
     capture = Capture(hub, notifier)
+    with stopped_by_signals(capture):
+        try:
+            result = capture.run()
+        except (CalmEdgeError, DeviceError):
+            # neither an empty drive, with which systemd would fill the disk, nor part of a copy
+            if folder is not None and (source.is_replay or not any(hub.result.frames)):
+                discard(folder)
+            raise
+        assert folder is not None
+        if result.trajectory is not None:
+            file = folder / TRAJECTORY_FILE
+            try:
+                t_ns = result.trajectory.t_ns - source.origin_ns
+                write_tum(file, t_ns, result.trajectory.T_w_c)
+            except OSError as error:
+                # e.g. the disk is full; not fatal: the recording contains the trajectory as well
+                say(f"{file}: cannot be written ({error.strerror})")
+        return folder, result
+
+
+@contextmanager
+def stopped_by_signals(capture: Capture) -> Iterator[None]:
+    """Context in which signals to the process request a stop.
+
+    SIGHUP, of a terminal that is closed, only if it is not ignored, as under nohup.
+    """
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
     before = {
-        number: signal.signal(number, lambda *_: capture.request_stop())
-        for number in (signal.SIGINT, signal.SIGTERM)
+        number: signal.signal(number, lambda *_: capture.request_stop()) for number in numbers
     }
     try:
-        result = capture.run()
-    except (CalmEdgeError, DeviceError):
-        if folder is not None and target.is_root and not any(hub.result.frames):
-            # without cameras systemd restarts the service every few seconds: leave no empty drives
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
+        yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    assert folder is not None
-    if result.trajectory is not None:
-        file = folder / TRAJECTORY_FILE
-        try:
-            t_ns = result.trajectory.t_ns - source.origin_ns
-            write_tum(file, t_ns, result.trajectory.T_w_c)
-        except OSError as error:
-            # e.g. the disk is full; not fatal, since the recording contains the trajectory as well
-            say(f"{file}: cannot be written ({error.strerror})")
-    return folder, result
+
+
+def discard(folder: Path) -> None:
+    """Remove the files of a recording, and its folder unless it holds others."""
+    for file in [*segment_files(folder), folder / TRAJECTORY_FILE]:
+        file.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()

@@ -17,7 +17,7 @@ import numpy as np
 from calm_edge.backbones.base import Backbone
 from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config
-from calm_edge.processes import CHILD_ENVIRONMENT, environment, follow_parent
+from calm_edge.processes import CHILD_ENVIRONMENT, environment, follow_parent, signals_held
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import WindowRecord, window_hints
 from calm_edge.types import CalmEdgeError, Float32, LocalizerUpdate
@@ -56,7 +56,8 @@ def densified(
                 while len(waiting) < AHEAD and (job := next(jobs, None)) is not None:
                     record, update = job
                     light = replace(update, trajectory=_nothing(update))
-                    waiting.append(pool.submit(_densify, record, light))
+                    with signals_held():
+                        waiting.append(pool.submit(_densify, record, light))
                 if not waiting:
                     return
                 yield waiting.popleft().result()

@@ -149,24 +149,29 @@ def kill_9(drive: Path, folder: Path, times: int, longest_s: float, seed: int = 
 
 
 def terminated(drive: Path, folder: Path, after_s: float = 2.0) -> Row:
-    """Send SIGTERM in the middle of a drive."""
+    """Send SIGTERM to all processes of the command in the middle of a drive."""
     rec = folder / "rec"
     with running(drive, "--out", str(rec)) as process:
         wait_for_frames(rec)
         time.sleep(after_s)
         started = time.monotonic()
-        process.send_signal(signal.SIGTERM)
+        # of the group that `running` makes
+        os.killpg(process.pid, signal.SIGTERM)
         code = process.wait(2 * STOP_S)
         took_s = time.monotonic() - started
     recording = Recording(rec)
     same = all(_unchanged(recording, drive, eye) for eye in Eye)
     outcome = validate(rec).outcome
+    *_, status = (s for s in recording.json_messages(schema.STATUS) if "finished" in s)
+    finished = status["finished"] and not status["estimator_restarts"]
     return Row(
-        "SIGTERM",
+        "SIGTERM to all processes",
         f"exit {code} after {took_s:.1f} s, validate {int(outcome)}, JPEG bytes "
-        f"{'identical' if same else 'changed'}",
-        f"exit 0 or 3 within TimeoutStopSec ({STOP_S:g} s), recording complete, bytes identical",
-        code in (0, 3) and took_s < STOP_S and outcome is Outcome.ALL and same,
+        f"{'identical' if same else 'changed'}, {status['submaps']} sub-maps, "
+        f"poses {'optimised' if finished else 'not optimised'}",
+        f"exit 0 or 3 within TimeoutStopSec ({STOP_S:g} s), recording complete, bytes identical, "
+        "poses optimised",
+        code in (0, 3) and took_s < STOP_S and outcome is Outcome.ALL and same and finished,
     )
 
 
