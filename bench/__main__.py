@@ -11,7 +11,7 @@ import shlex
 import sys
 from importlib import import_module
 
-from calm_edge.commands.console import ERROR
+from calm_edge.commands.exit_codes import ERROR
 from calm_edge.types import CalmEdgeError
 
 COMMANDS = {

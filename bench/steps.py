@@ -15,7 +15,7 @@ from typing import Any
 
 from bench.drives import ROOT
 from bench.process import last_line
-from calm_edge.commands.console import LOSS, OK
+from calm_edge.commands.exit_codes import LOSS, OK
 from calm_edge.evaluation import EvaluationError
 
 

@@ -1,6 +1,6 @@
 """The `calm-edge` command. Data to stdout, everything else to stderr.
 
-Exit codes: 0 ok, 1 error, 2 usage, 3 completed with loss.
+Exit codes: `commands/exit_codes`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 
 from calm_edge import __version__
-from calm_edge.commands.console import ERROR
+from calm_edge.commands.exit_codes import ERROR, table
 
 COMMANDS = {
     "record": "record two cameras (or replay a folder) and estimate poses live",
@@ -37,13 +37,19 @@ def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="calm-edge",
         description="Calibration-free SLAM with two ordinary cameras.",
-        epilog="exit codes: 0 ok, 1 error, 2 usage, 3 completed with loss",
+        epilog="exit codes: 0 ok, 1 error, 2 usage, 3 completed with loss; COMMAND --help has them",
     )
     parser.add_argument("--version", action="version", version=f"calm-edge {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
         module = importlib.import_module(f"calm_edge.commands.{MODULES.get(name, name)}")
-        command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
+        command = commands.add_parser(
+            name,
+            help=text,
+            description=text.capitalize() + ".",
+            epilog=table(name),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         module.configure(command)
         command.set_defaults(run=module.run)
     return parser

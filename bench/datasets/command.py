@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from calm_edge.commands.console import ERROR, OK
+from calm_edge.commands.exit_codes import ERROR, OK
 
 NAMES = ("kitti-odom", "kitti-360", "argoverse")
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from calm_edge.commands.console import OK, say
+from calm_edge.commands.console import say
+from calm_edge.commands.exit_codes import LOSS, OK
 
 # as of interchange/calibration/formats, which is not imported for `--help`
 FORMATS = ("opencv", "ros", "kalibr", "colmap")
@@ -33,4 +34,4 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"written     {path}")
     for line in recording.losses:
         say(f"loss: {line}")
-    return OK
+    return LOSS if recording.losses else OK

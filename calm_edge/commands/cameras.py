@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import ERROR, OK, say
+from calm_edge.commands.console import say
+from calm_edge.commands.exit_codes import ERROR, OK
 
 if TYPE_CHECKING:
     from device.camera import FoundCamera

@@ -1,4 +1,4 @@
-"""Exit codes of the commands and their messages to the user.
+"""Messages of the commands to the user.
 
 Results go to stdout, everything else to stderr.
 """
@@ -10,10 +10,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calm_edge.types import Metre
-
-# LOSS: the output was written, but data, poses or the metre are missing. argparse uses 2, for wrong
-# usage
-OK, ERROR, LOSS = 0, 1, 3
 
 
 def say(text: str) -> None:

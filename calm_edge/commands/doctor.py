@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from calm_edge.commands.console import ERROR, OK
+from calm_edge.commands.exit_codes import ERROR, OK
 
 PLAIN = "only the backbone without one works (--set backbone.name=bundle)"
 # module -> consequence if it is missing
@@ -27,6 +27,8 @@ NEEDED = {
     "onnxruntime": f"no networks; {PLAIN}",
 }
 OPTIONAL = {
+    "av": "no import of videos (pip install av)",
+    "rosbags": "no import of ROS bags (pip install rosbags)",
     "yaml": "no calibrations of ROS and Kalibr (pip install pyyaml)",
     "serial": "no pose on a serial port (pip install pyserial)",
     "systemd": "no watchdog and no readiness under systemd (pip install systemd-python, "

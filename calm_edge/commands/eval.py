@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from calm_edge.commands.console import LOSS, OK, say_no_metre
+from calm_edge.commands.console import say, say_no_metre
+from calm_edge.commands.exit_codes import LOSS, OK
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the error metrics; return 3 if the spacing was given and lengths are not metric."""
+    """Print the error metrics; return 3 without poses or without the metre."""
     from calm_edge.evaluation.results import evaluate
     from calm_edge.evaluation.table import json_text, print_result
 
@@ -30,8 +31,12 @@ def run(arguments: argparse.Namespace) -> int:
         print(json_text(figures))
     else:
         print_result(figures, str(arguments.target))
+    code = OK
+    if not figures["poses"]:
+        say(f"loss: {arguments.target}: there are no poses to compare with the truth")
+        code = LOSS
     reason = (figures["metre"] or {}).get("reason")
-    if not (figures["spacing_m"] and reason):
-        return OK
-    say_no_metre(reason)
-    return LOSS
+    if figures["spacing_m"] and reason:
+        say_no_metre(reason)
+        code = LOSS
+    return code

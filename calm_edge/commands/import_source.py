@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import OK, say
+from calm_edge.commands.console import say
+from calm_edge.commands.exit_codes import OK
 
 if TYPE_CHECKING:
     from calm_edge.config import Config

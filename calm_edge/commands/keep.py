@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from calm_edge.commands.console import OK
+from calm_edge.commands.exit_codes import OK
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -8,10 +8,12 @@ import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import LOSS, OK, print_metre, say, say_no_metre
+from calm_edge.commands.console import print_metre, say, say_no_metre
+from calm_edge.commands.exit_codes import LOSS, OK
 from calm_edge.processes import CHILD_ENVIRONMENT, interrupted_by_sigterm
 
 if TYPE_CHECKING:
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
     from calm_edge.offline.unfinished import Unfinished
     from calm_edge.recording.reader import Recording
     from calm_edge.types import Bytes
+
+
+# frames of each camera that are looked at when nothing can be mapped
+EXAMINED = 600
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -142,11 +148,23 @@ def placed_drive(recording: Recording, config: Config, work: Unfinished) -> Driv
             reasons.append(drive.metre.reason)
         say(
             f"{recording.path}: no window could be solved; nothing to map "
-            f"({'; '.join(reasons) or 'too little motion or overlap'})"
+            f"({'; '.join(reasons) or pictures_say(recording) or 'too little motion or overlap'})"
         )
         return None
     work.place(drive)
     return drive
+
+
+def pictures_say(recording: Recording) -> str:
+    """What is wrong with the first pictures of a recording; empty if nothing is found."""
+    from calm_edge.daemon.picture_samples import PictureSamples
+    from device.frame import Eye
+
+    samples = PictureSamples()
+    for eye in Eye:
+        for frame in islice(recording.frames(eye), EXAMINED):
+            samples.add(frame)
+    return "; ".join(cause.text for cause in samples.causes())
 
 
 def check_folder(out: Path, *, force: bool, resume: bool) -> Path:

@@ -8,7 +8,8 @@ import math
 import re
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import ERROR, OK, say
+from calm_edge.commands.console import say
+from calm_edge.commands.exit_codes import ERROR, OK
 
 if TYPE_CHECKING:
     from calm_edge.backbones.model_check.check import Report

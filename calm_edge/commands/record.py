@@ -7,7 +7,8 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calm_edge.commands.console import ERROR, LOSS, OK, print_metre, say, say_no_metre
+from calm_edge.commands.console import print_metre, say, say_no_metre
+from calm_edge.commands.exit_codes import ERROR, LOSS, OK
 
 if TYPE_CHECKING:
     from calm_edge.config import Config
@@ -182,8 +183,9 @@ def report(folder: Path, result: RecordResult) -> int:
         primary, assistant = result.repeated
         print(f"repeated    {primary} primary, {assistant} assistant pictures: no poses of these")
     print_metre(result.metre, result.spacing_m)
-    if result.unsolved_windows:
-        say(f"windows {result.unsolved_windows} could not be solved; constant velocity is assumed")
+    moved, late = result.clamped_stamps, result.host_stamped
+    if moved or late:
+        print(f"stamps      {moved} moved to be in order and not in the future, {late} on arrival")
     for name, lost in result.output_losses.items():
         if lost:
             say(f"{name}: {lost} messages not sent; they are in the recording")
@@ -195,4 +197,4 @@ def report(folder: Path, result: RecordResult) -> int:
         return ERROR
     if no_metre := result.no_metre():
         say_no_metre(no_metre)
-    return LOSS if losses or no_metre or (result.windows and not result.submaps) else OK
+    return LOSS if losses or (no_metre and not result.stood) else OK

@@ -71,10 +71,15 @@ class Capture:
             hub.result.error = str(error)
             raise
         finally:
-            hub.result.camera_drops = sum(c.stats().drops for c in self._cameras)
+            stats = [camera.stats() for camera in self._cameras]
+            hub.result.camera_drops = sum(each.drops for each in stats)
+            corrupt = sum(each.corrupt for each in stats)
             if self._source.is_replay:
-                hub.result.unreadable += sum(c.stats().corrupt for c in self._cameras)
-            hub.result.clamped_stamps = sum(c.stats().clamped for c in self._cameras)
+                hub.result.unreadable += corrupt
+            else:
+                hub.result.corrupt = corrupt
+            hub.result.clamped_stamps = sum(each.clamped for each in stats)
+            hub.result.host_stamped = sum(each.host_stamped for each in stats)
             hub.stop()
         return hub.result
 

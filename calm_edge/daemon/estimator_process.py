@@ -33,6 +33,7 @@ from calm_edge.daemon.messages import (
 )
 from calm_edge.daemon.received_frames import ReceivedFrames
 from calm_edge.estimator.localizer import Localizer
+from calm_edge.frontend.diagnosis import of_frames
 from calm_edge.posegraph.optimiser import Immediate, Optimiser, Spawned
 from calm_edge.processes import follow_parent
 from calm_edge.recording.window_record import of_window, window_hints
@@ -128,8 +129,10 @@ class EstimatorWork:
             traceback.print_exc()
             return Processed(window.submap_id, None, f"{type(error).__name__}: {error}")
         if update is None:
-            reason, metre = self._localizer.skipped[-1].reason, self._localizer.metre
-            return Processed(window.submap_id, None, reason, metre=metre)
+            found = of_frames(*([k.frame for k in e] for e in (window.primary, window.assistant)))
+            reasons = [self._localizer.skipped[-1].reason, *(cause.text for cause in found)]
+            metre = self._localizer.metre
+            return Processed(window.submap_id, None, "; ".join(reasons), metre=metre)
         joined = update.loop_keyframe
         # the localizer may have added a loop keyframe to the window
         window = dataclasses.replace(window, loop_keyframe=joined)

@@ -19,6 +19,7 @@ from calm_edge.daemon.hub_status import HubStatus, take_status
 from calm_edge.daemon.ladder import Shed
 from calm_edge.daemon.messages import Attached, Posed, Processed, Tracked
 from calm_edge.daemon.outputs import RecordingOutput
+from calm_edge.daemon.picture_samples import PictureSamples
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.source import Source
 from calm_edge.daemon.tracker_link import TrackerLink
@@ -79,6 +80,7 @@ class Hub:
         self._frame_ns, self._pose_ns = [now_ns, now_ns], now_ns
         self.say_to_user = say
         self._say_unreadable = Seldom(self.say)
+        self._samples = PictureSamples()
         self._events: queue.Queue[tuple[Child, Any]] = queue.Queue()
         self.tracker = TrackerLink(config.frontend, self._events, self.say)
         self.estimator = EstimatorLink(
@@ -103,6 +105,8 @@ class Hub:
         self.estimator.stop()
         self.tracker.stop()
         self.result.end_unfinished()
+        if not self.result.windows and any(self.result.frames):
+            self.result.no_window = self._samples.causes()
         result, estimator = self.result, self.estimator
         result.lost_windows = sorted(estimator.lost)
         result.windows_left_to_map = sorted(estimator.left_to_map)
@@ -116,6 +120,8 @@ class Hub:
         """Encode one frame as JPEG and pass it to the outputs and to the tracker."""
         frame = frame.encoded(self.config.recording.jpeg_quality)
         self.outputs.give(lambda output: output.frame(frame), len(frame.image))
+        if not self.result.windows:
+            self._samples.add(frame)
         self.result.frames[frame.eye] += 1
         self._frame_ns[frame.eye] = self.source.clock.now_ns()
         if not self.tracker.offer(frame):
@@ -268,6 +274,7 @@ class Hub:
 
     def _window(self, window: SubmapWindow) -> None:
         self.result.windows += 1
+        self._samples.clear()
         self.result.keyframes += len(window.primary) - window.n_overlap
         record = of_window(window)
         self.outputs.give(lambda output: output.window(record))

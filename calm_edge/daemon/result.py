@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from calm_edge.daemon.tick_latency import TickLatency
+from calm_edge.frontend.diagnosis import Cause, Kind
 from calm_edge.trajectories import folded
 from calm_edge.types import Metre, PoseStatus, Trajectory
+from device.frame import Eye
 
 # ages kept for the percentiles: an hour at ten poses a second
 AGES = 36_000
 # parts of the trajectory that are kept apart
 PIECES = 64
-# without any keyframes for a window
-STOOD = "the pictures do not move: the car stood still"
+NO_WINDOW = "there was no window to solve"
 
 
 @dataclass(slots=True)
@@ -33,7 +34,9 @@ class RecordResult:
     not metric. clamped_stamps: number of frames with a corrected stamp. output_losses: lost
     messages by output, without the recording. spacing_m: as configured, 0 if not. repeated: frames
     of each camera whose picture repeats the one before. gaps: of the path that nothing connects, as
-    line of text, empty if there are none.
+    line of text, empty if there are none. camera_drops, corrupt: frames that the cameras left out,
+    and that could not be used. host_stamped: frames stamped on arrival. no_window: why the pictures
+    gave no window.
     """
 
     frames: list[int] = field(default_factory=lambda: [0, 0])
@@ -47,7 +50,10 @@ class RecordResult:
     late_ticks: int = 0
     tick: TickLatency = field(default_factory=TickLatency)
     camera_drops: int = 0
+    corrupt: int = 0
     clamped_stamps: int = 0
+    host_stamped: int = 0
+    no_window: tuple[Cause, ...] = ()
     unrecorded: int = 0
     estimator_restarts: int = 0
     tracker_restarts: int = 0
@@ -107,7 +113,10 @@ class RecordResult:
                 self._worst_age_ms = max(age_ms, self._worst_age_ms or 0.0)
 
     def no_metre(self) -> str:
-        """Why the trajectory is not metric though the spacing was given; empty if it is."""
+        """Why the trajectory is not metric though the spacing was given; empty if it is.
+
+        Of a car that stood still there is nothing to be metric.
+        """
         metre = self.final_metre()
         if not self.spacing_m or metre.metric:
             return ""
@@ -115,7 +124,14 @@ class RecordResult:
 
     def final_metre(self) -> Metre:
         """The metre of the drive, with a reason for the lack of windows."""
-        return self.metre if self.windows else Metre(reason=STOOD)
+        if self.windows:
+            return self.metre
+        return Metre(reason="; ".join(cause.text for cause in self.no_window) or NO_WINDOW)
+
+    @property
+    def stood(self) -> bool:
+        """Whether there was no window because the car did not move."""
+        return [cause.kind for cause in self.no_window] == [Kind.STILL]
 
     def take_worst_age_ms(self) -> float | None:
         """Return the largest pose age since the last call; None without a pose."""
@@ -145,7 +161,16 @@ class RecordResult:
 
     def losses(self) -> list[str]:
         """One line of text for each kind of loss in the recording or the trajectory."""
-        lines = []
+        lines = [
+            f"no frame of the {eye.name.lower()} camera" for eye in Eye if not self.frames[eye]
+        ]
+        if not self.windows and all(self.frames) and not self.stood:
+            lines.append(f"no window could be made: {self.final_metre().reason}")
+        if self.unsolved_windows:
+            lines.append(
+                f"windows {self.unsolved_windows} could not be solved; constant velocity is "
+                "assumed there"
+            )
         if self.estimator_restarts:
             lines.append(
                 "the estimator was restarted, the trajectory is incomplete; run calm-edge map"
@@ -160,6 +185,10 @@ class RecordResult:
             lines.append("stopped before all poses were optimised; run calm-edge map")
         if self.unrecorded:
             lines.append(f"{self.unrecorded} items could not be recorded")
+        if self.camera_drops:
+            lines.append(f"{self.camera_drops} frames were left out by the cameras")
+        if self.corrupt:
+            lines.append(f"{self.corrupt} frames came corrupt from the cameras")
         if self.untracked:
             lines.append(f"{self.untracked} frames were recorded but not tracked in time")
         if self.unreadable:
@@ -180,7 +209,9 @@ class RecordResult:
             "repeated": list(self.repeated),
             "gaps": self.gaps,
             "camera_drops": self.camera_drops,
+            "corrupt": self.corrupt,
             "clamped_stamps": self.clamped_stamps,
+            "host_stamped": self.host_stamped,
             "late_ticks": self.late_ticks,
             "tick_p99_ms": self.tick.p99_ms,
             "estimator_restarts": self.estimator_restarts,

@@ -15,6 +15,7 @@ from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config, merge
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.frontend.association import WindowBuilder
+from calm_edge.frontend.diagnosis import of_frames
 from calm_edge.frontend.keyframes import KeyframeSelector
 from calm_edge.frontend.picture_sizes import PictureSizes
 from calm_edge.offline.completion import completed, due
@@ -136,6 +137,9 @@ def _recompute(
         progress.step()
         if update is None:
             drive.unsolved.append(window.submap_id)
+            pictures = (tuple(k.frame for k in eye) for eye in (window.primary, window.assistant))
+            reasons = [localizer.skipped[-1].reason, *(c.text for c in of_frames(*pictures))]
+            say(f"window {window.submap_id}: {'; '.join(reasons)}")
             continue
         light = replace(update.prediction, depth=None, confidence=None)
         # the loop keyframe found now may differ from the recorded one

@@ -92,14 +92,19 @@ def odometry(sample: PoseSample) -> Odometry:
         frame_id=WORLD_FRAME,
         body_frame_id=camera_frame(Eye.PRIMARY),
         pose=poses(sample.T_w_c[None])[0],
-        # Odometry marks an unknown covariance by zeros
-        pose_covariance=np.nan_to_num(covariance).ravel().tolist(),
-        velocity_covariance=np.nan_to_num(twist_covariance).ravel().tolist(),
+        pose_covariance=_known(covariance),
+        velocity_covariance=_known(twist_covariance),
     )
     v, w = message.linear_velocity, message.angular_velocity
     v.x, v.y, v.z = sample.velocity_c.tolist()
     w.x, w.y, w.z = sample.turn_rate_c.tolist()
     return message
+
+
+def _known(covariance: Float) -> list[float]:
+    """The elements of a covariance; zeros, which mark an unknown one, if any is not finite."""
+    elements = covariance.ravel().tolist()
+    return elements if np.isfinite(covariance).all() else [0.0] * len(elements)
 
 
 def trajectory(value: Trajectory, t_ns: int) -> PosesInFrame:

@@ -40,7 +40,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from calm_edge.kit import earlier
 from calm_edge.recording import RecordingError, camera_record, foxglove, record
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import LocalizerUpdate, PoseSample, Submap
+from calm_edge.types import LocalizerUpdate, PoseSample, PoseStatus, Submap
 from device.frame import Eye, Frame
 
 CALIBRATION_TOPICS = {
@@ -141,7 +141,7 @@ def pose_messages(sample: PoseSample) -> list[LogMessage]:
     """
     t_ns = sample.t_ns
     messages = [LogMessage(POSE_SAMPLE, t_ns, record.encode("PoseSample", *record.flatten(sample)))]
-    if not np.isfinite(sample.T_w_c).all():
+    if sample.status is PoseStatus.LOST or not np.isfinite(sample.T_w_c).all():
         return messages
     if np.isfinite([sample.velocity_c, sample.turn_rate_c]).all():
         messages.append(_message(POSE_LIVE, t_ns, foxglove.odometry(sample)))

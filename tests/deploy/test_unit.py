@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calm_edge.commands.console import LOSS
+from calm_edge.commands.exit_codes import LOSS
 from calm_edge.config import CaptureConfig, load
 from calm_edge.daemon import finish
 

@@ -61,6 +61,11 @@ def test_what_is_unknown_of_a_pose_is_not_published() -> None:
     sent = Odometry()
     sent.ParseFromString(schema.pose_messages(unknown)[1].data)
     assert not any(sent.pose_covariance)
+    # lost with a last known pose; without a metre lengths have an infinite sigma
+    assert topics(status=PoseStatus.LOST) == [schema.POSE_SAMPLE]
+    unscaled = dataclasses.replace(samples.pose(), scale_log_sigma=np.inf)
+    sent.ParseFromString(schema.pose_messages(unscaled)[1].data)
+    assert np.abs(sent.pose_covariance).max() == np.abs(sent.velocity_covariance).max() == 0
 
 
 def test_depth_is_left_out_unless_requested() -> None:

@@ -112,9 +112,13 @@ def test_a_parked_car_has_no_metre(tmp_path: Path, capsys: pytest.CaptureFixture
         for picture in others:
             picture.write_bytes(first.read_bytes())
     result, _ = record(drive, tmp_path / "rec", lockstep=True)
-    assert result.windows == 0 and report(tmp_path / "rec", result) == 3
-    sentence = "no metre: the pictures do not move: the car stood still"
-    assert sentence in capsys.readouterr().err.splitlines()[-1]
+    # all there is was recorded
+    assert result.windows == 0 and report(tmp_path / "rec", result) == 0
+    sentence = "the pictures do not move (median flow 0.00 px): the car stood still"
+    assert f"no metre: {sentence}" in capsys.readouterr().err.splitlines()[-1]
+    assert main(["map", str(tmp_path / "rec"), "--out", str(tmp_path / "map")]) == 3
+    assert f"nothing to map ({sentence})" in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "map").exists()
     assert main(["eval", str(tmp_path / "rec"), "--truth", str(drive)]) == 3
     assert sentence in capsys.readouterr().err.splitlines()[-1]
 

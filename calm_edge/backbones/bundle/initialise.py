@@ -193,7 +193,7 @@ def _seed(m: Measurements, rays: Float, primary: Int, f: float, share: float) ->
     second = int(primary[max(1, int(share * (len(primary) - 1)))])
     T = two_views(m, rays, int(primary[0]), second, f)
     if T is None:
-        raise BackboneError("bundle: the first keyframes share too few matches (dark or still?)")
+        raise BackboneError("bundle: the first keyframes share too few matches")
     return {int(primary[0]): np.eye(4), second: T}
 
 

@@ -102,7 +102,7 @@ def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
     keep = count[of] >= MIN_VIEWS_OF_A_POINT
     ids, point = np.unique(tracks.track[keep], return_inverse=True)
     if len(ids) < MIN_POINTS:
-        raise BackboneError(f"bundle: only {len(ids)} points could be followed (dark or blurred?)")
+        raise BackboneError(f"bundle: only {len(ids)} points could be followed")
     return Measurements(
         tracks.view[keep],
         point,
