@@ -15,6 +15,7 @@ PLAIN = "only the backbone without one works (--set backbone.name=bundle)"
 # module -> consequence if it is missing
 NEEDED = {
     "cv2": "no images can be decoded",
+    "simplejpeg": "no images can be decoded",
     "numpy": "nothing works",
     "scipy": "no reconstruction",
     "gtsam": "no trajectory",
