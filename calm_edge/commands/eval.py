@@ -35,6 +35,12 @@ def run(arguments: argparse.Namespace) -> int:
     if not figures["poses"]:
         say(f"loss: {arguments.target}: there are no poses to compare with the truth")
         code = LOSS
+    elif not figures["truth_moves"]:
+        say(
+            f"loss: {arguments.truth}: the truth does not move (path {figures['path_m']:.2f} m): "
+            "an error of the path cannot be given"
+        )
+        code = LOSS
     reason = (figures["metre"] or {}).get("reason")
     if figures["spacing_m"] and reason:
         say_no_metre(reason)

@@ -26,6 +26,7 @@ MIN_POSES = 3
 _TRAJECTORY_KEYS = (
     "poses",
     "path_m",
+    "truth_moves",
     "coverage_percent",
     "ate_se3_m",
     "ate_sim3_m",
@@ -91,23 +92,28 @@ def _trajectory_figures(
     p, p_truth = T[:, :3, 3], T_truth[:, :3, 3]
     rigid = align(p, p_truth, with_scale=False)
     similar = align(p, p_truth, with_scale=True)
+    between = _between(truth, truth.t_ns[j[0]], truth.t_ns[j[-1]])[:, :3, 3]
+    path, moved = trajectory.path_length(between), trajectory.moves(between)
+    if not moved:
+        # neither a scale nor a share of the path: what is left is how far the estimate wanders
+        wander = trajectory.ate(rigid.points(p), p_truth) if estimate.metric else None
+        known = {"poses": len(i), "path_m": path, "truth_moves": False, "ate_se3_m": wander}
+        return dict.fromkeys(_TRAJECTORY_KEYS) | known, rigid
     used = rigid if chosen == "se3" else similar
     ate_rigid = trajectory.ate(rigid.points(p), p_truth)
     ate_similar = trajectory.ate(similar.points(p), p_truth)
-    path = trajectory.path_length(_between(truth, truth.t_ns[j[0]], truth.t_ns[j[-1]])[:, :3, 3])
     whole = trajectory.path_length(truth.T_w_c[:, :3, 3])
     segments = trajectory.rpe(used.poses(T), T_truth)
     scales = trajectory.scale_consistency(*at_frames(t_ns, estimate.T_w_c, truth))
     figures: dict[str, float | None] = {
         "poses": len(i),
         "path_m": path,
-        "coverage_percent": 100 * path / whole if whole > 0 else None,
+        "truth_moves": True,
+        "coverage_percent": 100 * path / whole,
         "ate_se3_m": ate_rigid,
         "ate_sim3_m": ate_similar,
         "sim3_scale": similar.scale,
-        "ate_percent": 100 * (ate_rigid if chosen == "se3" else ate_similar) / path
-        if path > 0
-        else None,
+        "ate_percent": 100 * (ate_rigid if chosen == "se3" else ate_similar) / path,
         "rpe_trans_percent": segments[0] if segments else None,
         "rpe_rot_deg_per_m": segments[1] if segments else None,
         "scale_mean": scales[0] if scales else None,

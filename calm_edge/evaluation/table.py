@@ -24,6 +24,52 @@ def pretty(value: Any) -> str:
     return str(value)
 
 
+# units of figures whose name does not end with one; none: a name, or a yes or no
+_UNITS = {
+    "frames": "frames",
+    "keyframes": "keyframes",
+    "submaps": "sub-maps",
+    "poses": "poses",
+    "sim3_scale": "estimate / truth",
+    "scale_mean": "of the first",
+    "scale_std": "of the first",
+    "align": "",
+    "truth_moves": "",
+    "metre": "",
+    "live": "",
+}
+# by the end of the name, the longest first
+_ENDINGS = {
+    "deg_per_m": "deg/m",
+    "percent": "%",
+    "deg": "deg",
+    "px": "px",
+    "ms": "ms",
+    "m": "m",
+    "s": "s",
+}
+
+
+def unit(name: str) -> str:
+    """Unit of a figure, by its name; raises KeyError if it has none."""
+    if name in _UNITS:
+        return _UNITS[name]
+    return next(text for end, text in _ENDINGS.items() if name.endswith(f"_{end}"))
+
+
+def label(name: str) -> str:
+    """Name of a figure for people, without its unit."""
+    if name in _UNITS:
+        return name.replace("_", " ")
+    end = next(end for end in _ENDINGS if name.endswith(f"_{end}"))
+    return name.removesuffix(f"_{end}").replace("_", " ")
+
+
+def measured(name: str, value: Any) -> str:
+    """Format a figure with its unit."""
+    return f"{pretty(value)} {unit(name)}".rstrip() if value is not None else pretty(value)
+
+
 def json_text(result: Mapping[str, Any]) -> str:
     """The line of JSON for `--json`. Raises ValueError for NaN, which JSON does not allow."""
     return json.dumps(result, allow_nan=False)
@@ -52,5 +98,5 @@ def print_result(result: Mapping[str, Any], title: str = "") -> None:
         print(title)
     width = max(shutil.get_terminal_size((100, 24)).columns, 60)
     indent = " " * (max(map(len, result)) + 2)
-    for line in aligned(result.items()):
+    for line in aligned((name, measured(name, value)) for name, value in result.items()):
         print(textwrap.fill(line, width, subsequent_indent=indent, break_long_words=False))

@@ -14,6 +14,11 @@ SEGMENT_M = 10.0
 WINDOW_FRAMES = 100
 WINDOW_STRIDE = 5
 TOLERANCE_NS = 10_000_000
+# A path that stays within this distance of its start is a standstill.
+STANDSTILL_M = 0.1
+# Smallest RMS distance of true positions from their mean that has a scale to compare: standing, or
+# creeping, the estimate's noise is as large.
+LEAST_SPREAD_M = 0.5
 
 
 def associate(t: Int, t_truth: Int, tolerance_ns: int = TOLERANCE_NS) -> tuple[Int, Int]:
@@ -42,6 +47,11 @@ def associate(t: Int, t_truth: Int, tolerance_ns: int = TOLERANCE_NS) -> tuple[I
 def path_length(p: Float) -> float:
     """Length of the polyline p (N, 3), in the unit of p."""
     return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
+
+
+def moves(p: Float) -> bool:
+    """Whether a true path p (N, 3), metres, leaves its start."""
+    return len(p) > 0 and bool(np.linalg.norm(p - p[0], axis=1).max() >= STANDSTILL_M)
 
 
 def ate(p: Float, p_truth: Float) -> float:
@@ -75,22 +85,29 @@ def rpe(T: Float, T_truth: Float, segment_m: float = SEGMENT_M) -> tuple[float, 
 
 def window_scales(
     p: Float, p_truth: Float, window: int = WINDOW_FRAMES, stride: int = WINDOW_STRIDE
-) -> Float:
+) -> tuple[Int, Float]:
     """Scale (W,) of the estimate in sliding windows, relative to that in the first window.
 
-    p, p_truth: (N, 3) estimated and true positions of the same frames. The scale of a window is
-    the RMS distance of its positions from their mean, estimated over true; unlike a least-squares
-    scale it is not biased low by noise. Windows at standstill are skipped. window, stride: frames,
-    by default those of paper VII (scale consistency).
+    Returns the first frame of each window (W,), and the scales. p, p_truth: (N, 3) estimated and
+    true positions [m] of the same frames. The scale of a window is the RMS distance of its
+    positions from their mean, estimated over true; unlike a least-squares scale it is not biased
+    low by noise. Windows almost without motion are left out. window, stride: frames, by default
+    those of paper VII (scale consistency).
     """
-    scales = []
+    starts, scales = [], []
     for i in range(0, len(p) - window + 1, stride):
-        spread = np.linalg.norm(p[i : i + window] - p[i : i + window].mean(0))
-        truth = p_truth[i : i + window]
-        spread_truth = np.linalg.norm(truth - truth.mean(0))
-        if spread > 0 and spread_truth > 1e-6:
+        spread = _spread(p[i : i + window])
+        spread_truth = _spread(p_truth[i : i + window])
+        if spread > 0 and spread_truth >= LEAST_SPREAD_M:
+            starts.append(i)
             scales.append(spread / spread_truth)
-    return np.array(scales) / scales[0] if scales else np.zeros(0)
+    relative = np.array(scales) / scales[0] if scales else np.zeros(0)
+    return np.array(starts, np.int64), relative
+
+
+def _spread(p: Float) -> float:
+    """RMS distance of positions (N, 3) from their mean."""
+    return float(np.sqrt(((p - p.mean(0)) ** 2).sum(1).mean()))
 
 
 def scale_consistency(p: Float, p_truth: Float) -> tuple[float, float] | None:
@@ -102,7 +119,7 @@ def scale_consistency(p: Float, p_truth: Float) -> tuple[float, float] | None:
     """
     if len(p) < WINDOW_FRAMES + WINDOW_STRIDE:
         return None
-    scales = window_scales(p, p_truth)
+    _, scales = window_scales(p, p_truth)
     if len(scales) < 2:
         return None
     return float(np.abs(scales - 1).mean()), float(scales.std())

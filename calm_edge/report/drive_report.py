@@ -16,7 +16,7 @@ from calm_edge.evaluation.results import (
     choose,
     common_origin,
 )
-from calm_edge.evaluation.table import pretty
+from calm_edge.evaluation.table import label, measured
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry.similarity import align
 from calm_edge.report.report import ReportData
@@ -44,13 +44,10 @@ def _scale_windows(estimate: Estimate, truth: Truth, t_ns: Int) -> Float | None:
     (W, 2) of (s since the start, scale).
     """
     p, p_truth = at_frames(t_ns, estimate.T_w_c, truth)
-    scales = trajectory.window_scales(p, p_truth)
-    first = np.searchsorted(truth.t_ns, t_ns[0])
-    middle = (
-        first + trajectory.WINDOW_FRAMES // 2 + trajectory.WINDOW_STRIDE * np.arange(len(scales))
-    )
+    starts, scales = trajectory.window_scales(p, p_truth)
     if len(scales) == 0:
         return None
+    middle = np.searchsorted(truth.t_ns, t_ns[0]) + starts + trajectory.WINDOW_FRAMES // 2
     return np.stack([(truth.t_ns[middle] - t_ns[0]) / 1e9, scales], 1)
 
 
@@ -134,9 +131,9 @@ def report_data(
     table = {
         "frames": estimate.frames,
         "keyframes": estimate.keyframes,
-        "sub-maps": estimate.submaps,
-        "spacing, m": estimate.spacing_m,
-        **{name.replace("_", " "): value for name, value in figures.items() if name != "stage_ms"},
+        "submaps": estimate.submaps,
+        "spacing_m": estimate.spacing_m,
+        **{name: value for name, value in figures.items() if name != "stage_ms"},
     }
     return ReportData(
         title,
@@ -153,6 +150,6 @@ def report_data(
         windows,
         estimate.stage_ms,
         tuple(_headline(estimate, unit, points, figures)),
-        {name: pretty(value) for name, value in table.items() if value is not None},
+        {label(name): measured(name, v) for name, v in table.items() if v is not None},
         (*unobserved(estimate), *notes),
     )

@@ -22,6 +22,7 @@ KEYS = {
     "keyframes",
     "submaps",
     "path_m",
+    "truth_moves",
     "ate_se3_m",
     "ate_sim3_m",
     "sim3_scale",
@@ -212,3 +213,16 @@ def test_a_map_folder_from_disk(tmp_path: Path) -> None:
     (tmp_path / "summary.json").write_text("{")
     with pytest.raises(EvaluationError, match=r"summary.json: not a readable"):
         evaluate(tmp_path, tmp_path)
+
+
+@pytest.mark.parametrize("wander_m", [0.0, 0.02])
+def test_a_truth_without_motion_has_no_path_error(wander_m: float) -> None:
+    still = np.tile(np.eye(4), (N, 1, 1))
+    still[:, :3, 3] = np.random.default_rng(0).normal(0, 0.005, (N, 3))
+    estimate = replace(_estimate(every=1, spacing_m=0.5), T_w_c=np.tile(np.eye(4), (N, 1, 1)))
+    estimate.T_w_c[:, 2, 3] = wander_m * np.arange(N) / N
+    figures = compare(estimate, Truth(stamps(N), still))
+    assert figures["truth_moves"] is False and figures["poses"] == N
+    for key in ("ate_sim3_m", "ate_percent", "sim3_scale", "scale_std", "rpe_trans_percent"):
+        assert figures[key] is None
+    assert 0.005 < figures["ate_se3_m"] < 0.03

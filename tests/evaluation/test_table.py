@@ -4,7 +4,19 @@ import json
 
 import pytest
 
-from calm_edge.evaluation.table import aligned, json_text, pretty, print_result
+from calm_edge.evaluation.estimate import Estimate
+from calm_edge.evaluation.results import compare
+from calm_edge.evaluation.table import (
+    aligned,
+    json_text,
+    label,
+    measured,
+    pretty,
+    print_result,
+    unit,
+)
+from calm_edge.evaluation.truth import Truth
+from tests.evaluation.worlds import curve, stamps
 
 
 @pytest.mark.parametrize(
@@ -45,14 +57,23 @@ def test_long_values_wrap_below_themselves(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "60")
-    print_result({"stages": {f"stage{k}": k / 7 for k in range(9)}, "n": 3})
+    print_result({"stage_ms": {f"stage{k}": k / 7 for k in range(9)}, "frames": 3})
     first, *others, last = capsys.readouterr().out.splitlines()
-    assert first.startswith("stages  stage0 0, stage1") and last == "n       3"
-    assert others and all(len(line) <= 60 and line.startswith(8 * " ") for line in others)
+    assert first.startswith("stage_ms  stage0 0, stage1") and last == "frames    3 frames"
+    assert others and all(len(line) <= 60 and line.startswith(10 * " ") for line in others)
+
+
+def test_every_figure_has_its_unit() -> None:
+    truth, T = Truth(stamps(40), curve(40)), curve(40)
+    for name in compare(Estimate("here", stamps(40), T), truth):
+        assert unit(name) or name in {"align", "truth_moves", "metre", "live"}
+    assert measured("rpe_rot_deg_per_m", 0.25) == "0.25 deg/m" and measured("align", "se3") == "se3"
+    assert label("rpe_rot_deg_per_m") == "rpe rot" and measured("path_m", None) == "–"
+    assert measured("focal_px", [1.0, None]) == "1, – px"
 
 
 def test_the_table_goes_to_stdout(capsys: pytest.CaptureFixture[str]) -> None:
     print_result({"ate_se3_m": 0.51234}, "drive")
     out = capsys.readouterr().out
-    for word in ("ate_se3_m", "0.5123"):
+    for word in ("ate_se3_m", "0.5123 m"):
         assert word in out

@@ -55,11 +55,32 @@ def test_scale_windows_follow_a_growing_scale() -> None:
     n = 301
     truth = np.arange(n)[:, None] * [0, 0, 1.0]
     steps = np.where(np.arange(n) < 150, 1.0, 1.2)[:, None] * [0, 0, 1.0]
-    scales = trajectory.window_scales(np.cumsum(steps, 0), truth)
+    starts, scales = trajectory.window_scales(np.cumsum(steps, 0), truth)
+    assert starts[:3].tolist() == [0, 5, 10]
     assert len(scales) == 41
     assert scales[0] == 1 and scales[-1] == pytest.approx(1.2)
     figures = trajectory.scale_consistency(np.cumsum(steps, 0), truth)
     assert figures == pytest.approx((np.mean(scales - 1), np.std(scales)))
+
+
+def test_spans_without_motion_have_no_scale() -> None:
+    # 15 s of driving, 20 s of standing and creeping by 0.2 m, 15 s of driving, at 10 Hz
+    along = np.cumsum(np.repeat([1.0, 0.001, 1.0], [150, 200, 150]))
+    truth = along[:, None] * [0, 0, 1.0]
+    p = 0.5 * truth + np.random.default_rng(0).normal(0, 0.05, truth.shape)
+    starts, _ = trajectory.window_scales(p, truth)
+    assert not {*starts.tolist()} & {*range(150, 250)} and {155 - 100, 255} <= {*starts.tolist()}
+    mean, std = trajectory.scale_consistency(p, truth) or (9, 9)
+    assert mean < 0.1 and std < 0.1
+    still = truth[150:300]
+    assert len(trajectory.window_scales(p[150:300], still)[1]) == 0
+    assert trajectory.scale_consistency(p[150:300], still) is None
+
+
+def test_a_path_that_stays_at_its_start_does_not_move() -> None:
+    circle = 0.04 * np.stack([np.cos(np.arange(900)), np.sin(np.arange(900)), np.zeros(900)], 1)
+    assert not trajectory.moves(circle) and not trajectory.moves(np.zeros((0, 3)))
+    assert trajectory.moves(np.array([[0, 0, 0], [0, 0, 0.2]]))
 
 
 def test_scale_consistency_ignores_the_unit_and_needs_105_frames() -> None:
