@@ -287,7 +287,7 @@ class MappingConfig:
 
 @dataclass(frozen=True, slots=True)
 class PoseOutputConfig:
-    """[pose_output]: MAVLink output. port: a serial device; empty: none.
+    """[pose_output]: MAVLink output. port: a serial device or `udp:HOST:PORT`; empty: none.
 
     rate_hz: highest rate of poses. system_id: MAVLink system id of the autopilot. mounting_rpy_deg,
     mounting_xyz_m: mounting T_b_c of the primary camera in the body (FRD).

@@ -124,6 +124,11 @@ class SerialPort:
                 self._exchange()
         finally:
             self._close()
+            with self._lock:
+                # not sent, and never will be
+                self._dropped += len(self._queue)
+                self._queue.clear()
+                self._queued_bytes = 0
 
     def _has_output(self) -> bool:
         """True if there are bytes to send; takes the next message when the last one is sent."""

@@ -21,8 +21,8 @@ OF_COMMAND: dict[str, dict[int, str]] = {
         OK: "all is recorded and placed; also of a car that stood still",
         ERROR: "nothing more can be recorded, or it could not start; a replay leaves no recording",
         LOSS: "frames were lost or a camera sent none; windows are without a sub-map, or were left "
-        "to map; poses are not optimised; the spacing was given and no metre found; poses were not "
-        "sent",
+        "to map; poses are not optimised; the spacing was given and no metre found; the pose "
+        "output did not work",
     },
     "import": {OK: "the recording is complete", ERROR: "no recording was made"},
     "map": {

@@ -143,6 +143,8 @@ class Guard:
 
     def close(self, result: RecordResult) -> None:
         """Close the output."""
+        if self.fault and not self.output.required:
+            result.output_faults.append(self.fault)
         self._make(lambda output: output.close(result))
 
     def _make(self, call: Call) -> None:
@@ -177,6 +179,8 @@ class QueuedGuard(Guard):
 
     def close(self, result: RecordResult) -> None:
         """Close the output after its queued calls; calls not made within CLOSE_S are dropped."""
+        if self.fault:
+            result.output_faults.append(self.fault)
         self._mailbox.put(lambda output: output.close(result), 0, False)
         self._mailbox.close()
         self._thread.join(CLOSE_S)

@@ -1,4 +1,4 @@
-"""The outputs of live results: the recording and the serial port. Add further ones here."""
+"""The outputs of live results: the recording and the pose output. Add further ones here."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import LocalizerUpdate, PoseSample
 from device.frame import Frame
 from device.serial_port import SerialPort
+from device.udp_port import PREFIX, UdpPort
 
 
 class RecordingOutput(Output):
@@ -90,15 +91,22 @@ class RecordingOutput(Output):
         result.error = result.error or health.error
 
 
-class SerialOutput(Output):
-    """Output of poses and state as MAVLink on a serial port, from a thread of SerialPort."""
+class MavlinkOutput(Output):
+    """Output of poses and state as MAVLink on a port, which sends from a thread of its own.
 
-    name = "serial"
+    name: `serial` or `udp`.
+    """
+
     immediate = True
 
     def __init__(
-        self, port: SerialPort, publisher: PosePublisher, now_ns: Callable[[], int]
+        self,
+        port: SerialPort | UdpPort,
+        publisher: PosePublisher,
+        now_ns: Callable[[], int],
+        name: str = "serial",
     ) -> None:
+        self.name = name
         self._port, self._publisher, self._now_ns = port, publisher, now_ns
         port.start(publisher.receive)
 
@@ -126,13 +134,18 @@ class SerialOutput(Output):
 
 
 def configured(config: Config, now_ns: Callable[[], int]) -> list[Output]:
-    """Create the outputs that are configured besides the recording; raises ConfigError.
+    """Create the outputs that are configured besides the recording.
 
-    now_ns: the clock of the frames' stamps.
+    now_ns: the clock of the frames' stamps. Raises ConfigError, UdpAddressError.
     """
     outputs: list[Output] = []
     if config.pose_output.port:
-        port = SerialPort(config.pose_output.port, config.pose_output.baud)
+        is_udp = config.pose_output.port.startswith(PREFIX)
+        port: SerialPort | UdpPort
+        if is_udp:
+            port = UdpPort(config.pose_output.port)
+        else:
+            port = SerialPort(config.pose_output.port, config.pose_output.baud)
         publisher = PosePublisher(
             port,
             config.pose_output,
@@ -140,5 +153,5 @@ def configured(config: Config, now_ns: Callable[[], int]) -> list[Output]:
             lost_after_ms=config.frontend.lost_after_ms,
             now_ns=now_ns,
         )
-        outputs.append(SerialOutput(port, publisher, now_ns))
+        outputs.append(MavlinkOutput(port, publisher, now_ns, "udp" if is_udp else "serial"))
     return outputs

@@ -32,7 +32,8 @@ class RecordResult:
     unsolved_windows: ids of windows from which no sub-map could be computed. late_poses: number of
     frames without a pose, because newer ones were waiting. unscaled_poses: number of poses that are
     not metric. clamped_stamps: number of frames with a corrected stamp. output_losses: lost
-    messages by output, without the recording. spacing_m: as configured, 0 if not. repeated: frames
+    messages by output, without the recording. output_faults: why outputs did not work at the end.
+    spacing_m: as configured, 0 if not. repeated: frames
     of each camera whose picture repeats the one before. gaps: of the path that nothing connects, as
     line of text, empty if there are none. camera_drops, corrupt: frames that the cameras left out,
     and that could not be used. host_stamped: frames stamped on arrival. no_window: why the pictures
@@ -66,6 +67,7 @@ class RecordResult:
     late_poses: int = 0
     pose_status: PoseStatus = PoseStatus.LOST
     output_losses: dict[str, int] = field(default_factory=dict)
+    output_faults: list[str] = field(default_factory=list)
     trajectory: Trajectory | None = None
     finished: bool = False
     spacing_m: float = 0.0
@@ -195,6 +197,7 @@ class RecordResult:
             lines.append(f"{self.unreadable} frames were not readable")
         if self.gaps:
             lines.append(self.gaps)
+        lines += [f"output: {fault}" for fault in self.output_faults]
         if self.overflowed:
             lines.append(f"{self.overflowed} frames came faster than they could be read")
         return lines

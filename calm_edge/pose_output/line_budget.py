@@ -28,12 +28,15 @@ def bytes_per_second(rate_hz: float) -> float:
     return rate_hz * wire_bytes(Odometry) + _BESIDE_POSES
 
 
-def check_rate(config: PoseOutputConfig) -> None:
-    """Raise ConfigError if the line cannot carry pose_output.rate_hz at pose_output.baud."""
+def check_rate(config: PoseOutputConfig, *, limited: bool = True) -> None:
+    """Raise ConfigError if the line cannot carry pose_output.rate_hz at pose_output.baud.
+
+    limited: False for a network, which has no baud.
+    """
     if not config.rate_hz > 0:
         raise ConfigError(f"pose_output.rate_hz = {config.rate_hz:g}: must be above 0")
     capacity = config.baud / _BITS_A_BYTE * _LINE_SHARE
-    if bytes_per_second(config.rate_hz) > capacity:
+    if limited and bytes_per_second(config.rate_hz) > capacity:
         most = max(0, int((capacity - _BESIDE_POSES) / wire_bytes(Odometry)))
         raise ConfigError(
             f"pose_output.baud = {config.baud}: carries {most} poses per second, but "

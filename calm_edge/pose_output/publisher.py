@@ -1,4 +1,4 @@
-"""Send poses, state and clock replies as MAVLink messages to a serial port."""
+"""Send poses, state and clock replies as MAVLink messages to a serial or UDP port."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from calm_edge.pose_output.mavlink import (
 from calm_edge.pose_output.mavlink_parser import MavlinkParser
 from calm_edge.pose_output.quality import quality
 from calm_edge.types import PoseSample, PoseStatus
+from device.udp_port import PREFIX
 
 log = logging.getLogger(__name__)
 
@@ -83,7 +84,7 @@ class PosePublisher:
         lost_after_ms: float = 300.0,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        check_rate(config)
+        check_rate(config, limited=not config.port.startswith(PREFIX))
         self._T_b_c = _mounting(config)
         self._address = config.system_id, COMPONENT_VISUAL_ODOMETRY
         self._port = port

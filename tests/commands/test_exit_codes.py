@@ -65,6 +65,7 @@ NONE = {"windows": 0, "submaps": 0, "finished": False, "metre": Metre()}
         (changed(unreadable=7), LOSS, "7 frames were not readable"),
         (changed(unrecorded=8), LOSS, "8 items could not be recorded"),
         (changed(estimator_restarts=1), LOSS, "the estimator was restarted"),
+        (changed(output_faults=["/dev/no: cannot be opened"]), LOSS, "/dev/no: cannot be opened"),
         (changed(error="rec: the disk is full"), ERROR, "the disk is full"),
     ],
 )

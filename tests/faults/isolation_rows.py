@@ -11,7 +11,7 @@ from pathlib import Path
 from calm_edge.config import PoseOutputConfig
 from calm_edge.daemon.estimator_link import INBOX_WINDOWS
 from calm_edge.daemon.hub import Hub
-from calm_edge.daemon.outputs import SerialOutput
+from calm_edge.daemon.outputs import MavlinkOutput
 from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.reader import Recording
 from device.frame import Eye
@@ -157,7 +157,7 @@ def stalled_serial(drive: Path, n: int, folder: Path) -> Row:
     config = config_for(drive)
     port = SerialPort(os.ttyname(near), 115_200)
     publisher = PosePublisher(port, PoseOutputConfig(port=port.path), spacing_known=True)
-    line = SerialOutput(port, publisher, time.monotonic_ns)
+    line = MavlinkOutput(port, publisher, time.monotonic_ns)
     # fill the kernel's buffer, which holds some seconds of poses
     for _ in range(400):
         port.write(b"x" * 250)
