@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 
 from calm_edge.interchange.turn_rates import Rates
-from calm_edge.types import Float
+from calm_edge.types import Float, Int
 
 # what free-running crystals have; clocks that count frames instead of time have more
 DRIFT_PRIOR = 100e-6
-# residuals are correlated over less than this
-BLOCK_S = 2.0
+# residuals are correlated over less than this: parallax stays the same through a curve
+BLOCK_S = 5.0
+CORRELATED_S = 10.0
+FEW = 3.0
 ITERATIONS = 12
 LEAST_SAMPLES = 20
 # error by motion faster than the frames show, as a share of the interval between frames
@@ -95,14 +98,15 @@ def fit(primary: Rates, assistant: Rates, offset_s: float, drift: float, at_s: f
         if abs(step[-2]) < 1e-7:
             break
     floor_s = ALIASING * float(np.hypot(primary.frame_s, assistant.frame_s))
-    covariance = _sandwich(columns, residual, weight, normal, t)
+    number = np.flatnonzero(inside)
+    covariance = _covariance(columns, residual, weight, normal, number, assistant.dt_s)
     explained = 1 - (weight * residual**2).sum() / max((weight * b**2).sum(), 1e-30)
     return ClockFit(
         offset_s,
         drift,
         at_s,
-        float(np.sqrt(covariance[-2, -2] + floor_s**2)),
-        float(np.sqrt(covariance[-1, -1])),
+        float(np.sqrt(covariance[0, 0] + floor_s**2)),
+        float(np.sqrt(covariance[1, 1])),
         mixing,
         t,
         a,
@@ -142,15 +146,48 @@ def _normal(columns: Float, residual: Float, weight: Float) -> tuple[Float, Floa
     return normal, np.einsum("nki,nk->i", weighted, residual)
 
 
-def _sandwich(columns: Float, residual: Float, weight: Float, normal: Float, t: Float) -> Float:
-    """Covariance of the unknowns by the scatter of the gradient's sums over blocks of time."""
-    gradient = np.einsum("nki,nk->ni", columns, weight * residual)
-    block = ((t - t[0]) // BLOCK_S).astype(int)
-    sums = np.zeros((block[-1] + 1, gradient.shape[1]))
-    np.add.at(sums, block, gradient)
-    used = max(1, len(np.unique(block)))
-    # unknowns take up freedom: with few blocks the scatter is too small
-    meat = sums.T @ sums * used / max(1, used - 3)
-    meat[-1, -1] += DRIFT_PRIOR**-2
-    inverse = np.linalg.pinv(normal)
+def _covariance(
+    columns: Float, residual: Float, weight: Float, normal: Float, number: Int, dt_s: float
+) -> Float:
+    """Covariance (2, 2) of offset and drift; number: (N,) index of each sample.
+
+    The gradient's variance is that of a stationary residual with the autocorrelation found,
+    sum_l C_J(l) C_r(l): a drive may have few curves, and then the scatter of the gradient over
+    blocks shows little. Where the residual is larger in curves, the scatter is the larger.
+    """
+    last = columns[:, :, -2:]
+    others = columns[:, :, :-2]
+    A = np.einsum("nki,nk,nkj->ij", others, weight, others)
+    B = np.einsum("nki,nk,nkj->ij", others, weight, last)
+    J = last - np.einsum("nki,ij->nkj", others, np.linalg.lstsq(A, B, rcond=None)[0])
+    top = int(number[-1] - number[0]) + 1
+    at = number - number[0]
+    grid_J, grid_r, seen = np.zeros((top, 3, 2)), np.zeros((top, 3)), np.zeros(top)
+    grid_J[at], grid_r[at], seen[at] = J * weight[:, :, None], residual, 1.0
+    reach = min(round(CORRELATED_S / dt_s), top - 1)
+    size = next_fast_len(top + reach)
+    spectrum = rfft(grid_J, size, axis=0)
+    power = np.abs(rfft(grid_r, size, axis=0)) ** 2
+    pairs = irfft(np.abs(rfft(seen, size)) ** 2, size)[: reach + 1]
+    C_r = irfft(power, size, axis=0)[: reach + 1] / np.maximum(pairs, 1.0)[:, None]
+    # tapered, so that the sum is a variance (Bartlett)
+    C_r *= (1 - np.arange(reach + 1) / (reach + 1))[:, None]
+    meat = np.zeros((2, 2))
+    for i in range(2):
+        for j in range(2):
+            both = irfft(np.conj(spectrum[:, :, i]) * spectrum[:, :, j], size, axis=0)
+            C_J = both[: reach + 1].copy()
+            C_J[1:] += both[-1 : -reach - 1 : -1]
+            meat[i, j] = float((C_J * C_r).sum())
+    blocks = (at * dt_s // BLOCK_S).astype(int)
+    sums = np.zeros((blocks[-1] + 1, 2))
+    np.add.at(sums, blocks, np.einsum("nki,nk->ni", J, weight * residual))
+    scatter = sums.T @ sums
+    meat *= max(1.0, scatter[0, 0] / max(meat[0, 0], 1e-30))
+    # what few curves show of their own residual is too small, as the mixing is fitted to them
+    information = np.zeros(len(sums))
+    np.add.at(information, blocks, np.einsum("nk,nk->n", J[:, :, 0] ** 2, weight))
+    meat *= 1 + FEW * float((information**2).sum() / max(information.sum() ** 2, 1e-30))
+    meat[1, 1] += DRIFT_PRIOR**-2
+    inverse = np.linalg.pinv(normal)[-2:, -2:]
     return np.asarray(inverse @ meat @ inverse, np.float64)

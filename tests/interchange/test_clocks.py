@@ -1,0 +1,49 @@
+"""Relation of two clocks by the turns of both cameras: errors against claimed sigmas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calm_edge.interchange import InterchangeError
+from calm_edge.interchange.clocks import check_steady, relate
+from calm_edge.interchange.turns import Turns
+from tests.interchange.turning import drive
+
+
+def test_errors_are_within_their_sigmas() -> None:
+    """Over independent drives of a minute the normalised error has an rms near 1."""
+    errors, normalised = [], []
+    for seed in range(8):
+        primary, assistant, true_s = drive(60, seed)
+        fit = relate(primary, assistant, None).fit
+        k = int(np.argmin(np.abs(assistant.t_s - fit.at_s)))
+        errors.append(float(fit.primary_time(assistant.t_s)[k] - true_s[k]))
+        normalised.append(errors[-1] / fit.sigma_s)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.004
+    assert 0.3 < np.sqrt(np.mean(np.square(normalised))) < 1.6
+
+
+def test_the_drift_of_a_long_drive() -> None:
+    primary, assistant, true_s = drive(600, 3, ppm=300.0)
+    relation = relate(primary, assistant, None)
+    assert abs(relation.fit.drift - 300e-6) < 4 * relation.fit.drift_sigma < 100e-6
+    assert abs(relation.fit.primary_time(assistant.t_s) - true_s).max() < 0.01
+    assert any("clock drift +" in line and "sigma" in line for line in relation.lines())
+    check_steady(relation, primary, assistant)
+
+
+def test_a_zoomed_camera_is_refused() -> None:
+    """From half of the time on the assistant sees 1.6 times as much of every turn."""
+    primary, assistant, _ = drive(120, 4)
+    half = len(assistant.step) // 2
+    factor = np.where(np.arange(len(assistant.step)) < half, 1.0, 1.6)[:, None] ** [1, 1, 0]
+    changed = Turns(assistant.t_s, assistant.step * factor, assistant.zoom, assistant.sigma)
+    relation = relate(primary, changed, None)
+    with pytest.raises(InterchangeError, match=r"turns 1\.[56]\d times.*zoomed"):
+        check_steady(relation, primary, changed)
+
+
+def test_different_drives_are_not_related() -> None:
+    with pytest.raises(InterchangeError, match="cannot be related"):
+        relate(drive(60, 1)[0], drive(60, 2)[1], None)
