@@ -197,7 +197,7 @@ class Capture:
             hub.result.submaps += estimator.solved_late
             hub.result.metre = estimator.finished.metre
             hub.result.gaps = finish.gaps(estimator.finished, hub.config)
-            for update in finish.final_updates(estimator.finished, hub.kit):
+            for update in finish.final_updates(estimator.finished):
                 hub.give_update(update)
 
 

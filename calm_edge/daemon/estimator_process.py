@@ -94,6 +94,7 @@ class EstimatorWork:
                 localizer.metre,
                 localizer.solved_again,
                 localizer.gaps,
+                localizer.kit,
             )
         if isinstance(message, Expect) and isinstance(self._backbone, ExpectsPictures):
             self._received.add(message.keyframe)

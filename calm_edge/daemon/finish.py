@@ -9,7 +9,7 @@ import numpy as np
 from calm_edge.config import Config
 from calm_edge.daemon.messages import Finished
 from calm_edge.estimator.gaps import described
-from calm_edge.types import KitBelief, LocalizerUpdate, Prediction, Trajectory
+from calm_edge.types import LocalizerUpdate, Prediction, Trajectory
 
 REPLAY_LIMIT_S = 900.0
 LIVE_LIMIT_S = 20.0
@@ -23,7 +23,7 @@ def gaps(finished: Finished, config: Config) -> str:
     return described(finished.gaps, start_ns, metric=bool(config.scale.spacing_m))
 
 
-def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[LocalizerUpdate]:
+def final_updates(finished: Finished) -> Iterator[LocalizerUpdate]:
     """Yield an update per sub-map with its poses of the joint optimum; without depth and landmarks.
 
     Only the last update holds the whole trajectory, since the recording would grow quadratically
@@ -47,6 +47,6 @@ def final_updates(finished: Finished, kit: KitBelief | None) -> Iterator[Localiz
                 trajectory.T_p_a,
                 trajectory.epoch,
             ),
-            kit=kit,
+            kit=finished.kit,
             metre=finished.metre,
         )

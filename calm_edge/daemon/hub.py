@@ -28,7 +28,6 @@ from calm_edge.recording.record import array_bytes
 from calm_edge.recording.window_record import of_window
 from calm_edge.types import (
     CalmEdgeError,
-    KitBelief,
     LocalizerUpdate,
     Metre,
     PoseSample,
@@ -69,7 +68,6 @@ class Hub:
         self.config, self.source, self.lockstep = config, source, lockstep
         self.result = RecordResult(spacing_m=config.scale.spacing_m)
         self.recording, self.outputs = recording, FanOut([recording, *outputs])
-        self.kit: KitBelief | None = None
         self.impatient = False
         self.capturing = True
         self._lagging = False
@@ -262,7 +260,7 @@ class Hub:
         if message.problem:
             self.say(f"window {message.submap_id}: {message.problem}")
         if (update := message.update) is not None:
-            self.kit, self._stage_ms = update.kit, update.stage_ms
+            self._stage_ms = update.stage_ms
             for notice in update.notices:
                 self.say(notice)
             if (record := message.window) is not None:

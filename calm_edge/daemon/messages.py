@@ -14,6 +14,7 @@ from calm_edge.estimator.gaps import Gap
 from calm_edge.recording.window_record import FrameKey, WindowRecord
 from calm_edge.types import (
     Float,
+    KitBelief,
     LocalizerUpdate,
     Metre,
     PoseSample,
@@ -220,7 +221,7 @@ class Finished:
 
     trajectory: None without a sub-map. solved_again: by sub-map id, the solutions of windows that
     have been solved again from their pictures, or for the first time, since their Processed. gaps:
-    of the path, which nothing connects.
+    of the path, which nothing connects. kit: final belief.
     """
 
     submaps: tuple[Submap, ...]
@@ -228,6 +229,7 @@ class Finished:
     metre: Metre
     solved_again: dict[int, Prediction] = field(default_factory=dict)
     gaps: tuple[Gap, ...] = ()
+    kit: KitBelief | None = None
 
 
 @dataclass(frozen=True, slots=True)

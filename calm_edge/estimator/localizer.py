@@ -57,6 +57,7 @@ REPLACED_PER_WINDOW = 8
 # At the end of a drive all windows are solved again, and then, at most so many times, those whose
 # focal has moved since.
 RELINEARISED = 2
+UNUSED = "the calibration is not used: this backbone estimates the cameras by itself"
 
 
 class Localizer:
@@ -80,6 +81,8 @@ class Localizer:
         self._backbone = backbone
         self._memory = KitMemory(backbone, config.backbone.resolve_windows)
         self._kit_prior = KitPrior(config)
+        estimates_kit = isinstance(backbone, ResolvingBackbone)
+        self._unused = () if estimates_kit or not config.calibration.cameras else (UNUSED,)
         self._rectifier = Rectifier(config, isinstance(backbone, ResolvingBackbone))
         if loops is None and config.loops.enabled:
             descriptor = descriptor_of(backbone, config.loops.descriptor)
@@ -182,7 +185,7 @@ class Localizer:
                 self._memory.add(window.submap_id, prediction, solved.hints)
             if sigma is not None and unsettled(prediction):
                 self._held.hold(window, sigma)
-            lines += self._kit_prior.contradicted(self._memory.evidence())
+            lines += self._kit_prior.contradicted(self._memory.evidence()) + self._unused
             lines += (self._stamps.notice,) if self._stamps.notice else ()
             notices = self._new_notices(lines)
             self._memory.prior = self._kit_prior.belief

@@ -14,6 +14,7 @@ from calm_edge.interchange.calibration.calibration import (
 )
 from calm_edge.kit import layout
 from calm_edge.kit.belief import covariance, product
+from calm_edge.kit.estimated import picture_sizes
 from calm_edge.kit.observed import (
     MAX_DIRECTION_SIGMA_RAD,
     MAX_LOG_FOCAL_SIGMA,
@@ -41,8 +42,7 @@ def learned(recording: Recording) -> tuple[Calibration, tuple[str, ...]]:
         calibration, notes = _of_submap(recording, last)
     else:
         hfov, spacing_m = recording.config.backbone.hfov_of_eye, recording.config.scale.spacing_m
-        views = last.submap.cameras[0], last.submap.cameras[last.submap.n_primary]
-        sizes = np.array([[view.width, view.height] for view in views])
+        sizes = picture_sizes(last.submap)
         belief = product([layout.prior(hfov, sizes), last.kit])
         assert belief is not None
         calibration, notes = _of_kit(recording, belief, sizes, spacing_m)

@@ -8,7 +8,7 @@
 | /pose/keyframes | foxglove.PosesInFrame | newest keyframe of the sub-map |
 | /tf | foxglove.FrameTransform: `primary` in `world` | PoseSample.t_ns |
 | /tf | foxglove.FrameTransform: `submap` in `world` | newest keyframe of the sub-map |
-| /primary/calibration | foxglove.CameraCalibration of the sub-map | as /submap |
+| /primary/calibration | foxglove.CameraCalibration, once the focal is observed | as /submap |
 | /assistant/calibration | the same of the other camera | as /submap |
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
 | /window | calm_edge.Window: keys of the window's frames | its newest keyframe |
@@ -37,10 +37,10 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.message import DecodeError
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from calm_edge.kit import earlier
+from calm_edge.kit import earlier, estimated
 from calm_edge.recording import RecordingError, camera_record, foxglove, record
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import LocalizerUpdate, PoseSample, PoseStatus, Submap
+from calm_edge.types import LocalizerUpdate, PoseSample, PoseStatus
 from device.frame import Eye, Frame
 
 CALIBRATION_TOPICS = {
@@ -172,22 +172,15 @@ def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage
         LogMessage(SUBMAP, t_ns, record.encode("Submap", header, arrays)),
         _message(POSE_KEYFRAMES, t_ns, foxglove.trajectory(update.trajectory, t_ns)),
         _message(TF, t_ns, submap),
-        *calibration_messages(update.submap, t_ns),
+        *calibration_messages(update, t_ns),
     ]
 
 
-def calibration_messages(submap: Submap, t_ns: int) -> list[LogMessage]:
-    """Encode the cameras of a sub-map for Foxglove, one message for each eye that it has."""
-    views = {Eye.PRIMARY: 0}
-    if submap.assistant_ids:
-        views[Eye.ASSISTANT] = submap.n_primary
+def calibration_messages(update: LocalizerUpdate, t_ns: int) -> list[LogMessage]:
+    """Encode the estimated cameras for Foxglove; none of an eye whose focal is not observed."""
     return [
-        _message(
-            CALIBRATION_TOPICS[eye],
-            t_ns,
-            foxglove.camera_calibration(eye, submap.cameras[view], t_ns),
-        )
-        for eye, view in views.items()
+        _message(CALIBRATION_TOPICS[eye], t_ns, foxglove.camera_calibration(eye, camera, t_ns))
+        for eye, camera in estimated.cameras(update).items()
     ]
 
 

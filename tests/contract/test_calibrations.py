@@ -116,3 +116,12 @@ def test_other_numbers_than_a_lens_are_refused(name: str, tmp_path: Path) -> Non
         path.write_text(text.replace(number, wrong, 1))
         with pytest.raises(CalibrationError, match=path.name):
             read((path,))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_numbers_of_numpy_are_written_as_numbers(name: str, tmp_path: Path) -> None:
+    optics = np.array([701.25, 703.5, 655.2, 352.8])
+    lens = Perspective(*optics, 1280, 720, tuple(np.array([-0.31, 0.09])))
+    calibration = Calibration((CalibratedCamera(lens, "radial"),))
+    found = read(tuple(write(name, tmp_path / "out", calibration))).cameras[0].camera
+    assert found.fx == 701.25 and found.distortion[:2] == (-0.31, 0.09)

@@ -86,8 +86,14 @@ def recorded(
             if update is not None:
                 writer.write_update(update)
         trajectory = localizer.finish(0.0 if hurried else np.inf)
-        finished = Finished(localizer.submaps, trajectory, localizer.metre, localizer.solved_again)
-        for update in final_updates(finished, localizer.kit):
+        finished = Finished(
+            localizer.submaps,
+            trajectory,
+            localizer.metre,
+            localizer.solved_again,
+            kit=localizer.kit,
+        )
+        for update in final_updates(finished):
             writer.write_update(update)
         writer.write_status({"finished": True, "unsolved_windows": []})
     return Recording(out)

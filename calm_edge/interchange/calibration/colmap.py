@@ -117,7 +117,7 @@ def write(folder: Path, calibration: Calibration, notes: tuple[str, ...]) -> lis
             name = "OPENCV_FISHEYE"
         k += [0.0] * (_BY_NAME[name].terms - len(k))
         params = [lens.fx, lens.fy, lens.cx + _CENTRE, lens.cy + _CENTRE, *k]
-        text = " ".join(map(repr, params))
+        text = " ".join(repr(float(value)) for value in params)
         rows.append(f"{number} {name} {lens.width} {lens.height} {text}\n")
     path = folder / FILE
     path.write_text(

@@ -64,7 +64,7 @@ def write(folder: Path, calibration: Calibration, notes: tuple[str, ...]) -> lis
             )
         content[f"cam{number}"] = {
             "camera_model": "pinhole",
-            "intrinsics": [lens.fx, lens.fy, lens.cx, lens.cy],
+            "intrinsics": [float(value) for value in (lens.fx, lens.fy, lens.cx, lens.cy)],
             "distortion_model": "equidistant" if isinstance(lens, Fisheye) else "radtan",
             "distortion_coeffs": k[:4],
             "resolution": [lens.width, lens.height],

@@ -90,7 +90,7 @@ def coefficients(lens: Camera) -> list[float]:
     """Distortion coefficients filled up to a number that OpenCV takes: 4, 5 or 8."""
     least = 4 if isinstance(lens, Fisheye) or len(lens.distortion) <= 4 else 5
     wanted = least if len(lens.distortion) <= least else 8
-    return [*lens.distortion, *[0.0] * (wanted - len(lens.distortion))]
+    return [*map(float, lens.distortion), *[0.0] * (wanted - len(lens.distortion))]
 
 
 def distorted_camera(

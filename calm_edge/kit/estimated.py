@@ -1,0 +1,33 @@
+"""The cameras as estimated after a window, with the lenses that the kit has learned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calm_edge.geometry.camera import Camera
+from calm_edge.kit import layout
+from calm_edge.kit.belief import product
+from calm_edge.kit.observed import MAX_LOG_FOCAL_SIGMA
+from calm_edge.types import Int, LocalizerUpdate, Submap
+from device.frame import Eye
+
+
+def cameras(update: LocalizerUpdate) -> dict[Eye, Camera]:
+    """Camera of each eye whose focal length is observed: of the kit, else of the sub-map."""
+    submap = update.submap
+    found: dict[Eye, Camera] = {Eye.PRIMARY: submap.cameras[0]}
+    if submap.assistant_ids:
+        found[Eye.ASSISTANT] = submap.cameras[submap.n_primary]
+    if update.kit is not None and update.kit.mean.shape == (layout.SIZE,) and len(found) == 2:
+        sizes = picture_sizes(submap)
+        belief = product([layout.prior((None, None), sizes), update.kit])
+        assert belief is not None
+        found = dict(zip(Eye, layout.cameras(belief.mean, sizes), strict=True))
+    sigma = submap.focal_log_sigma
+    return {eye: camera for eye, camera in found.items() if sigma[eye] <= MAX_LOG_FOCAL_SIGMA}
+
+
+def picture_sizes(submap: Submap) -> Int:
+    """Width and height (2, 2) [px] of the pictures of each eye; of a sub-map with both."""
+    views = submap.cameras[0], submap.cameras[submap.n_primary]
+    return np.array([[view.width, view.height] for view in views], np.int64)
