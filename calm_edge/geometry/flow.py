@@ -8,6 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.geometry import brightness
+from calm_edge.geometry.brightness import Brightness
+
 Gray = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 
@@ -31,6 +34,10 @@ class LucasKanade:
 
 
 TRACKING = LucasKanade()
+# With a smaller share of tracked points these do not show the change of brightness.
+_ENOUGH_TRACKED = 0.3
+# how often points are tracked again with the brightness of the images adapted
+_MOST_AGAIN = 3
 
 
 def long_side(image: NDArray[np.generic]) -> int:
@@ -74,10 +81,36 @@ def follow(
     """Track points (M, 2) px from `source` to `target`: positions (M, 2) px and valid mask (M,).
 
     guess: (M, 2) px initial positions. A point is valid if it lies inside the image and tracking
-    it back returns to its start (Kalal et al., "Forward-backward error", 2010).
+    it back returns to its start (Kalal et al., "Forward-backward error", 2010). Gain and offset of
+    the brightness between the images make no difference.
     """
     if len(uv) == 0:
         return np.zeros((0, 2), np.float32), np.zeros(0, bool)
+    ahead, good = _there_and_back(source, target, uv, guess, how)
+    used = Brightness()
+    for _ in range(_MOST_AGAIN):
+        change, rough = _change(source, target, uv, ahead, good)
+        if change is None or not change.differs(used, rough):
+            break
+        used = change
+        images = brightness.alike(source, target, change)
+        ahead, good = _there_and_back(*images, uv, guess, how)
+    return ahead, good
+
+
+def _change(
+    source: Gray, target: Gray, uv: Float32, moved: Float32, good: NDArray[np.bool_]
+) -> tuple[Brightness | None, bool]:
+    """Change of the brightness by tracked points, with few of them by histograms (True)."""
+    if good.sum() >= max(brightness.MIN_POINTS, _ENOUGH_TRACKED * len(uv)):
+        return brightness.at_points(source, target, uv[good], moved[good]), False
+    return brightness.of_histograms(source, target), True
+
+
+def _there_and_back(
+    source: Gray, target: Gray, uv: Float32, guess: Float32 | None, how: LucasKanade
+) -> tuple[Float32, NDArray[np.bool_]]:
+    """Track forward and backward, on images of equal brightness, see `follow`."""
     start = np.ascontiguousarray(uv, np.float32)
     ahead, found = follow_ahead(source, target, start, start if guess is None else guess, how)
     there_and_back = replace(how, levels=how.backward_levels)

@@ -16,6 +16,8 @@ Int = NDArray[np.int64]
 
 # Wider images are reduced to this width: features of the finest scale are rarely matched.
 SIDE_PX = 960
+# grey values with a smaller standard deviation are stretched
+LEAST_CONTRAST = 30.0
 # Lowe's ratio test: largest ratio of the best to the second best distance.
 RATIO = 0.8
 # Half of OpenCV's default, for scenes of low texture; `count` limits the others.
@@ -46,6 +48,11 @@ def detect(gray: NDArray[np.uint8], count: int) -> Features:
         small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
     else:
         small = gray
+    contrast = float(small.std())
+    if 0 < contrast < LEAST_CONTRAST:
+        # SIFT's threshold is absolute: a dark picture would have no features
+        stretched = 128 + 2 * LEAST_CONTRAST / contrast * (small - small.mean())
+        small = np.clip(stretched, 0, 255).astype(np.uint8)
     # without enable_precise_upscale all positions are off by a quarter of a pixel
     sift = cv2.SIFT.create(count, contrastThreshold=CONTRAST, enable_precise_upscale=True)
     points, vector = sift.detectAndCompute(small, None)

@@ -81,3 +81,13 @@ def test_a_camera_on_its_side_gives_the_same_keyframes() -> None:
     numbers = [[k.frame.sequence for k in select(each)] for each in (images, upright)]
     assert len(numbers[0]) == len(numbers[1]) >= 4
     assert np.abs(np.subtract(*numbers)).max() <= 1
+
+
+def test_exposure_changes_no_keyframe() -> None:
+    images = [WORLD.render(T) for T in drive(40, 0.05)]
+    pumped = [
+        np.asarray((0.4 + 0.6 * abs(np.cos(0.7 * i))) * image, np.uint8)
+        for i, image in enumerate(images)
+    ]
+    plain, found = ([k.frame.sequence for k in select(each)] for each in (images, pumped))
+    assert len(plain) == len(found) and np.abs(np.subtract(plain, found)).max() <= 1

@@ -295,3 +295,18 @@ def test_an_objection_of_the_drive_makes_a_submap_unscaled() -> None:
     (sample, _) = feed(tracker, poses[10:], 10)
     assert sample.status is PoseStatus.UNSCALED
     assert np.isnan(sample.with_drift()[0]).all() and np.isfinite(sample.T_w_c).all()
+
+
+def test_exposure_that_pumps_disturbs_neither_pose_nor_submap() -> None:
+    poses = drive(40)
+    tracker = attached(poses, 12)
+
+    def pumped(i: int) -> np.ndarray:
+        # by up to a factor of two from frame to frame
+        gain = 0.45 + 0.55 * abs(np.sin(0.8 * i))
+        return np.asarray(gain * WORLD.render(poses[i]), np.uint8)
+
+    for i in range(12, 40):
+        sample = seen(tracker, stamp(i), pumped(i), i // 3 if i % 3 == 0 else None)
+        assert sample.status is PoseStatus.LIVE
+        assert np.linalg.norm(sample.T_w_c[:3, 3] - poses[i][:3, 3]) < 0.05

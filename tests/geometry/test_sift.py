@@ -81,3 +81,21 @@ def test_spread_counts_cells_and_columns(columns, rows, spread):
     size = np.array([320, 160])
     u, v = np.meshgrid(40 * np.arange(columns) + 20, 40 * np.arange(rows) + 20)
     assert sift.well_spread(np.stack([u, v], -1).reshape(-1, 2), size) == spread
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.4, 0.0), (0.15, 10.0), (0.1, 200.0)])
+def test_a_dark_picture_has_the_features_of_a_bright_one(gain, offset):
+    bright = blobs()
+    dark = np.clip(gain * bright + offset, 0, 255).astype(np.uint8)
+    a, b = sift.detect(bright, 200), sift.detect(dark, 200)
+    pairs = sift.match(a, b)
+    near = np.linalg.norm(a.uv[pairs[:, 0]] - b.uv[pairs[:, 1]], axis=1) < 0.5
+    assert near.sum() > 0.5 * len(a.uv)
+
+
+def test_an_upright_picture_is_reduced_like_a_lying_one():
+    wide = cv2.resize(blobs(), (4 * 320, 4 * 160), interpolation=cv2.INTER_CUBIC)
+    a = sift.detect(wide, 200).uv
+    b = sift.detect(np.ascontiguousarray(wide.T), 200).uv[:, ::-1]
+    nearest = np.linalg.norm(a[:, None] - b[None], axis=2).min(1)
+    assert (nearest < 0.5).mean() > 0.8

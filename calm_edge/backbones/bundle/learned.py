@@ -30,6 +30,7 @@ from calm_edge.backbones.bundle.warp import (
     warped,
     zoom_of,
 )
+from calm_edge.geometry import brightness
 from calm_edge.geometry.flow import Gray, follow, follow_ahead, long_side, neighbouring_flow
 from calm_edge.types import Float, Float32
 
@@ -143,6 +144,12 @@ def finished(a: Gray, b: Gray, uv: Float32, found: Matches) -> Matches:
     match, a track of Lucas-Kanade that started from the flow of neighbouring points is kept, with a
     sigma of UNSUPPORTED_PX; where Lucas-Kanade has none, the features' match with its own sigma.
     """
+    sure = found.sure
+    change = brightness.at_points(a, b, uv[sure], found.uv[sure])
+    if change is None:
+        change = brightness.of_histograms(a, b)
+    if change is not None:
+        a, b = brightness.alike(a, b, change)
     near = MAX_SIGMAS * found.sigma_px
     moved, ok = follow(a, b, uv, found.uv, FROM_FEATURES)
     ok &= found.sure & (np.linalg.norm(moved - found.uv, axis=1) < near)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from calm_edge.backbones.bundle.first_sight import FirstSights
 from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
+from calm_edge.geometry.brightness import evened
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.flow import (
     Gray,
@@ -146,6 +147,7 @@ def sift_homography(primary: Gray, assistant: Gray) -> Float | None:
 
     It covers rotation and zoom between the cameras; parallax is left to Lucas-Kanade.
     """
+    primary, assistant = evened(primary, assistant)
     sift = cv2.SIFT.create(nfeatures=1500)
     ka, da = sift.detectAndCompute(primary, None)
     kb, db = sift.detectAndCompute(assistant, None)

@@ -143,3 +143,21 @@ def test_an_expected_picture_is_encoded_before_its_window(matching, monkeypatch)
     matching.net.of([image])
     assert len(encoded) == 1
     BundleBackbone(BackboneConfig()).expect(image)
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.4, 0.0), (0.25, 0.0), (0.6, 40.0), (0.8, 0.0)])
+def test_both_witnesses_of_a_match_are_blind_to_brightness(matching, gray, gain, offset):
+    """As the assistant's exposure differs, or changes within a window."""
+    other = cv2.cvtColor(picture(20, 1), cv2.COLOR_BGR2GRAY)
+    uv = tracks.detect_corners(gray, NONE)
+    dark = np.clip(np.rint(gain * other + offset), 0, 255).astype(np.uint8)
+    H = matching.homography(gray, other)
+    H_dark = matching.homography(gray, dark)
+    assert H is not None and H_dark is not None
+    plain, found = matching.across(gray, other, H, uv), matching.across(gray, dark, H, uv)
+    both = plain.sure & found.sure
+    assert both.sum() > 0.9 * plain.sure.sum() > 50
+    apart = np.linalg.norm(found.uv - plain.uv, axis=1)[both]
+    assert np.median(apart) < 0.05 and np.quantile(apart, 0.9) < 0.2
+    ratio = found.sigma_px[both] / plain.sigma_px[both]
+    assert 0.8 < np.median(ratio) < 1.25
