@@ -143,7 +143,7 @@ class Guard:
 
     def close(self, result: RecordResult) -> None:
         """Close the output."""
-        if self.fault and not self.output.required:
+        if not self.output.required and self.fault:
             result.output_faults.append(self.fault)
         self._make(lambda output: output.close(result))
 

@@ -79,6 +79,8 @@ def record(
                 "source": source.description,
                 "pace": "lockstep" if lockstep else "realtime",
                 ORIGIN_KEY: str(source.origin_ns),
+                # nothing in a replay that waits depends on when it is run
+                **({"boot_id": ""} if lockstep else {}),
             },
             lossless=lockstep,
             root=target.root,

@@ -47,6 +47,29 @@ class TimelineClock:
         self._system.sleep_until_ns(t_ns - self._epoch_ns + self._origin_ns)
 
 
+class StampClock:
+    """Clock of a replay as fast as it is read: the stamp of the newest frame that was read."""
+
+    def __init__(self, epoch_ns: int) -> None:
+        self._now_ns = epoch_ns
+
+    def restart(self) -> None:
+        """Nothing to do: no frame was read yet."""
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def sleep_until_ns(self, t_ns: int) -> None:
+        self._now_ns = max(self._now_ns, t_ns)
+
+    def following(self, frames: Iterable[Frame | Unusable]) -> Iterator[Frame | Unusable]:
+        """Yield the frames, at the time of their stamps."""
+        for frame in frames:
+            if isinstance(frame, Frame):
+                self.sleep_until_ns(frame.t_ns)
+            yield frame
+
+
 @dataclass(frozen=True, slots=True)
 class Source:
     """Source of frames of both cameras.
@@ -80,7 +103,11 @@ def replayed(
     epoch_ns: stamp of the first frame. paced: True for real time, False for as fast as they are
     read. origin_ns, notes, name_of: as of `Source`.
     """
-    clock = TimelineClock(epoch_ns)
+    clock: TimelineClock | StampClock = TimelineClock(epoch_ns) if paced else StampClock(epoch_ns)
+
+    def stored(eye: Eye) -> Iterator[Frame | Unusable]:
+        found = _as_camera(frames(eye))
+        return clock.following(found) if isinstance(clock, StampClock) else found
 
     def cameras() -> tuple[Camera, Camera]:
         clock.restart()
@@ -88,7 +115,7 @@ def replayed(
             open_camera(
                 CameraSpec(eye, "replay", description),
                 clock,
-                frames=_as_camera(frames(eye)),
+                frames=stored(eye),
                 paced=paced,
             )
             for eye in Eye

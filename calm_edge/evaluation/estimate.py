@@ -68,11 +68,11 @@ def mean_stages(updates: Iterable[LocalizerUpdate]) -> dict[str, float]:
 def pose_ages(published_ns: Int, exposed_ns: Int) -> dict[str, float] | None:
     """Percentiles {p50, p99} [ms] of the time from exposure to publishing, (N,) ns each.
 
-    None without poses, or if the times are on different clocks, as in a lockstep run: exposure is
-    on the clock of the stored frames.
+    None without poses, or if the times are on different clocks, or the same, as in a lockstep run:
+    poses are published at the time of their frame.
     """
     ages = (published_ns - exposed_ns) / 1e6
-    if len(ages) == 0 or ages.min() < 0 or ages.max() > MAX_AGE_MS:
+    if len(ages) == 0 or ages.min() < 0 or not 0 < ages.max() <= MAX_AGE_MS:
         return None
     p50, p99 = np.percentile(ages, [50, 99])
     return {"p50": float(p50), "p99": float(p99)}

@@ -23,6 +23,7 @@ class SegmentChain:
     After the first `open` no method raises OSError: a disk error is stored in `error` and passed to
     `on_error` (an empty text: recovered), and messages not written go to the next segment. root:
     folder of all drives, the oldest of which are removed to make room; None: nothing is removed.
+    timeless: messages are published at their own time, not at that of writing.
     """
 
     def __init__(
@@ -34,7 +35,10 @@ class SegmentChain:
         write: Write,
         on_error: Callable[[str], None],
         root: Path | None = None,
+        *,
+        timeless: bool = False,
     ) -> None:
+        self._timeless = timeless
         self._folder, self._config, self._metadata = folder, config, dict(metadata)
         self._now_ns, self._write, self._on_error = now_ns, write, on_error
         self._room = Room(folder, config, root)
@@ -66,9 +70,12 @@ class SegmentChain:
                 self._unwritten += messages[i:]
                 return
             try:
-                self._segment.write(message, time.monotonic_ns())
+                self._segment.write(message, self._published_ns(message))
             except OSError as error:
                 self.fail(_reason(error))
+
+    def _published_ns(self, message: LogMessage) -> int:
+        return message.log_time if self._timeless else time.monotonic_ns()
 
     def write_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write metadata to the segment and to all that follow."""
@@ -124,7 +131,7 @@ class SegmentChain:
             return False
         try:
             for message in self._unwritten:
-                segment.write(message, time.monotonic_ns())
+                segment.write(message, self._published_ns(message))
             segment.sync()
         except OSError as error:
             segment.discard()

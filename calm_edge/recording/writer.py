@@ -39,9 +39,9 @@ class RecordingWriter:
 
     metadata: texts about the session (backbone, camera identities ...). now_ns: clock of the
     frames. lossless: `write_*` waits for room instead of dropping, and raises RecordingError if
-    the disk fails. root: folder of all drives, the oldest of which are removed to make room.
-    Arguments must not be changed after the call. Raises RecordingError if the folder already holds
-    a recording or cannot be written.
+    the disk fails; no message depends on the time of writing. root: folder of all drives, the
+    oldest of which are removed to make room. Arguments must not be changed after the call. Raises
+    RecordingError if the folder already holds a recording or cannot be written.
     """
 
     def __init__(
@@ -67,6 +67,7 @@ class RecordingWriter:
             },
         }
         self._mailbox: Mailbox[_Encode] = Mailbox(queue_bytes, lossless)
+        self._lossless = lossless
         self._unwritable = self._reported_drops = 0
         self._chain = SegmentChain(
             folder,
@@ -76,6 +77,7 @@ class RecordingWriter:
             write,
             self._mailbox.set_broken,
             root,
+            timeless=lossless,
         )
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -209,7 +211,10 @@ class RecordingWriter:
     def _tick(self) -> None:
         """Run every flush_s: record clock reading and drops, sync, check the disk."""
         now = self._now_ns()
-        messages = [schema.clock_message(now, time.time_ns(), time.monotonic_ns())]
+        # what waits for its writer has no relation to the clocks of the host
+        messages = []
+        if not self._lossless:
+            messages.append(schema.clock_message(now, time.time_ns(), time.monotonic_ns()))
         dropped = sum(self._mailbox.dropped)
         if dropped > self._reported_drops:
             text = f"queue full: {dropped - self._reported_drops} items not recorded"
