@@ -55,19 +55,24 @@ class Unfinished:
         self._writer: RecordingWriter | None = None
         text = json.dumps(made_of, indent=1, sort_keys=True)
         file = folder / "plan.json"
-        try:
-            if not folder.exists():
+        if not folder.exists():
+            try:
                 folder.mkdir(parents=True)
                 replace_text(file, text)
-            elif file.read_text() != text:
+            except OSError as error:
                 raise UnfinishedError(
-                    f"{folder}: was made of another recording, with other settings or by another "
-                    "version; start anew with --force"
-                )
-        except OSError as error:
+                    f"{folder}: cannot be written ({error.strerror}); choose another output folder"
+                ) from None
+            return
+        try:
+            same = file.read_text() == text
+        except (OSError, UnicodeDecodeError):
+            same = False
+        if not same:
             raise UnfinishedError(
-                f"{folder}: cannot be used ({error.strerror}); start anew with --force"
-            ) from None
+                f"{folder}: was made of another recording, with other settings or by another "
+                "version; start anew with --force"
+            )
 
     def __enter__(self) -> Unfinished:
         return self

@@ -36,7 +36,13 @@ def test_nothing_is_solved_or_placed_at_first(recording: Path, tmp_path: Path) -
     assert not (tmp_path / "work").exists()
 
 
+def test_a_folder_that_cannot_be_made_is_named(recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UnfinishedError, match=r"file/unfinished: cannot be written \(Not a dir"):
+        Unfinished(tmp_path / "file" / "unfinished", Config(), plan(recording, Config()))
+
+
 def test_a_folder_without_its_plan_is_refused(recording: Path, tmp_path: Path) -> None:
     (tmp_path / "work").mkdir()
-    with pytest.raises(UnfinishedError, match=r"work: cannot be used .*--force"):
+    with pytest.raises(UnfinishedError, match=r"work: was made of another recording.*--force"):
         Unfinished(tmp_path / "work", Config(), plan(recording, Config()))
