@@ -14,13 +14,13 @@ import numpy as np
 
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.base import Imported, ImportOptions
+from calm_edge.interchange.clock_parts import Gap, find_gaps, increasing, shifted, with_stamps
 from calm_edge.interchange.clocks import Relation, check_steady, relate
 from calm_edge.interchange.picture_spool import PictureSpool
 from calm_edge.interchange.sound import heard, loudness
 from calm_edge.interchange.turns import TurnMeter
 from calm_edge.interchange.video import SUFFIXES, Video, parts, require_av, rotated
 from calm_edge.recording.sequence_folder import ORIGIN_NS
-from calm_edge.types import Int
 from device.frame import Eye, Frame, jpeg
 
 PROGRESS_S = 20.0
@@ -74,10 +74,8 @@ class VideoPair:
             for eye, source, turn in zip(Eye, sources, turns, strict=False)
         ]
         _read(tracks, options.quality, say)
-        relation = None
-        if len(tracks) == 2 and options.offset_s is None:
-            relation = _relation(tracks, options, say)
-        return _imported(tracks, relation, options)
+        related = len(tracks) == 2 and options.offset_s is None
+        return _imported(tracks, _relation(tracks, options) if related else None, options)
 
 
 def _is_video(source: Path) -> bool:
@@ -117,57 +115,64 @@ def _read(tracks: list[_Track], quality: int, say: Callable[[str], None]) -> Non
             raise
 
 
-def _relation(tracks: list[_Track], options: ImportOptions, say: Callable[[str], None]) -> Relation:
-    primary, assistant = (track.meter.turns() for track in tracks)
+def _relation(tracks: list[_Track], options: ImportOptions) -> tuple[Relation, list[Gap]]:
+    """Relation of the clocks, and the gaps between the parts of the videos."""
+    turns = [track.meter.turns() for track in tracks]
+    joins = [track.video.report.joins_s for track in tracks]
+    gaps = find_gaps(turns[0], turns[1], (joins[0], joins[1]))
+    primary, assistant = (
+        with_stamps(t, shifted(t.t_s, gaps, track.eye))
+        for t, track in zip(turns, tracks, strict=True)
+    )
     # of the first part alone: the times of the others are only assumed
     sounds = [loudness(t.video.files[0], t.video.report.first_s) for t in tracks]
     relation = relate(primary, assistant, heard(sounds[0], sounds[1]))
     if not options.unsteady:
         check_steady(relation, primary, assistant)
-    return relation
+    return relation, gaps
 
 
-def _imported(tracks: list[_Track], relation: Relation | None, options: ImportOptions) -> Imported:
+def _imported(
+    tracks: list[_Track], found: tuple[Relation, list[Gap]] | None, options: ImportOptions
+) -> Imported:
     stamps = [track.spool.t_s for track in tracks]
-    assumed = [note for track in tracks for note in _assumed(track)]
     took = [_took(track, t[-1], options.quality) for track, t in zip(tracks, stamps, strict=True)]
+    assumed = [note for track in tracks for note in _assumed(track)]
     facts: dict[str, str] = {}
     turn = 0
     if len(tracks) == 1:
         assumed.append("one camera: lengths have no metre")
-    elif relation is None:
+    elif found is None:
         stamps[1] = stamps[1] + (options.offset_s or 0.0)
         assumed.append(f"clock offset {options.offset_s:+g} s and no drift, as given")
     else:
+        relation, gaps = found
+        stamps = [shifted(t, gaps, track.eye) for t, track in zip(stamps, tracks, strict=True)]
         stamps[1] = relation.fit.primary_time(stamps[1])
-        took += relation.lines()
+        took += [*relation.lines(), *(gap.line() for gap in gaps)]
         facts = relation.facts()
         turn = _upside_down(relation, options)
         if turn:
             assumed.append("assistant: its picture is upside down; rotated by 180 degrees")
-    t_ns, dropped = _on_one_clock(stamps)
+    t_ns = [np.round(t * 1e9).astype(np.int64) + ORIGIN_NS for t in stamps]
+    kept = [increasing(t_s) & (t > 0) for t_s, t in zip(stamps, t_ns, strict=True)]
     faults = [line for track in tracks for line in _faults(track)]
-    skipped = {track.eye: n for track, n in zip(tracks, dropped, strict=True)}
-    if any(dropped):
-        faults.append(
-            f"{sum(dropped)} pictures of the assistant more than 1 s before the primary's first"
-        )
+    for track, t, keep in zip(tracks, t_ns, kept, strict=True):
+        if early := int((t <= 0).sum()):
+            faults.append(f"{track.name}: {early} pictures over 1 s before the primary's first")
+        if twice := int((~keep & (t > 0)).sum()):
+            faults.append(f"{track.name}: {twice} pictures filmed twice")
 
     def frames(eye: Eye) -> Iterator[Frame]:
-        track, first = tracks[eye], skipped[eye]
-        for k, data in enumerate(track.spool.pictures()):
-            if k >= first:
+        sequence = 0
+        for data, t, keep in zip(tracks[eye].spool.pictures(), t_ns[eye], kept[eye], strict=True):
+            if keep:
                 data = _turned(data, turn, options.quality) if eye is Eye.ASSISTANT else data
-                yield Frame(eye, k - first, int(t_ns[eye][k]), data)
+                yield Frame(eye, sequence, int(t), data)
+                sequence += 1
 
     eyes = tuple(track.eye for track in tracks)
     return Imported(eyes, frames, tuple(took), tuple(faults), tuple(assumed), facts=facts)
-
-
-def _on_one_clock(stamps: list[np.ndarray]) -> tuple[list[Int], list[int]]:
-    """Nanoseconds of the stamps, and how many first ones of each camera are before time 0."""
-    t_ns = [np.round(t * 1e9).astype(np.int64) + ORIGIN_NS for t in stamps]
-    return t_ns, [int((t <= 0).sum()) for t in t_ns]
 
 
 def _upside_down(relation: Relation, options: ImportOptions) -> int:
@@ -205,7 +210,7 @@ def _assumed(track: _Track) -> list[str]:
     report = track.video.report
     lines = [f"{track.name}: {note}" for note in report.notes]
     if report.joins_s:
-        lines.append(f"{track.name}: no time passed between its {len(track.video.files)} parts")
+        lines.append(f"{track.name}: no time passed between its parts, but for what is reported")
     return lines
 
 
