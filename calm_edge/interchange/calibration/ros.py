@@ -42,6 +42,7 @@ def read(path: Path, data: bytes) -> Calibration:
     if model not in _FISHEYE + _PERSPECTIVE:
         known = ", ".join(name for name in _PERSPECTIVE[:2] + _FISHEYE[:1])
         raise CalibrationError(f"{path}: distortion_model {model!r} is not supported ({known} are)")
+    _refuse_part(path, content)
     fisheye = model in _FISHEYE
     matrix = K[0], K[4], K[2], K[5]
     camera = distorted_camera(str(path), matrix, D, (int(size[0]), int(size[1])), fisheye=fisheye)
@@ -49,6 +50,17 @@ def read(path: Path, data: bytes) -> Calibration:
 
 
 _D = ("distortion_coefficients", "D", "d")
+
+
+def _refuse_part(path: Path, content: dict[str, Any]) -> None:
+    """Raise CalibrationError if pictures are binned or cut out: K then is that of larger ones."""
+    roi = content.get("roi")
+    offsets = [roi.get(key) for key in ("x_offset", "y_offset")] if isinstance(roi, dict) else []
+    binned = any(content.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y"))
+    if binned or any(offset not in (None, 0) for offset in offsets):
+        raise CalibrationError(
+            f"{path}: of binned pictures or a region of interest; calibrate pictures as recorded"
+        )
 
 
 def rig(primary: tuple[Path, bytes], assistant: tuple[Path, bytes]) -> Float | None:

@@ -56,6 +56,16 @@ def test_a_printed_message_is_the_same_camera(tmp_path):
     assert printed.cameras == read((camera_info(tmp_path / "left.yaml"),)).cameras
 
 
+@pytest.mark.parametrize("part", ["binning_x: 2", "roi: {x_offset: 0, y_offset: 40}"])
+def test_a_part_of_the_picture_is_refused(tmp_path, part):
+    path = tmp_path / "message.yaml"
+    path.write_text(f"{MESSAGE}binning_y: 0\nroi: {{x_offset: 0, y_offset: 0, height: 0}}\n")
+    assert len(read((path,)).cameras) == 1
+    path.write_text(f"{MESSAGE}{part}\n")
+    with pytest.raises(CalibrationError, match="binned pictures or a region of interest"):
+        read((path,))
+
+
 def test_a_stereo_pair_has_its_baseline_in_metres(tmp_path):
     left, right = (
         camera_info(tmp_path / "left.yaml"),
