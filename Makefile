@@ -81,13 +81,19 @@ eval: setup
 	measure tables; \
 	exit $$failed
 
-# the packages for this release and machine, into build/deb
+# the packages for this release, into build/deb; ARCH=arm64 for that instead of this machine
 deb: setup
-	@.venv/bin/python -m deploy.build_deb
+	@.venv/bin/python -m deploy.build_deb --arch "$(ARCH)"
 
 # installs, uses, upgrades and removes them in a Debian tree of its own; needs root and debootstrap
+# ARCH=arm64: installs, records, maps and compares in a tree of that architecture, emulated by QEMU
+FRAMES ?= 12
 deb-test: .venv/.stamp-dev
+ifeq ($(ARCH),)
 	@.venv/bin/python -m deploy.try_deb
+else
+	@.venv/bin/python -m deploy.try_foreign_deb --arch "$(ARCH)" --frames $(FRAMES)
+endif
 
 # bring-up of a real kit: hil_tests/README.md says what to plug in; HIL="2 3" picks tests
 hil: setup

@@ -1,8 +1,10 @@
 """Build calm-edge_VERSION_ARCH.deb and calm-edge-oak_VERSION_ARCH.deb from one commit.
 
 The packages hold a virtual environment with all dependencies under /opt/calm-edge: nothing is
-downloaded when they are installed. They fit the release and the architecture that they are built
-on, and the same commit, built with the same tools, gives the same bytes.
+downloaded when they are installed. They fit the release that they are built on, and its
+architecture or the one given: then the libraries are the published wheels for it, and
+systemd-python is the release's own. The same commit, built with the same tools, gives the same
+bytes.
 """
 
 from __future__ import annotations
@@ -28,6 +30,8 @@ UNUSED = (
     *("onnxruntime/quantization", "onnxruntime/datasets", "depthai_cli"),
     *("pytest*", "_pytest", "py.py", "pluggy*", "iniconfig*"),
 )
+# Debian's architecture -> the machine in the names of wheels
+MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 MAINTAINER = "calm-edge maintainers <maintainers@calm-edge.invalid>"
 ABOUT = {
     "Suggests": "calm-edge-oak",
@@ -42,12 +46,16 @@ ABOUT_OAK = {
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What the packages are built for: the release's interpreter, architecture and C library."""
+    """What the packages are built for: the release's interpreter, architecture and C library.
+
+    foreign: the architecture is not that of this machine.
+    """
 
     python: Path
     version: tuple[int, int]
     architecture: str
     libc: str
+    foreign: bool = False
 
     @property
     def name(self) -> str:
@@ -58,6 +66,18 @@ class Target:
         """site-packages, relative to the root of the file system."""
         return PREFIX / "lib" / self.name / "site-packages"
 
+    @property
+    def wheels(self) -> list[str]:
+        """Options by which pip takes wheels of a foreign architecture."""
+        if not self.foreign:
+            return []
+        machine, newest = MACHINES[self.architecture], int(self.libc.split(".")[1])
+        tags = [f"manylinux_2_{minor}_{machine}" for minor in range(newest, 16, -1)]
+        tags += [f"manylinux2014_{machine}", f"linux_{machine}"]
+        version = f"{self.version[0]}{self.version[1]}"
+        chosen = ["--implementation", "cp", "--python-version", version, "--only-binary=:all:"]
+        return [*chosen, *(f"--platform={tag}" for tag in tags)]
+
 
 def report(text: str) -> None:
     print(f"deb: {text}", file=sys.stderr)
@@ -67,17 +87,23 @@ def output(*command: str | Path) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout
 
 
-def target_of(python: Path) -> Target:
-    """Describe the release's own interpreter; exits with one line if there is none that will do."""
+def target_of(python: Path, architecture: str = "") -> Target:
+    """Describe the release's own interpreter; exits with one line if there is none that will do.
+
+    architecture: of the packages, by default that of this machine.
+    """
     if not python.exists():
         sys.exit(f"deb: {python} is missing. Remedy: apt-get install python3 python3-dev")
     script = "import sys, platform; print(*sys.version_info[:2], platform.libc_ver()[1])"
     major, minor, libc = output(python, "-I", "-c", script).split()
     if (int(major), int(minor)) < (3, 11):
         sys.exit(f"deb: {python} is {major}.{minor}; calm-edge needs 3.11 (Debian 12) or newer")
-    architecture = output("dpkg", "--print-architecture").strip()
+    here = output("dpkg", "--print-architecture").strip()
+    architecture = architecture or here
+    if architecture not in MACHINES:
+        sys.exit(f"deb: ARCH={architecture}: choose one of {', '.join(MACHINES)}")
     real = Path(f"/usr/bin/python{major}.{minor}")
-    return Target(real, (int(major), int(minor)), architecture, libc)
+    return Target(real, (int(major), int(minor)), architecture, libc, architecture != here)
 
 
 def install_packages(target: Target, site: Path, commit: Path, *what: str) -> None:
@@ -88,6 +114,7 @@ def install_packages(target: Target, site: Path, commit: Path, *what: str) -> No
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "-q"]
     where = ["--python", str(target.python), "install", "--target", str(site)]
     how = ["--no-compile", "--no-warn-script-location", "-c", str(commit / "constraints.txt")]
+    how += target.wheels
     done = subprocess.run([*pip, *where, *how, *what], capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(
@@ -97,6 +124,10 @@ def install_packages(target: Target, site: Path, commit: Path, *what: str) -> No
     for pattern in UNUSED:
         for path in list(site.glob(pattern)):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
+    if target.foreign:
+        # with --target and a foreign platform pip also leaves its byte code of this machine
+        for cache in list(site.rglob("__pycache__")):
+            shutil.rmtree(cache)
     tag = f"cpython-{target.version[0]}{target.version[1]}-"
     for path in list(site.glob("depthai.cpython-*.so")):
         if tag not in path.name:
@@ -105,6 +136,42 @@ def install_packages(target: Target, site: Path, commit: Path, *what: str) -> No
         # these record paths of the build
         for name in ("RECORD", "direct_url.json", "REQUESTED"):
             (info / name).unlink(missing_ok=True)
+
+
+def own_wheel(target: Target, source: Path, out: Path) -> Path:
+    """Build the wheel of calm-edge, which holds no machine code."""
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "-q"]
+    how = ["--no-deps", "--wheel-dir", str(out), "-c", str(source / "constraints.txt")]
+    output(*pip, "wheel", *how, str(source))
+    return next(out.glob("calm_edge-*.whl"))
+
+
+def install_systemd(target: Target, site: Path, work: Path) -> None:
+    """Install the release's own systemd-python of a foreign architecture: there is no wheel of it.
+
+    With apt's lists in a folder of their own, so that this machine's are not changed.
+    """
+    state = work / "apt"
+    for name in ("lists/partial", "cache/archives/partial"):
+        (state / name).mkdir(parents=True)
+    (state / "status").touch()
+    options = {
+        "APT::Architecture": target.architecture,
+        "APT::Architectures": target.architecture,
+        "Dir::State": state,
+        "Dir::State::status": state / "status",
+        "Dir::Cache": state / "cache",
+    }
+    apt = ["apt-get", "-q", *(f"-o{key}={value}" for key, value in options.items())]
+    for step in (["update"], ["download", "python3-systemd"]):
+        done = subprocess.run([*apt, *step], cwd=state, capture_output=True, text=True, check=False)
+        if done.returncode:
+            tail = (done.stderr.strip() or "no output").splitlines()[-1]
+            sys.exit(f"deb: apt-get {step[0]}: {tail}; it needs the network")
+    unpacked = state / "unpacked"
+    output("dpkg-deb", "-x", next(state.glob("python3-systemd_*.deb")), unpacked)
+    found = unpacked / "usr/lib/python3/dist-packages/systemd"
+    shutil.copytree(found, site / "systemd", ignore=shutil.ignore_patterns("test"))
 
 
 def unpack(commit: str, folder: Path) -> Path:
@@ -169,9 +236,11 @@ def compile_modules(stage: Path, target: Target) -> None:
     )
 
 
-def build(out: Path, version: str, python: Path, with_oak: bool, commit: str) -> list[Path]:
+def build(
+    out: Path, version: str, python: Path, with_oak: bool, commit: str, architecture: str = ""
+) -> list[Path]:
     """Build both packages, or the main one alone; returns their paths."""
-    target = target_of(python)
+    target = target_of(python, architecture)
     committed = output("git", "log", "-1", "--format=%ct", commit).strip()
     epoch = os.environ.get("SOURCE_DATE_EPOCH", committed)
     report(f"calm-edge {version} for {target.name} on {target.architecture}, commit {commit[:10]}")
@@ -181,7 +250,12 @@ def build(out: Path, version: str, python: Path, with_oak: bool, commit: str) ->
     main, oak = work / "main", work / "oak"
     (main / target.site).mkdir(parents=True)
     source = unpack(commit, work / "commit")
-    install_packages(target, main / target.site, source, f"{source}[systemd]")
+    if target.foreign:
+        wheel = own_wheel(target, source, work)
+        install_packages(target, main / target.site, source, str(wheel))
+        install_systemd(target, main / target.site, work)
+    else:
+        install_packages(target, main / target.site, source, f"{source}[systemd]")
     make_environment(main, target)
     place_files(main, source)
     compile_modules(main, target)
@@ -221,13 +295,14 @@ def main() -> None:
     parser.add_argument("--version", default="", help="default: that of calm_edge/__init__.py")
     parser.add_argument("--python", type=Path, default=Path("/usr/bin/python3"))
     parser.add_argument("--commit", default="HEAD")
+    parser.add_argument("--arch", default="", help="amd64 or arm64; default: of this machine")
     parser.add_argument("--no-oak", action="store_true", help="the main package alone")
     arguments = parser.parse_args()
     commit = output("git", "rev-parse", arguments.commit).strip()
     text = output("git", "show", f"{commit}:calm_edge/__init__.py")
     version = arguments.version or text.split('__version__ = "')[1].split('"')[0]
     out, python = arguments.out.resolve(), arguments.python
-    for deb in build(out, version, python, not arguments.no_oak, commit):
+    for deb in build(out, version, python, not arguments.no_oak, commit, arguments.arch):
         print(deb)
 
 

@@ -10,7 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import islice
 from pathlib import Path
 
@@ -25,6 +25,18 @@ CONFIG = "/etc/calm-edge/calm-edge.toml"
 DRIVE = ROOT / "demo" / "drive"
 # of the demo drive, per camera: the first windows
 FRAMES = 80
+
+# imports every module of ours, and systemd's
+IMPORTS = """
+import importlib, pkgutil, calm_edge, device
+n = 0
+for package in (calm_edge, device):
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        importlib.import_module(module.name)
+        n += 1
+from systemd import daemon, journal
+print(n)
+"""
 
 
 class Unexpected(Exception):
@@ -153,17 +165,7 @@ def commands() -> str:
     version = inside("calm-edge --version").strip()
     doctor = inside("calm-edge doctor --out /tmp || true")
     expect("missing" not in doctor, doctor)
-    script = """
-import importlib, pkgutil, calm_edge, device
-n = 0
-for package in (calm_edge, device):
-    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-        importlib.import_module(module.name)
-        n += 1
-from systemd import daemon, journal
-print(n)
-"""
-    (TREE / "tmp" / "imports.py").write_text(script)
+    (TREE / "tmp" / "imports.py").write_text(IMPORTS)
     n = inside("/opt/calm-edge/bin/python3 -I /tmp/imports.py").strip().splitlines()[-1]
     return f"{version}; {n} modules import, systemd-python too"
 
@@ -173,16 +175,20 @@ def model() -> str:
     return row_of(as_user("calm-edge model check calm-geo"), "runs")
 
 
+def copy_drive(folder: Path, frames: int) -> None:
+    """Copy the first frames of the demo drive."""
+    for eye in ("cam0", "cam1"):
+        (folder / eye).mkdir(parents=True, exist_ok=True)
+        for image in islice(sorted((DRIVE / eye).iterdir()), frames):
+            shutil.copy(image, folder / eye)
+    for name in ("times0.txt", "times1.txt"):
+        lines = (DRIVE / name).read_text().splitlines()[:frames]
+        (folder / name).write_text("\n".join(lines) + "\n")
+
+
 def record() -> str:
     """Record a replay with the installed daemon and the default backbone."""
-    drive = TREE / "tmp" / "drive"
-    for eye in ("cam0", "cam1"):
-        (drive / eye).mkdir(parents=True, exist_ok=True)
-        for image in islice(sorted((DRIVE / eye).iterdir()), FRAMES):
-            shutil.copy(image, drive / eye)
-    for name in ("times0.txt", "times1.txt"):
-        lines = (DRIVE / name).read_text().splitlines()[:FRAMES]
-        (drive / name).write_text("\n".join(lines) + "\n")
+    copy_drive(TREE / "tmp" / "drive", FRAMES)
     output = as_user(
         f"calm-edge record --sequence /tmp/drive --pace lockstep --spacing-m 0.5 --out {DATA}/try"
     )
@@ -261,6 +267,17 @@ STEPS: dict[str, Callable[[], str]] = {
 }
 
 
+def run_steps(steps: Mapping[str, Callable[[], str]]) -> bool:
+    """Run steps, print a row for each, and return whether one failed, which ends them."""
+    for name, step in steps.items():
+        try:
+            print(f"ok    {name:14} {step()}", flush=True)
+        except Unexpected as error:
+            print(f"FAIL  {name:14} {error}", flush=True)
+            return True
+    return False
+
+
 def main() -> int:
     missing = [name for name in ("debootstrap", "unshare", "dpkg-deb") if not shutil.which(name)]
     if os.geteuid() or missing:
@@ -268,14 +285,10 @@ def main() -> int:
         print(f"deb-test: skipped, {why}")
         return SKIPPED
     WORK.mkdir(parents=True, exist_ok=True)
-    for name, step in STEPS.items():
-        try:
-            print(f"ok    {name:14} {step()}", flush=True)
-        except Unexpected as error:
-            print(f"FAIL  {name:14} {error}", flush=True)
-            return 1
-    shutil.rmtree(TREE)
-    return 0
+    failed = run_steps(STEPS)
+    if not failed:
+        shutil.rmtree(TREE)
+    return int(failed)
 
 
 if __name__ == "__main__":
