@@ -104,7 +104,9 @@ def _peaks(primary: Rates, assistant: Rates) -> tuple[list[_Peak], int]:
     pieces = max(1, round(length * dt / PIECE_S))
     bounds = np.linspace(0, length, pieces + 1).astype(int)
     peaks: list[_Peak] = []
-    bands = [_Band(p, a) for p, a in zip(_bands(primary), _bands(assistant), strict=True)]
+    split = min(len(primary.rate), length) * dt >= LEAST_OVERLAP_S
+    pairs = zip(_bands(primary, split), _bands(assistant, split), strict=True)
+    bands = [_Band(p, a) for p, a in pairs]
     n_lags = 0
     for first, end in pairwise(bounds.tolist()):
         lag, score = _scores(primary, assistant, bands, first, end)
@@ -129,11 +131,11 @@ class _Band:
         self.effective = _effective_share(primary, assistant)
 
 
-def _bands(rates: Rates) -> list[Float]:
+def _bands(rates: Rates, split: bool) -> list[Float]:
     filters = [
         butter(2, SPLIT_HZ, kind, fs=1 / rates.dt_s, output="sos") for kind in ("low", "high")
     ]
-    if len(rates.rate) < 4 / rates.dt_s:
+    if not split:
         return [rates.rate[:, :2]]
     return [
         np.where(rates.known[:, None], sosfiltfilt(sos, rates.rate[:, :2], axis=0), 0.0)

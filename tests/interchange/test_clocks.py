@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calm_edge.interchange import InterchangeError
+from calm_edge.interchange.clock_search import Coarse
 from calm_edge.interchange.clocks import check_steady, relate
 from calm_edge.interchange.turns import Turns
 from tests.interchange.turning import drive
@@ -42,6 +43,28 @@ def test_a_zoomed_camera_is_refused() -> None:
     relation = relate(primary, changed, None)
     with pytest.raises(InterchangeError, match=r"turns 1\.[56]\d times.*zoomed"):
         check_steady(relation, primary, changed)
+
+
+def test_sound_is_a_second_witness() -> None:
+    """It is reported, and decides where the motion alone is not certain."""
+    primary, assistant, _ = drive(60, 1)
+    for apart_s, verdict in ((0.02, "agrees"), (0.5, "disagrees; the motion is used")):
+        sound = Coarse(3.7 + apart_s, 0.0, 20.0, 60.0, 30.0, 10.0)
+        relation = relate(primary, assistant, sound)
+        assert relation.lines()[2].startswith(f"sound: {verdict} (")
+        assert relation.sound_s == pytest.approx(apart_s, abs=0.01)
+    # four seconds in common are few for the motion alone
+    short = drive(8, 2)
+    with pytest.raises(InterchangeError, match="--offset-s"):
+        relate(*short[:2], None)
+    found = relate(*short[:2], Coarse(3.72, 0.0, 4.0, 60.0, 30.0, 10.0))
+    assert abs(found.fit.offset_s - 3.7) < 0.02
+
+
+@pytest.mark.parametrize("seconds", [6.2, 7.0])
+def test_short_videos_are_refused(seconds: float) -> None:
+    with pytest.raises(InterchangeError, match="cannot be related"):
+        relate(*drive(seconds, 1)[:2], None)
 
 
 def test_different_drives_are_not_related() -> None:
