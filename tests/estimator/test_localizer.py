@@ -278,7 +278,7 @@ def test_a_window_of_one_camera_or_with_a_broken_image_is_skipped():
     primary = (*second.primary[:4], Keyframe(second.primary[4].id, broken), *second.primary[5:])
     assert localizer.process(dataclasses.replace(second, primary=primary)) is None
     reasons = [skipped.reason for skipped in localizer.skipped]
-    assert "both clocks" in reasons[0] and "not a readable image" in reasons[1]
+    assert "both clocks" in reasons[0] and "not a JPEG" in reasons[1]
     assert localizer.process(third).submap.n_overlap == 0
 
 
