@@ -20,7 +20,9 @@ class CaptureConfig:
     stale_after_ms: time without a frame after which a camera is stale. realtime_priority:
     SCHED_FIFO priority of the capture threads, 1 to 99; 0: normal scheduling. exposure_us, gain,
     white_balance_k, focus: a number, `auto`, `auto-then-lock` (after two seconds) or `lock` (at the
-    current value), see device.camera.CameraControls. Autofocus only with `auto`.
+    current value), see device.camera.CameraControls. Autofocus only with `auto`. readout_ms: time
+    from the exposure of the first row to that of the last, 0 for a global shutter, one value or one
+    per camera, a hint: it is learned from driving.
     """
 
     primary: str = "v4l2:"
@@ -34,6 +36,13 @@ class CaptureConfig:
     gain: int | str = "auto"
     white_balance_k: int | str = "auto"
     focus: int | str = "lock"
+    readout_ms: tuple[float, ...] = ()
+
+    @property
+    def readout_s_of_eye(self) -> tuple[float | None, float | None]:
+        """Readout times of (primary, assistant) in seconds, None: unknown."""
+        ms = self.readout_ms
+        return (ms[0] / 1e3, ms[-1] / 1e3) if ms else (None, None)
 
 
 @dataclass(frozen=True, slots=True)

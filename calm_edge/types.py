@@ -99,7 +99,8 @@ class Overlap:
 class Hints:
     """Prior knowledge of a batch of N images.
 
-    eyes: (N,) Eye values. t_ns: (N,). hfov_deg: one per camera, None if unknown.
+    eyes: (N,) Eye values. t_ns: (N,). hfov_deg: one per camera, None if unknown. readout_s: from
+    the exposure of the first row to that of the last, one per camera, None if unknown.
     kit: belief from earlier windows with the same kit, or None.
     sizes: (2, 2) width, height [px] of each camera's images, or None.
     late_s: (N,) known offset of each stamp, exposure minus stamp; None if none is known.
@@ -116,6 +117,7 @@ class Hints:
     t_ns: Int
     hfov_deg: tuple[float | None, float | None] = (None, None)
     kit: KitBelief | None = None
+    readout_s: tuple[float | None, float | None] = (None, None)
     sizes: Int | None = None
     loop: bool = False
     n_overlap: int = 0

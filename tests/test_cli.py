@@ -168,6 +168,8 @@ def test_unreadable_images_are_a_loss_and_not_the_end(
         ),
         (["--hfov-deg", "80", "80", "80"], "--hfov-deg"),
         (["--hfov-deg", "190"], "hfov_deg"),
+        (["--set", "capture.readout_ms=[-1.0]"], "capture.readout_ms"),
+        (["--set", "capture.readout_ms=[8.0, 9.0, 10.0]"], "capture.readout_ms"),
         (["--spacing-m", "-1"], "spacing_m"),
     ],
 )

@@ -94,6 +94,11 @@ def effective_config(arguments: argparse.Namespace, base: Config | None = None) 
         config = with_calibration(config, say)
     if config.scale.spacing_m < 0:
         raise ConfigError(f"scale.spacing_m = {config.scale.spacing_m:g}: must not be negative")
+    readout_ms = config.capture.readout_ms
+    if len(readout_ms) > 2 or any(not 0 <= ms < 200 for ms in readout_ms):
+        raise ConfigError(
+            f"capture.readout_ms = {list(readout_ms)}: give one value or one per camera, 0 to 200"
+        )
     if any(not 0 < a < 180 for a in config.backbone.hfov_deg):
         raise ConfigError(f"backbone.hfov_deg = {config.backbone.hfov_deg}: must be in (0, 180)")
     return pinned(config, deterministic=arguments.pace == "lockstep")

@@ -209,6 +209,7 @@ class WindowSolver:
             t_ns=np.array([frame.t_ns for frame in frames], np.int64),
             hfov_deg=self._config.backbone.hfov_of_eye,
             kit=self._memory.belief(without=window.submap_id),
+            readout_s=self._config.capture.readout_s_of_eye,
             sizes=sizes,
             loop=window.loop_keyframe is not None,
             n_overlap=window.n_overlap,

@@ -1,6 +1,6 @@
-"""Conversion of kits from version 0.1.0, whose lenses had one radial term, k1.
+"""Conversion of kits from version 0.1.0: one radial term an eye, k1, and no readout time.
 
-The 15 entries of its kit vector are those of kit/layout.py without the further lens terms.
+The 15 entries of its kit vector are those of kit/layout.py without the newer terms.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calm_edge.kit import layout
 
 SIZE = 15
-_KEPT = np.delete(np.arange(layout.SIZE), layout.DISTORTION[:, 1:])
+_KEPT = np.delete(np.arange(layout.SIZE), np.c_[layout.DISTORTION[:, 1:], layout.READOUT])
 
 
 def converted(array: NDArray[Any]) -> NDArray[Any]:

@@ -1,10 +1,12 @@
 """Layout of the kit vector theta, its prior, and its drift between two drives.
 
 theta (SIZE,): for each eye log(f / width), the principal point's offset from the image centre as a
-share of the width (x, y) and distortion (k1, k2, see `geometry/distortion`); then the rig T_p_a
+share of the width (x, y), distortion (k1, k2, see `geometry/distortion`) and the readout time: from
+the exposure of the first row to that of the last [s], 0 for a global shutter; then the rig T_p_a
 as a rotation vector [rad] and the assistant's centre in the primary camera [spacings]; then the
 time offset: how much later than its stamp, on the primary's clock, an assistant's picture is
-exposed [s]. This file alone holds the index of a term; elsewhere terms are named.
+exposed [s]. Stamps and poses are those of the middle row. This file alone holds the index of a
+term; elsewhere terms are named.
 """
 
 from __future__ import annotations
@@ -16,13 +18,14 @@ from calm_edge.geometry.camera import Perspective
 from calm_edge.kit.belief import blurred
 from calm_edge.types import Float, Int, KitBelief
 
-# Indices into theta: the optics of each eye (2, terms), then single terms of both eyes. The optics
-# of the primary come first, so its indices are also those within the optics of one eye.
-OPTICS = np.arange(10).reshape(2, 5)
+# Indices into theta: the terms of each eye (2, terms), its optics and its shutter; then single
+# terms of both eyes. The primary's come first, so its indices are also those within one eye.
+EYE = np.arange(12).reshape(2, 6)
+OPTICS, READOUT = EYE[:, :5], EYE[:, 5]
 LOG_FOCAL = OPTICS[:, 0]
 PRINCIPAL_POINT = OPTICS[:, 1:3]
 DISTORTION = OPTICS[:, 3:]
-RIG_ROTATION = slice(OPTICS.size, OPTICS.size + 3)
+RIG_ROTATION = slice(EYE.size, EYE.size + 3)
 RIG_CENTRE = slice(RIG_ROTATION.stop, RIG_ROTATION.stop + 3)
 RIG = slice(RIG_ROTATION.start, RIG_CENTRE.stop)
 TIME_OFFSET = RIG.stop
@@ -47,6 +50,10 @@ EVIDENCE_SPACING_SIGMA = 0.05
 # velocity the time offset and the rig's forward offset cannot be separated; this prior divides
 # the sum between them.
 TIME_OFFSET_SIGMA_S = 0.01
+# Sensors read their rows out within 8 to 33 ms, or at once. HINTED: for a readout time that was
+# configured.
+READOUT_S, READOUT_SIGMA_S = 0.01, 0.012
+HINTED_READOUT_SIGMA_S = 0.5e-3
 
 # Largest sigmas of the rig's rotation [rad] and of the log focals at which the kit counts as known:
 # matches between the cameras are then guided by it, and other focals need not be tried.
@@ -66,6 +73,8 @@ RIG_ROTATION_DRIFT_RAD = 0.005
 RIG_CENTRE_DRIFT = 0.01
 # large: the time offset of one drive does not predict that of the next
 TIME_OFFSET_DRIFT_S = 1.0
+# set by the sensor's clock: the same while the video mode is
+READOUT_DRIFT_S = 1e-4
 
 
 def _vector(
@@ -75,23 +84,30 @@ def _vector(
     rotation: float,
     centre: float,
     time_offset: float,
+    readout: float,
 ) -> Float:
     """Fill a vector (SIZE,) from one value for each kind of term, equal for both eyes."""
     out = np.empty(SIZE)
     out[LOG_FOCAL], out[PRINCIPAL_POINT], out[DISTORTION] = log_focal, principal_point, radial
     out[RIG_ROTATION], out[RIG_CENTRE], out[TIME_OFFSET] = rotation, centre, time_offset
+    out[READOUT] = readout
     return out
 
 
-def prior(hfov_deg: tuple[float | None, float | None], sizes: Int | None = None) -> KitBelief:
+def prior(
+    hfov_deg: tuple[float | None, float | None],
+    sizes: Int | None = None,
+    readout_s: tuple[float | None, float | None] = (None, None),
+) -> KitBelief:
     """Prior belief; hfov_deg: horizontal field of view of each eye, None where unknown.
 
-    sizes: (2, 2) width, height [px]: an unknown field of view is that of the long side.
+    sizes: (2, 2) width, height [px]: an unknown field of view is that of the long side. readout_s:
+    of each eye, None where unknown.
     """
     mean = np.zeros(SIZE)
     sigma = _vector(
         LOG_FOCAL_SIGMA, PRINCIPAL_POINT_SIGMA, RADIAL_SIGMA,
-        RIG_ROTATION_SIGMA_RAD, RIG_DIRECTION_SIGMA, TIME_OFFSET_SIGMA_S,
+        RIG_ROTATION_SIGMA_RAD, RIG_DIRECTION_SIGMA, TIME_OFFSET_SIGMA_S, READOUT_SIGMA_S,
     )  # fmt: skip
     for eye, (index, hfov) in enumerate(zip(LOG_FOCAL, hfov_deg, strict=True)):
         width_over_f = 2 * np.tan(np.radians(hfov or DEFAULT_HFOV_DEG) / 2)
@@ -100,6 +116,10 @@ def prior(hfov_deg: tuple[float | None, float | None], sizes: Int | None = None)
         elif sizes is not None:
             width_over_f *= sizes[eye, 0] / max(sizes[eye])
         mean[index] = -np.log(width_over_f)
+    for index, readout in zip(READOUT, readout_s, strict=True):
+        mean[index] = READOUT_S if readout is None else readout
+        if readout is not None:
+            sigma[index] = HINTED_READOUT_SIGMA_S
     information = np.diag(sigma**-2.0)
     # k2 - RADIAL_RATIO k1 is independent of k1
     for k1, k2 in DISTORTION:
@@ -114,7 +134,7 @@ def drift_sigma() -> Float:
     """(SIZE,) one sigma of each term's change between two drives."""
     return _vector(
         LOG_FOCAL_DRIFT, PRINCIPAL_POINT_DRIFT, RADIAL_DRIFT,
-        RIG_ROTATION_DRIFT_RAD, RIG_CENTRE_DRIFT, TIME_OFFSET_DRIFT_S,
+        RIG_ROTATION_DRIFT_RAD, RIG_CENTRE_DRIFT, TIME_OFFSET_DRIFT_S, READOUT_DRIFT_S,
     )  # fmt: skip
 
 

@@ -11,14 +11,14 @@ from calm_edge.types import KitBelief
 
 
 def swapped(belief: KitBelief) -> KitBelief:
-    """Exchange primary and assistant: their optics, the inverse rig, the opposite time offset.
+    """Exchange primary and assistant: their terms, the inverse rig, the opposite time offset.
 
     With T_p_a = (R, c) the rig becomes (R^T, -R^T c). The information is transformed to first
     order, by the Jacobian of the exchange.
     """
     belief = gaussian(belief)
     theta, J = belief.mean, np.zeros((layout.SIZE, layout.SIZE))
-    J[layout.OPTICS, layout.OPTICS[::-1]] = 1.0
+    J[layout.EYE, layout.EYE[::-1]] = 1.0
     turn, centre = theta[layout.RIG_ROTATION], theta[layout.RIG_CENTRE]
     R_a_p = se3.so3_exp(-turn)
     J[layout.RIG_ROTATION, layout.RIG_ROTATION] = -np.eye(3)

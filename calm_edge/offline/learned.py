@@ -41,11 +41,12 @@ def learned(recording: Recording) -> tuple[Calibration, tuple[str, ...]]:
     if last.kit is None or len(last.kit.mean) != layout.SIZE:
         calibration, notes = _of_submap(recording, last)
     else:
-        hfov, spacing_m = recording.config.backbone.hfov_of_eye, recording.config.scale.spacing_m
+        config = recording.config
+        hfov, readout_s = config.backbone.hfov_of_eye, config.capture.readout_s_of_eye
         sizes = picture_sizes(last.submap)
-        belief = product([layout.prior(hfov, sizes), last.kit])
+        belief = product([layout.prior(hfov, sizes, readout_s), last.kit])
         assert belief is not None
-        calibration, notes = _of_kit(recording, belief, sizes, spacing_m)
+        calibration, notes = _of_kit(recording, belief, sizes, config.scale.spacing_m)
     return calibration, (head, *notes)
 
 

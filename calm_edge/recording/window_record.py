@@ -89,6 +89,7 @@ def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) 
         record.t_ns,
         config.backbone.hfov_of_eye,
         update.kit,
+        config.capture.readout_s_of_eye,
         loop=record.has_loop,
         n_overlap=record.n_overlap,
         n_shared=config.overlap_shared,

@@ -10,7 +10,8 @@ from calm_edge.kit import layout
 
 def test_names_cover_the_vector_once():
     terms = [layout.LOG_FOCAL, layout.PRINCIPAL_POINT.ravel(), layout.DISTORTION.ravel()]
-    entries = np.r_[*terms, layout.RIG_ROTATION, layout.RIG_CENTRE, layout.TIME_OFFSET]
+    single = layout.RIG_ROTATION, layout.RIG_CENTRE, layout.TIME_OFFSET
+    entries = np.r_[*terms, layout.READOUT, *single]
     assert np.array_equal(np.sort(entries), np.arange(layout.SIZE))
     assert np.array_equal(np.sort(np.concatenate(terms)), np.sort(layout.OPTICS.ravel()))
     assert np.array_equal(np.r_[layout.RIG_ROTATION, layout.RIG_CENTRE], np.r_[layout.RIG])
@@ -42,8 +43,17 @@ def test_a_hint_sets_the_focal_of_its_eye_and_its_sigma():
     assert sigma[layout.LOG_FOCAL] == pytest.approx([0.01, 0.30])
     # a hint concerns the focal only
     others = np.delete(belief.mean, layout.LOG_FOCAL)
-    assert np.array_equal(others, np.zeros(layout.SIZE - 2))
+    unhinted = np.delete(layout.prior((None, None)).mean, layout.LOG_FOCAL)
+    assert np.array_equal(others, unhinted)
+    assert np.count_nonzero(unhinted) == 2  # the readout times
     assert np.ptp(sigma[layout.PRINCIPAL_POINT]) == 0 and (sigma[layout.RIG] >= 0.5).all()
+
+
+def test_a_hint_sets_the_readout_of_its_eye_and_its_sigma():
+    belief = layout.prior((None, None), readout_s=(None, 0.025))
+    sigma = np.diag(belief.information) ** -0.5
+    assert belief.mean[layout.READOUT] == pytest.approx([layout.READOUT_S, 0.025])
+    assert sigma[layout.READOUT] == pytest.approx([0.012, 0.0005])
 
 
 def test_the_camera_of_a_hint_is_a_pinhole_of_that_field():

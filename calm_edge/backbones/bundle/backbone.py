@@ -149,11 +149,12 @@ class BundleBackbone:
 
 
 def kit_belief(hints: Hints) -> KitBelief:
-    """Prior on the kit: product of layout.prior(hints.hfov_deg) and hints.kit.
+    """Prior on the kit: product of the layout's, with the hints, and hints.kit.
 
     The time offset is what is left of it after the known offsets of the stamps.
     """
-    prior = layout.with_time_jitter(layout.prior(hints.hfov_deg, hints.sizes), hints.late_sigma_s)
+    prior = layout.prior(hints.hfov_deg, hints.sizes, hints.readout_s)
+    prior = layout.with_time_jitter(prior, hints.late_sigma_s)
     joint = product([prior, hints.kit])
     assert joint is not None
     length = np.linalg.norm(joint.mean[layout.RIG_CENTRE])

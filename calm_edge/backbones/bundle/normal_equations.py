@@ -54,9 +54,9 @@ def grouped(key: Int) -> Groups:
 
 
 def unknowns(m: Measurements) -> Int:
-    """Indices (C, 6 + optics) in H of each view's pose and its eye's optics."""
-    optics = 6 * m.n_views + layout.OPTICS[m.eye]
-    return np.concatenate([6 * np.arange(m.n_views)[:, None] + np.arange(6), optics], 1)
+    """Indices (C, 6 + terms) in H of each view's pose and the terms of its eye."""
+    terms = 6 * m.n_views + layout.EYE[m.eye]
+    return np.concatenate([6 * np.arange(m.n_views)[:, None] + np.arange(6), terms], 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +155,8 @@ def normal_equations(
     # no sum is needed: a view observes a point at most once
     cross.reshape(-1)[structure.cross] = blocks[:6].reshape(18, -1)
     pairs = structure.by_point_and_eye
-    optics = 6 * n_views + layout.OPTICS[pairs.keys % 2]
-    cross[optics, :, pairs.keys[:, None] // 2] = pairs.sum(blocks[6:]).transpose(2, 0, 1)
+    terms = 6 * n_views + layout.EYE[pairs.keys % 2]
+    cross[terms, :, pairs.keys[:, None] // 2] = pairs.sum(blocks[6:]).transpose(2, 0, 1)
     flat = cross.reshape(D, -1)
     H -= flat @ flat.T
     g -= flat @ gradient.reshape(-1)

@@ -7,6 +7,7 @@ Representations for Uncertainty and Estimation in Projective Spaces", ACCV 2010)
 through infinity (w < 0) and back without a barrier in the cost.
 Every assistant pose is free but tied to the rig by a soft factor: the primary's pose is
 interpolated at its exposure, so unsynchronised streams need no special case (paper IV-B, IV-C).
+A rolling shutter exposes row by row: each observation is predicted at the instant of its row.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class State:
 class ReprojectionJacobians:
     """Predicted pixels (O, 2) of all observations and their derivatives; in_front: (O,) bool.
 
-    camera: (6 + optics, 2, O), by the pose, then by the terms of layout.OPTICS. point: (3, 2, O) in
+    camera: (6 + terms, 2, O), by the pose, then by the terms of layout.EYE. point: (3, 2, O) in
     the tangent of `tangent_basis`. Observations come last: sums over them are several times faster.
     """
 
@@ -118,9 +119,47 @@ def camera_points(state: State, m: Measurements) -> Float:
     return np.ascontiguousarray(every.reshape(n_points, n_views, 3)[m.point, m.view].T)
 
 
+def view_rates(T_c_s: Float, m: Measurements) -> Float:
+    """Twists per second (C, 6) of the views: the derivative of T_c_s by time is hat(twist) T_c_s.
+
+    Of a parabola through each view and its neighbours of the same eye; zero for an eye's only view.
+    """
+    out = np.zeros((m.n_views, 6))
+    for eye in (0, 1):
+        (views,) = np.nonzero(m.eye == eye)
+        if len(views) < 2:
+            continue
+        dt = np.diff(m.t[views])
+        rate = se3.log(T_c_s[views[1:]] @ se3.inverse(T_c_s[views[:-1]])) / dt[:, None]
+        # change of the rate by half of two intervals, at each view between these
+        bend = np.diff(rate, axis=0) / (dt[:-1] + dt[1:])[:, None]
+        out[views[:-1]] = rate
+        out[views[1:-1]] = rate[:-1] + dt[:-1, None] * bend
+        out[views[-1]] = rate[-1]
+        if len(bend):
+            out[views[0]] -= dt[0] * bend[0]
+            out[views[-1]] += dt[-1] * bend[-1]
+    return out
+
+
+def exposed_points(state: State, m: Measurements) -> tuple[Float, Float]:
+    """`camera_points` (3, O) at the exposure of the rows; and their derivative by readout time.
+
+    To first order in the readout time. That the twists depend on the poses is neglected in the
+    derivatives by these: it is a share of readout time over time between keyframes.
+    """
+    p_c = camera_points(state, m)
+    (x, y, z), w = p_c, state.points[:, 3][m.point]
+    u, v, n, a, b, c = view_rates(state.T_c_s, m).T[:, m.view]
+    eye = m.eye[m.view]
+    motion = np.stack([u * w + b * z - c * y, v * w + c * x - a * z, n * w + a * y - b * x])
+    motion *= m.uv[:, 1] / (m.size[eye, 1] - 1) - 0.5
+    return p_c + state.theta[layout.READOUT][eye] * motion, motion
+
+
 def project(state: State, m: Measurements) -> tuple[Float, Float]:
-    """Predicted pixels (O, 2), and z (O,) of `camera_points`."""
-    X, Y, Z = camera_points(state, m)
+    """Predicted pixels (O, 2), and z (O,) of `exposed_points`."""
+    (X, Y, Z), _ = exposed_points(state, m)
     lens, z = _Optics.of(state.theta, m), _away_from_zero(Z)
     return (distorted(np.stack([X / z, Y / z]), lens.k, lens.f) + lens.centre).T, Z
 
@@ -131,22 +170,23 @@ def _away_from_zero(z: Float) -> Float:
 
 def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJacobians:
     """Pixels and analytic derivatives of all observations."""
-    X, Y, Z = camera_points(state, m)
+    (X, Y, Z), motion = exposed_points(state, m)
     lens, z = _Optics.of(state.theta, m), _away_from_zero(Z)
     q = np.stack([X / z, Y / z])
     offset = distorted(q, lens.k, lens.f)
     by_point = np.empty((3, 2, len(z)))
     np.divide(distorted_jacobian(q, lens.k, lens.f), z, out=by_point[:2])
     by_point[2] = -q[0] * by_point[0] - q[1] * by_point[1]
-    camera = np.zeros((6 + layout.OPTICS.shape[1], 2, len(z)))
+    camera = np.zeros((6 + layout.EYE.shape[1], 2, len(z)))
     camera[:3] = by_point * state.points[:, 3][m.point]
     camera[3] = Y * by_point[2] - Z * by_point[1]
     camera[4] = Z * by_point[0] - X * by_point[2]
     camera[5] = X * by_point[1] - Y * by_point[0]
-    optics, (cx, cy) = camera[6:], layout.PRINCIPAL_POINT[0]
-    optics[layout.LOG_FOCAL[0]] = offset
-    optics[cx, 0] = optics[cy, 1] = m.size[:, 0][m.eye[m.view]]
-    optics[layout.DISTORTION[0]] = term_jacobian(q, lens.k, lens.f)
+    of_eye, (cx, cy) = camera[6:], layout.PRINCIPAL_POINT[0]
+    of_eye[layout.LOG_FOCAL[0]] = offset
+    of_eye[cx, 0] = of_eye[cy, 1] = m.size[:, 0][m.eye[m.view]]
+    of_eye[layout.DISTORTION[0]] = term_jacobian(q, lens.k, lens.f)
+    of_eye[layout.READOUT[0]] = (by_point * motion[:, None]).sum(0)
     point = times(times(by_point, state.T_c_s[:, :3], m.view), basis, m.point)
     return ReprojectionJacobians((offset + lens.centre).T, camera, point, Z > NEAREST)
 

@@ -17,8 +17,9 @@ PERIOD_S = 0.3
 
 
 def theta_of(hfov_deg=(76.0, 66.0), rotation_deg=(1.0, -3.7, 1.2), radial=(0.0, 0.0)) -> Float:
-    """A kit with two focals and 4 degrees between its eyes."""
+    """A kit with two focals, global shutters and 4 degrees between its eyes."""
     theta = layout.prior(hfov_deg).mean
+    theta[layout.READOUT] = 0.0
     theta[layout.DISTORTION[:, 0]] = radial
     theta[layout.RIG_ROTATION] = np.radians(rotation_deg)
     theta[layout.RIG_CENTRE] = np.array([0.99, 0.03, 0.1]) / np.linalg.norm([0.99, 0.03, 0.1])

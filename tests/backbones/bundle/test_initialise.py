@@ -25,7 +25,7 @@ def rotation_deg(T, T_true):
 def guess_of(truth, factor):
     """The truth's optics with both focals off by a factor, and nothing of the rig."""
     theta = layout.prior((None, None)).mean
-    theta[layout.OPTICS] = truth.theta[layout.OPTICS]
+    theta[layout.EYE] = truth.theta[layout.EYE]
     theta[layout.LOG_FOCAL] += np.log(factor)
     return theta
 

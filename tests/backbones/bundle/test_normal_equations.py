@@ -26,7 +26,7 @@ def test_eliminating_points_is_the_schur_complement():
     J = np.zeros((len(m.uv), 2, D + 3 * points))
     for o, (view, point) in enumerate(zip(m.view, m.point, strict=True)):
         J[o, :, 6 * view : 6 * view + 6] = jac.camera[:6, :, o].T
-        J[o, :, 6 * n + layout.OPTICS[m.eye[view]]] = jac.camera[6:, :, o]
+        J[o, :, 6 * n + layout.EYE[m.eye[view]]] = jac.camera[6:, :, o]
         J[o, :, D + 3 * point : D + 3 * point + 3] = jac.point[:, :, o].T
     J = (J * (np.sqrt(weight) / m.sigma_px)[:, None, None]).reshape(-1, D + 3 * points)
     r = ((jac.predicted - m.uv) * (np.sqrt(weight) / m.sigma_px)[:, None]).ravel()

@@ -5,9 +5,10 @@ import pytest
 
 from calm_edge.backbones.bundle import problem
 from calm_edge.backbones.bundle.problem import State
+from calm_edge.backbones.bundle.solver import solve
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
-from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
+from tests.backbones.bundle.exact_window import PERIOD_S, perturbed, theta_of, turn, window
 
 H = 1e-6
 
@@ -47,17 +48,71 @@ def test_pixels_by_pose(seen):
     assert_jacobian(problem.reprojection(state, m, basis).camera[:6], numeric)
 
 
-def test_pixels_by_optics_with_radial_term(seen):
+def test_pixels_by_the_terms_of_an_eye(seen):
     m, state = seen
     basis = problem.tangent_basis(state.points)
 
     def stepped(d):
         theta = state.theta.copy()
-        theta[layout.OPTICS] += d
+        theta[layout.EYE] += d
         return replace(state, theta=theta)
 
-    numeric = central_difference(stepped, m, layout.OPTICS.shape[1])
+    numeric = central_difference(stepped, m, layout.EYE.shape[1])
     assert_jacobian(problem.reprojection(state, m, basis).camera[6:], numeric)
+
+
+def rolling(T_s_p, theta, twist, readout_s):
+    """Pixels of a window on a path of constant twist [per s], each row at its own instant."""
+    made = window(T_s_p, theta, n_points=60, delay_s=0.0)
+    m = made.m
+    lenses = layout.cameras(theta, m.size)
+    uv = m.uv.copy()
+    for row, (view, point) in enumerate(zip(m.view, m.point, strict=True)):
+        eye = m.eye[view]
+        for _ in range(8):
+            late = readout_s[eye] * (uv[row, 1] / (m.size[eye, 1] - 1) - 0.5)
+            T_p_s = se3.inverse(se3.exp(twist * (m.t[view] + late)))
+            T_c_s = T_p_s if eye == 0 else se3.inverse(layout.rig(theta)) @ T_p_s
+            uv[row] = lenses[eye].project((T_c_s @ made.truth.points[point])[:3])
+    return replace(m, uv=uv), made.truth
+
+
+def test_a_rolling_shutter_sees_each_row_at_its_own_instant():
+    twist = np.array([0.4, 0.1, 9.0, 0.05, 0.25, 0.02])
+    T_s_p = se3.exp(twist * PERIOD_S * np.arange(5)[:, None])
+    readout_s, theta = (0.03, 0.018), theta_of(radial=(-0.1, -0.05))
+    m, truth = rolling(T_s_p, theta, twist, readout_s)
+    still, _ = problem.project(truth, m)
+    theta[layout.READOUT] = readout_s
+    moved, _ = problem.project(replace(truth, theta=theta), m)
+    assert np.percentile(np.linalg.norm(still - m.uv, axis=1), 90) > 1.0
+    # what is left is of second order in the readout time
+    assert np.linalg.norm(moved - m.uv, axis=1).max() < 0.05
+
+
+def test_a_window_shows_the_difference_of_the_readout_times():
+    twist = np.array([0.4, 0.1, 9.0, 0.05, 0.25, 0.02])
+    T_s_p = se3.exp(twist * PERIOD_S * np.arange(6)[:, None])
+    m, truth = rolling(T_s_p, theta_of(), twist, (0.03, 0.018))
+    found = solve(truth, m, problem.rig_ties(m), layout.prior((76.0, 66.0)), max_iterations=20)
+    # what both have in common is hardly seen at a constant velocity, since all pictures are read
+    # out in one direction (Albl et al., Degeneracies in Rolling Shutter SfM, ECCV 2016)
+    primary, assistant = found.state.theta[layout.READOUT]
+    assert primary - assistant == pytest.approx(0.012, abs=5e-4)
+    assert abs(primary - 0.03) < abs(layout.READOUT_S - 0.03)
+
+
+@pytest.mark.parametrize("eye_of", [[0, 0, 0, 0, 1, 1], [0, 0, 0, 0, 0, 1]])
+def test_view_rates_are_exact_for_a_constant_acceleration(eye_of):
+    made = window(turn(3), theta_of(), n_points=30).m
+    t = np.array([0.0, 0.2, 0.5, 0.6, 0.1, 0.3])
+    m = replace(made, eye=np.array(eye_of), t=t if eye_of[4] else np.sort(t))
+    T_c_s = se3.exp(np.outer(1.5 * m.t + 2.0 * m.t**2, [0, 0, 0, 0, 0.1, 0]))
+    rate = problem.view_rates(T_c_s, m)
+    several = np.array([np.sum(m.eye == eye) > 2 for eye in m.eye])
+    assert np.allclose(rate[several, 4], 0.1 * (1.5 + 4.0 * m.t[several]))
+    alone = np.array([np.sum(m.eye == eye) == 1 for eye in m.eye])
+    assert not rate[alone].any()
 
 
 def test_pixels_by_point_tangent(seen):
