@@ -10,7 +10,7 @@ from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.clock_fit import ClockFit, fit
 from calm_edge.interchange.clock_search import Coarse, search
 from calm_edge.interchange.sound import SIGMA_S
-from calm_edge.interchange.steadiness import stabilised, zoomed
+from calm_edge.interchange.steadiness import Noise, stabilised, zoomed
 from calm_edge.interchange.turn_rates import rates
 from calm_edge.interchange.turns import Turns
 
@@ -88,9 +88,11 @@ def _unseen(found: Coarse | None) -> str:
 
 def check_steady(relation: Relation, primary: Turns, assistant: Turns) -> None:
     """Refuse video whose camera changes from frame to frame; raises InterchangeError."""
-    sigmas = [float(np.median(t.sigma[np.isfinite(t.sigma)])) for t in (primary, assistant)]
-    interval = max(float(np.median(np.diff(t.t_s))) for t in (primary, assistant))
-    eye, ratio = stabilised(relation.fit, (sigmas[0], sigmas[1]), interval)
+    noises = [
+        Noise(float(np.median(t.sigma[np.isfinite(t.sigma)])), float(np.median(np.diff(t.t_s))))
+        for t in (primary, assistant)
+    ]
+    eye, ratio = stabilised(relation.fit, (noises[0], noises[1]), FIT_SMOOTH_S)
     if eye:
         other = "assistant" if eye == "primary" else "primary"
         raise InterchangeError(

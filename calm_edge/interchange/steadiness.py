@@ -6,6 +6,8 @@ of its shaking; one that is zoomed shows the same turn larger or smaller than be
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
@@ -23,34 +25,43 @@ ZOOM_RATIO = 1.25
 ZOOM_SIGMAS = 5.0
 
 
-def stabilised(fit: ClockFit, noise: tuple[float, float], frame_s: float) -> tuple[str, float]:
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Noise of a camera's turns. sigma: of one step [widths]. frame_s: interval of the steps."""
+
+    sigma: float
+    frame_s: float
+
+    def power(self, low_hz: float, top_hz: float, smooth_s: float) -> float:
+        """Power of both shift rates in a band [(widths/s)^2], after the smoothing of the rates."""
+        hz = np.linspace(low_hz, top_hz, 50)
+        passed = np.exp(-((2 * np.pi * hz * smooth_s) ** 2)).mean() * (top_hz - low_hz)
+        return float(2 * (self.sigma / self.frame_s) ** 2 * passed * 2 * self.frame_s)
+
+
+def stabilised(fit: ClockFit, noise: tuple[Noise, Noise], smooth_s: float) -> tuple[str, float]:
     """Compare the shaking of both cameras: ("primary" | "assistant" | "", ratio of powers).
 
-    noise: sigma of the turn from frame to frame of each camera [widths]. frame_s: longest of both
-    frame intervals. The named camera shakes less than LEAST_POWER of the other's power.
+    smooth_s: of the rates. The named camera shakes with less than LEAST_POWER of the other's power.
     """
     dt = float(np.median(np.diff(fit.times)))
-    top = min(SHAKING_HZ[1], 0.4 / frame_s)
-    if len(fit.times) * dt < BLOCK_S or top <= SHAKING_HZ[0]:
+    low, top = SHAKING_HZ[0], min(SHAKING_HZ[1], 0.4 / max(n.frame_s for n in noise))
+    if len(fit.times) * dt < BLOCK_S or top <= low:
         return "", 1.0
-    predicted, seen = (fit.primary @ fit.mixing.T)[:, :2], fit.assistant[:, :2]
     slow = butter(2, SLOW_HZ, "low", fs=1 / dt, output="sos")
-    a, b = sosfiltfilt(slow, predicted, axis=0), sosfiltfilt(slow, seen, axis=0)
-    common = float((a * b).sum() ** 2 / max((a * a).sum() * (b * b).sum(), 1e-30))
-    if common < LEAST_COMMON:
+    a, b = (sosfiltfilt(slow, rate, axis=0) for rate in (fit.primary, fit.assistant[:, :2]))
+    # of the slow turns alone: that of all is biased by missing shaking
+    mixing = np.linalg.lstsq(a, b, rcond=None)[0]
+    if 1 - ((b - a @ mixing) ** 2).sum() / max((b**2).sum(), 1e-30) < LEAST_COMMON:
         return "", 1.0
-    # gain of the slow turns alone: that of all is biased by missing shaking
-    gain = float((a * b).sum() / (a * a).sum())
-    band = butter(2, (SHAKING_HZ[0], top), "band", fs=1 / dt, output="sos")
-    unmixed = predicted * gain
-    powers = [_power(sosfiltfilt(band, rate, axis=0)) for rate in (unmixed, seen)]
-    # white noise of the steps, in this band; that of the primary as the assistant would show it
-    share = (top - SHAKING_HZ[0]) * 2 * frame_s
-    enlarged = gain * float(np.sqrt(np.linalg.norm(fit.mixing[:2, :2]) ** 2 / 2))
-    noises = [
-        2 * share * (s * k / frame_s) ** 2 for s, k in zip(noise, (enlarged, 1.0), strict=True)
-    ]
-    signal = [max(p - 4 * n, 0.0) for p, n in zip(powers, noises, strict=True)]
+    band = butter(2, (low, top), "band", fs=1 / dt, output="sos")
+    shown = fit.primary @ mixing, fit.assistant[:, :2]
+    powers = [_power(sosfiltfilt(band, rate, axis=0)) for rate in shown]
+    # the primary's noise as the assistant would show it
+    enlarged = float((np.linalg.norm(mixing[:2]) ** 2) / 2)
+    claimed = [n.power(low, top, smooth_s) for n in noise]
+    claimed[0] *= enlarged
+    signal = [max(p - n, 0.0) for p, n in zip(powers, claimed, strict=True)]
     if signal[0] > 0 and powers[1] < LEAST_POWER * signal[0]:
         return "assistant", powers[1] / signal[0]
     if signal[1] > 0 and powers[0] < LEAST_POWER * signal[1]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.clock_search import Coarse
 from calm_edge.interchange.clocks import check_steady, relate
 from calm_edge.interchange.turns import Turns
+from device.frame import Eye
 from tests.interchange.turning import drive
 
 
@@ -43,6 +45,18 @@ def test_a_zoomed_camera_is_refused() -> None:
     relation = relate(primary, changed, None)
     with pytest.raises(InterchangeError, match=r"turns 1\.[56]\d times.*zoomed"):
         check_steady(relation, primary, changed)
+
+
+@pytest.mark.parametrize("eye", list(Eye))
+def test_a_stabilised_camera_is_named(eye: Eye) -> None:
+    """A stabiliser follows the slow part of every turn."""
+    turns = list(drive(60, 4)[:2])
+    t = turns[eye]
+    calm = gaussian_filter1d(t.step, 15, axis=0)
+    turns[eye] = Turns(t.t_s, calm, t.zoom, t.sigma)
+    relation = relate(turns[0], turns[1], None)
+    with pytest.raises(InterchangeError, match=rf"{eye.name.lower()}: shakes with .* stabilised"):
+        check_steady(relation, turns[0], turns[1])
 
 
 def test_sound_is_a_second_witness() -> None:

