@@ -141,6 +141,8 @@ class Landmarks:
     points_s: (M, 3) sub-map frame, raw units. index: (O,) landmark of each observation.
     view: (O,) batch index of the image. uv: (O, 2) pixels of the full image.
     sigma_px: (O,) sigma of uv per axis; None if equal for all.
+    edge: (O, 2) direction of an edge of the picture that an observation lies on, times the root of
+    1 - sigma_px / its sigma along the edge; None if all are corners.
     """
 
     points_s: Float
@@ -148,6 +150,7 @@ class Landmarks:
     view: Int
     uv: Float32
     sigma_px: Float32 | None = None
+    edge: Float32 | None = None
 
     def seen_by(self, view: int) -> Int:
         """Landmarks that a view observed, in order."""
@@ -164,6 +167,7 @@ class Landmarks:
             self.view[rows],
             self.uv[rows],
             None if self.sigma_px is None else self.sigma_px[rows],
+            None if self.edge is None else self.edge[rows],
         )
 
 

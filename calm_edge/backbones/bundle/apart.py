@@ -64,10 +64,7 @@ def _of_primary(m: Measurements) -> Measurements:
     """The primary's views alone, points renumbered."""
     rows, views = m.eye[m.view] == 0, m.eye == 0
     _, point = np.unique(m.point[rows], return_inverse=True)
-    return replace(
-        m, view=m.view[rows], point=point, uv=m.uv[rows], sigma_px=m.sigma_px[rows],
-        eye=m.eye[views], t=m.t[views],
-    )  # fmt: skip
+    return replace(m.at(rows), point=point, eye=m.eye[views], t=m.t[views])
 
 
 def _assistants(m: Measurements, T_c_s: Float, theta: Float, prior: KitBelief) -> Float:
@@ -80,7 +77,8 @@ def _assistants(m: Measurements, T_c_s: Float, theta: Float, prior: KitBelief) -
     rays, rows = normalised(m, theta), m.view < first
     n_points = int(m.point.max()) + 1
     T = np.where(np.isfinite(T_c_s), T_c_s, np.eye(4))
-    X = triangulate(T, m.view[rows], m.point[rows], rays[rows], n_points)
+    own = m.at(rows)
+    X = triangulate(T, own.view, own.point, rays[rows], n_points, own.edge)
     seen = np.flatnonzero(~rows & np.isfinite(X[m.point, 0]) & (X[m.point, 3] > MIN_W))
     points = X[m.point[seen], :3] / X[m.point[seen], 3:]
     view, rays = m.view[seen] - first, rays[seen]

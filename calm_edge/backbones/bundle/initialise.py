@@ -184,7 +184,7 @@ def initial_state(m: Measurements, theta: Float, rig: Rig, poses: Poses) -> Stat
 def triangulated(m: Measurements, T_c_s: Float, theta: Float) -> Float:
     """Triangulate all points (M, 4), homogeneous; those seen in one view only are at infinity."""
     n_points = int(m.point.max()) + 1
-    X = triangulate(T_c_s, m.view, m.point, normalised(m, theta), n_points)
+    X = triangulate(T_c_s, m.view, m.point, normalised(m, theta), n_points, m.edge)
     return np.where(np.isfinite(X[:, :1]), X, [0.0, 0.0, 1.0, 0.0])
 
 
@@ -204,7 +204,8 @@ def _triangulate_known(
     for view, T in poses.items():
         stack[view] = T
     known = np.isin(m.view, list(poses))
-    return triangulate(stack, m.view[known], m.point[known], rays[known], n_points)
+    edge = None if m.edge is None else m.edge[known]
+    return triangulate(stack, m.view[known], m.point[known], rays[known], n_points, edge)
 
 
 def _resect(

@@ -13,6 +13,7 @@ from itertools import product, zip_longest
 import numpy as np
 
 from calm_edge.backbones.bundle.correspond import find
+from calm_edge.backbones.bundle.edges import across, edges
 from calm_edge.backbones.bundle.features import FeatureNet
 from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Bool, Matches
 from calm_edge.backbones.bundle.place import LearnedPlace
@@ -172,12 +173,13 @@ def _measured_sigma(a: Gray, b: Gray, uv: Float32, moved: Float32, features_px: 
     """Sigma (N,) px of points uv (N, 2) px of a that Lucas-Kanade found at `moved` (N, 2) in b.
 
     features_px: (N,) sigma of the features. Where a patch spans two depths or has changed, a
-    smaller window gives another position: the difference adds to the sigma.
+    smaller window gives another position: the difference adds to the sigma, but for what is along
+    an edge.
     """
     if len(uv) == 0:
         return features_px
     half, _ = follow_ahead(a, b, uv, moved, HALF_WINDOW)
-    apart = np.linalg.norm(half - moved, axis=1)
+    apart = np.linalg.norm(across(edges(b, moved), half - moved), axis=1)
     sigma = np.hypot(FEATURES_SHARE * features_px, WINDOWS_SHARE * apart)
     return np.asarray(np.maximum(sigma, SIGMA_RANGE_PX[0]), np.float32)
 

@@ -208,16 +208,19 @@ def _with_tracks(marks: Landmarks, tracks: LoopTracks, pose: LoopPose, loop_view
     number[chosen] = len(marks.points_s) + np.arange(len(chosen))
     rows = pose.kept & pose.inlier[tracks.point]
     uv: list[Float | Float32] = [marks.uv, tracks.uv[rows], tracks.loop_uv[chosen]]
-    sigma = marks.sigma_px
+    sigma, edge = marks.sigma_px, marks.edge
+    added = int(rows.sum()) + len(chosen)
     if sigma is not None:
-        added = int(rows.sum()) + len(chosen)
         sigma = np.concatenate([sigma, np.full(added, EPIPOLAR_PX, np.float32)])
+    if edge is not None:
+        edge = np.concatenate([edge, np.zeros((added, 2), np.float32)])
     return Landmarks(
         np.concatenate([marks.points_s, pose.points_s[chosen]]),
         np.concatenate([marks.index, number[tracks.point[rows]], number[chosen]]),
         np.concatenate([marks.view, tracks.view[rows], np.full(len(chosen), loop_view)]),
         np.concatenate(uv).astype(np.float32),
         sigma,
+        edge,
     )
 
 

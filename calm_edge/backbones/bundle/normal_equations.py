@@ -126,9 +126,9 @@ def normal_equations(
     n_views, n_points = m.n_views, len(state.points)
     D = 6 * n_views + layout.SIZE
     jac = reprojection(state, m, tangent_basis(state.points))
-    whiten = np.sqrt(weight) / m.sigma_px * jac.in_front
-    r = (jac.predicted - m.uv).T * whiten
-    camera, point = jac.camera * whiten, jac.point * whiten
+    root_weight = np.sqrt(weight) * jac.in_front
+    r = m.whitened((jac.predicted - m.uv).T) * root_weight
+    camera, point = m.whitened(jac.camera) * root_weight, m.whitened(jac.point) * root_weight
 
     H, g = np.zeros((D, D)), np.zeros(D)
     joined = [
@@ -173,9 +173,10 @@ def track_gradients(
     error: (2, O) px, times the weights.
     """
     D, n_points = len(normal.g), normal.root.shape[0]
-    whiten = jac.in_front / m.sigma_px**2
-    by_camera = np.einsum("iko,ko->io", jac.camera, error * whiten)
-    by_point = np.einsum("iko,ko->io", jac.point, error * whiten)
+    # whitening is symmetric: twice is a product with the information
+    pull = m.whitened(m.whitened(error)) * jac.in_front
+    by_camera = np.einsum("iko,ko->io", jac.camera, pull)
+    by_point = np.einsum("iko,ko->io", jac.point, pull)
     rows = unknowns(m)[m.view].T
     out = np.zeros((D, n_points))
     np.add.at(out, (rows, m.point), by_camera)

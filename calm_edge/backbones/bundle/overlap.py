@@ -133,7 +133,7 @@ def marginal(
     again = np.concatenate([shared, _nearest_assistants(m, shared)])
     H_all, g_all = _reduced(H, g, np.arange(m.n_views), shared)
     kept = np.isin(m.view, again)
-    of_shared = measured(state, _only(m, again), _ties_between(ties, again), weight[kept])
+    of_shared = measured(state, m.at(kept), _ties_between(ties, again), weight[kept])
     H_again, g_again = _reduced(of_shared.H, of_shared.g, again, shared)
     return _given_kit(H_all - H_again, g_all - g_again, state, shared, t_ns[shared], tempering)
 
@@ -228,14 +228,6 @@ def _nearest_assistants(m: Measurements, shared: Int) -> Int:
     (assistant,) = np.nonzero(m.eye == 1)
     apart = np.abs(m.t[assistant] - m.t[shared][:, None])
     return np.unique(assistant[apart.argmin(1)])
-
-
-def _only(m: Measurements, views: Int) -> Measurements:
-    """The observations in some views; indices of views and points stay."""
-    rows = np.isin(m.view, views)
-    return replace(
-        m, view=m.view[rows], point=m.point[rows], uv=m.uv[rows], sigma_px=m.sigma_px[rows]
-    )
 
 
 def _ties_between(ties: RigTies, views: Int) -> RigTies:

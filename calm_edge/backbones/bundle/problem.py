@@ -12,7 +12,7 @@ A rolling shutter exposes row by row: each observation is predicted at the insta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,8 @@ class Measurements:
     """Measurements of one window: O observations of M points in C views.
 
     view, point: (O,) indices, in order of the view. uv: (O, 2) px. sigma_px: (O,) one sigma of uv.
+    edge: (O, 2) direction of an edge of the picture that an observation lies on, times the root of
+    1 - sigma_px / its sigma along the edge; None if all are corners.
     eye: (C,) 0 or 1, primary views first. t: (C,) seconds. size: (2, 2) width, height
     of each eye's pictures.
     """
@@ -42,10 +44,27 @@ class Measurements:
     eye: Int
     t: Float
     size: Int
+    edge: Float | None = None
 
     @property
     def n_views(self) -> int:
         return len(self.eye)
+
+    def whitened(self, error: Float) -> Float:
+        """Errors (..., 2, O) px, or derivatives of these, in sigmas."""
+        out = error / self.sigma_px
+        if self.edge is not None:
+            along = np.ascontiguousarray(self.edge.T)
+            out -= (along[0] * out[..., 0, :] + along[1] * out[..., 1, :])[..., None, :] * along
+        return np.asarray(out)
+
+    def at(self, rows: Int | np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Measurements:
+        """The observations in `rows`; indices of views and points stay."""
+        edge = None if self.edge is None else self.edge[rows]
+        return replace(
+            self, view=self.view[rows], point=self.point[rows], uv=self.uv[rows],
+            sigma_px=self.sigma_px[rows], edge=edge,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,7 @@ def robust_weights(residual: Float, scale: float) -> Float:
 def whitened_lengths(state: State, m: Measurements) -> Float:
     """Lengths (O,) of the reprojection errors in sigmas; BEHIND for points behind their view."""
     predicted, z = project(state, m)
-    length = np.linalg.norm(predicted - m.uv, axis=1) / m.sigma_px
+    length = np.linalg.norm(m.whitened((predicted - m.uv).T), axis=0)
     return np.where(z > NEAREST, np.minimum(length, BEHIND), BEHIND)
 
 

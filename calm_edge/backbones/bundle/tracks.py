@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.backbones.bundle.edges import edges
 from calm_edge.backbones.bundle.first_sight import FirstSights
 from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
 from calm_edge.geometry.brightness import evened
@@ -33,6 +34,9 @@ CORNERS_PER_VIEW = 320
 # columns, rows of cells that get equal numbers of corners, if the picture is not upright
 GRID = (8, 4)
 EPIPOLAR_PX = 1.0
+# If more matches than this share fit one homography, they are too far to show the epipole, and a
+# fundamental matrix leaves out near points that are right.
+MOSTLY_FAR = 0.6
 # A track that cannot be registered against its first sight any more ends after so many views.
 YOUNG_VIEWS = 2
 MATCHING = LucasKanade(
@@ -48,16 +52,20 @@ MATCHING = LucasKanade(
 
 @dataclass(frozen=True, slots=True)
 class Tracks:
-    """Observations as rows: track (O,), view (O,) batch index, uv (O, 2) px, sigma_px (O,)."""
+    """Observations as rows: track (O,), view (O,) batch index, uv (O, 2) px, sigma_px (O,).
+
+    edge: (O, 2), as `edges.edges` gives it; 0 for the first of a track, which the others follow.
+    """
 
     track: Int
     view: Int
     uv: Float
     sigma_px: Float
+    edge: Float
 
 
-# track (n,), view (n,), uv (n, 2) px, sigma (n,) px of one view
-Rows = tuple[Int, Int, Float32, Float32]
+# track (n,), view (n,), uv (n, 2) px, sigma (n,) px, edge (n, 2) of one view
+Rows = tuple[Int, Int, Float32, Float32, Float32]
 
 
 def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) -> Float32:
@@ -132,12 +140,15 @@ def _on_epipolar_planes(
 def _fundamental(
     a: Float | Float32, b: Float | Float32, threshold_px: float
 ) -> tuple[Float, NDArray[np.bool_]] | None:
-    """F (3, 3) and its inliers (N,); None if no sample gives a model."""
+    """F (3, 3) and its inliers (N,); None if the matches do not determine it."""
     try:
         F, mask = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, threshold_px, 0.999, 500)
     except cv2.error:  # raised if no sample gives a model
         return None
     if F is None or mask is None:
+        return None
+    _, far = cv2.findHomography(a, b, cv2.USAC_MAGSAC, threshold_px, None, 500, 0.99)
+    if far is not None and far.mean() > MOSTLY_FAR:
         return None
     return np.asarray(F, np.float64), np.asarray(mask.ravel() > 0)
 
@@ -299,20 +310,24 @@ def window_tracks(
             index = np.flatnonzero(ok)
             kept = on_epipolar_lines(points[index], there[index], EPIPOLAR_PX, lenses)
             ok[index[~kept]] = False
-        return ids[ok], np.full(int(ok.sum()), len(primary) + j), there[ok], sigma[ok]
+        view = np.full(int(ok.sum()), len(primary) + j)
+        return ids[ok], view, there[ok], sigma[ok], edges(assistant[j], there[ok])
 
     rows: list[Rows] = []
     # a view's points are matched across the eyes while they are tracked to the next view
     with ThreadPoolExecutor(1, "across") as beside:
-        found_across = []
+        found_across, n_before = [], 0
         for i, (ids, uv, sigma) in enumerate(temporal_tracks(primary, matching, lens)):
-            rows.append((ids, np.full(len(ids), i), uv, sigma))
+            edge = edges(primary[i], uv)
+            edge[ids >= n_before] = 0
+            n_before = max(n_before, int(ids.max(initial=-1)) + 1)
+            rows.append((ids, np.full(len(ids), i), uv, sigma, edge))
             if H_a_p is not None:
                 own = [j for j, primary_view in enumerate(partner) if primary_view == i]
                 found_across += [beside.submit(across, j, ids, uv, H_a_p) for j in own]
         rows += [each.result() for each in found_across]
-    track, view, xy, sigma_px = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return Tracks(track, view, xy.astype(np.float64), sigma_px.astype(np.float64))
+    track, view, *columns = (np.concatenate(column) for column in zip(*rows, strict=True))
+    return Tracks(track, view, *(column.astype(np.float64) for column in columns))
 
 
 def _first_homography(

@@ -111,32 +111,38 @@ def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
         np.asarray(hints.eyes),
         seconds(hints),
         size,
+        tracks.edge[keep],
     )
 
 
 def thinned(m: Measurements, n_points: int) -> Measurements:
-    """Measurements of the `n_points` points that are seen in most views."""
-    count = np.bincount(m.point)
+    """Measurements of the `n_points` points that are seen in most views, as corners if possible."""
+    corner = None if m.edge is None else 1 - (m.edge**2).sum(1)
+    count = np.bincount(m.point, corner)
     kept = np.sort(np.argsort(-count, kind="stable")[:n_points])
     rows = np.isin(m.point, kept)
     point = np.searchsorted(kept, m.point[rows])
-    return replace(m, view=m.view[rows], point=point, uv=m.uv[rows], sigma_px=m.sigma_px[rows])
+    return replace(m.at(rows), point=point)
 
 
 def to_landmarks(state: State, m: Measurements) -> Landmarks:
     """Convert the solved points to landmarks, with the observations that fit them.
 
     Points at or beyond infinity (w <= 0) are placed at FARTHEST. sigma_px is None if all sigmas are
-    FOLLOWED_PX.
+    FOLLOWED_PX. What a match may have slid along an edge is taken back.
     """
     X = state.points.copy()
     X[:, 3] = np.maximum(X[:, 3], np.linalg.norm(X[:, :3], axis=1) / FARTHEST)
     predicted, _ = project(State(state.T_c_s, X, state.theta), m)
-    keep = np.linalg.norm(predicted - m.uv, axis=1) < KEPT_PX
+    error = m.uv - predicted
+    edge = np.zeros_like(error) if m.edge is None else m.edge
+    slid = edge * (edge * error).sum(1, keepdims=True)
+    keep = np.linalg.norm(error - slid, axis=1) < KEPT_PX
     alike = bool((m.sigma_px == FOLLOWED_PX).all())
     sigma = None if alike else m.sigma_px[keep].astype(np.float32)
-    uv = m.uv[keep].astype(np.float32)
-    return Landmarks(X[:, :3] / X[:, 3:], m.point[keep], m.view[keep], uv, sigma)
+    uv = (m.uv - slid)[keep].astype(np.float32)
+    along = None if m.edge is None else m.edge[keep].astype(np.float32)
+    return Landmarks(X[:, :3] / X[:, 3:], m.point[keep], m.view[keep], uv, sigma, along)
 
 
 def from_prediction(
@@ -154,9 +160,10 @@ def from_prediction(
     sigma = np.full(len(marks.index), FOLLOWED_PX)
     if marks.sigma_px is not None:
         sigma = marks.sigma_px.astype(np.float64)
+    edge = None if marks.edge is None else marks.edge.astype(np.float64)
     m = Measurements(
         marks.view, marks.index, marks.uv.astype(np.float64), sigma,
-        np.asarray(hints.eyes), seconds(hints), hints.sizes,
+        np.asarray(hints.eyes), seconds(hints), hints.sizes, edge,
     )  # fmt: skip
     length = _spacing(prediction.T_s_c, m)
     X = np.c_[marks.points_s, np.full(len(marks.points_s), length)]

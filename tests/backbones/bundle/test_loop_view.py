@@ -204,7 +204,7 @@ def few(batch, prediction, loop_image):
     rows = np.isin(marks.view, views)
     marks = replace(
         marks, index=marks.index[rows], view=np.searchsorted(views, marks.view[rows]),
-        uv=marks.uv[rows],
+        uv=marks.uv[rows], edge=marks.edge[rows],
     )  # fmt: skip
     images = [batch.images[v] for v in views[:-1]] + [loop_image]
     hints = replace(batch.hints, eyes=batch.hints.eyes[views], t_ns=batch.hints.t_ns[views])

@@ -10,7 +10,10 @@ from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, windo
 
 def test_eliminating_points_is_the_schur_complement():
     made = window(turn(3), theta_of(), n_points=25, noise_px=1.0)
-    m, state, ties = made.m, perturbed(made.truth), made.ties
+    angle = np.random.default_rng(2).uniform(0, np.pi, len(made.m.uv))
+    edge = 0.9 * np.stack([np.cos(angle), np.sin(angle)], 1)
+    edge[::3] = 0
+    m, state, ties = replace(made.m, edge=edge), perturbed(made.truth), made.ties
     # landmarks may keep a point whose observations were all dropped
     unseen = np.array([[0.0, 0.0, 1.0, 0.0]])
     state = replace(state, points=np.concatenate([state.points, unseen]))
@@ -28,8 +31,10 @@ def test_eliminating_points_is_the_schur_complement():
         J[o, :, 6 * view : 6 * view + 6] = jac.camera[:6, :, o].T
         J[o, :, 6 * n + layout.EYE[m.eye[view]]] = jac.camera[6:, :, o]
         J[o, :, D + 3 * point : D + 3 * point + 3] = jac.point[:, :, o].T
-    J = (J * (np.sqrt(weight) / m.sigma_px)[:, None, None]).reshape(-1, D + 3 * points)
-    r = ((jac.predicted - m.uv) * (np.sqrt(weight) / m.sigma_px)[:, None]).ravel()
+    W = np.eye(2) - edge[:, :, None] * edge[:, None]
+    W *= (np.sqrt(weight) / m.sigma_px)[:, None, None]
+    J = (W @ J).reshape(-1, D + 3 * points)
+    r = (W @ (jac.predicted - m.uv)[..., None]).ravel()
     residual, tie_J = problem.tie_jacobians(state, ties)
     whole = np.zeros((len(ties.alpha), 6, D + 3 * points))
     for a in range(len(ties.alpha)):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -82,3 +84,29 @@ def test_an_outlier_costs_no_more_the_farther_it_is():
     length = solver.whitened_lengths(made.truth, made.m)
     assert length[:3] == pytest.approx([5, 98, 100])
     assert (length[behind] == 100).all() and length[3:][~behind[3:]].max() < 1e-6
+
+
+def slid_along_edges(made, slide_px, seed=0):
+    """The window with most of its points on edges, along which matches slide further every view."""
+    rng = np.random.default_rng(seed)
+    m = made.m
+    on_edge = rng.random(len(made.truth.points)) < 0.7
+    angle = rng.uniform(-1.2, 1.2, len(on_edge))[m.point]
+    direction = np.stack([np.cos(angle), np.sin(angle)], 1) * on_edge[m.point][:, None]
+    direction[np.unique(m.point, return_index=True)[1]] = 0
+    uv = m.uv + direction * (slide_px * (m.view % N))[:, None]
+    return replace(m, uv=uv, edge=direction * np.sqrt(1 - 1 / 100))
+
+
+def test_matches_that_slid_along_edges_count_across_them():
+    made = window(turn(N), theta_of(), noise_px=0.2)
+    m = slid_along_edges(made, 0.7)
+    start = perturbed(made.truth)
+    known, blind = (
+        solver.solve(start, each, made.ties, PRIOR, max_iterations=50)
+        for each in (m, replace(m, edge=None))
+    )
+    errors = [
+        np.abs(found.state.T_c_s - made.truth.T_c_s)[:, :3, 3].max() for found in (known, blind)
+    ]
+    assert errors[0] < 0.1 and errors[0] < errors[1] / 2

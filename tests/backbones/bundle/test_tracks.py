@@ -102,6 +102,18 @@ def test_outliers_are_found_off_their_epipolar_lines():
     assert tracks.on_epipolar_lines(a[:15], b[:15], 1.0).all()
 
 
+def test_near_points_are_kept_where_most_are_too_far_to_show_the_epipole():
+    rng = np.random.default_rng(0)
+    f, R = 400.0, cv2.Rodrigues(np.array([0.0, 0.06, 0.0]))[0]
+    z = np.r_[np.full(200, 1e6), rng.uniform(5, 12, 20)]
+    p = np.c_[rng.uniform(-0.6, 0.6, 220), rng.uniform(-0.4, 0.4, 220), np.ones(220)] * z[:, None]
+    q = p @ R.T + [0.5, 0.0, -1.0]
+    noise = rng.normal(0, 0.15, (220, 2))
+    a, b = (np.asarray(f * x[:, :2] / x[:, 2:] + [320, 180], np.float32) for x in (p, q))
+    b += noise.astype(np.float32)
+    assert tracks.on_epipolar_lines(a, b, 1.0).all()
+
+
 def test_distortion_is_undone_before_epipolar_lines_are_fitted():
     lens = Fisheye(280.0, 280.0, 319.5, 179.5, 640, 360, (0.02, -0.01))
     rng = np.random.default_rng(0)

@@ -151,3 +151,30 @@ def test_too_few_points_are_counted():
     with pytest.raises(BackboneError, match=r"^bundle: only (\d+) points could be foll") as error:
         window.measure([picture] * 5, hints, theta_of(), rig_known=False)
     assert 5 < int(str(error.value).split()[2]) < window.MIN_POINTS
+
+
+def test_landmarks_lie_where_they_would_without_sliding_along_edges():
+    made = exact_window(turn(N), theta_of())
+    edge = np.zeros_like(made.m.uv)
+    edge[3] = edge[7] = [0.6, 0.8]
+    uv = made.m.uv.copy()
+    uv[3] += 20 * edge[3]
+    uv[7] += [8.0, -6.0]
+    slid = replace(made.m, uv=uv, edge=edge)
+    marks = window.to_landmarks(made.truth, slid)
+    assert np.allclose(marks.uv, np.delete(made.m.uv, 7, 0), atol=1e-3)
+    prediction = replace(prediction_of(made), landmarks=marks)
+    m, _ = window.from_prediction(prediction, hints_of(made.m), made.truth.theta)
+    assert np.allclose(m.edge, np.delete(edge, 7, 0))
+
+
+def test_thinning_prefers_points_that_are_corners():
+    made = exact_window(turn(N), theta_of())
+    first = np.flatnonzero(made.m.point == np.bincount(made.m.point).argmax())
+    edge = np.zeros_like(made.m.uv)
+    edge[first] = [1.0, 0.0]
+    uv = made.m.uv[first]
+    corners, lines = window.thinned(made.m, 10), window.thinned(replace(made.m, edge=edge), 10)
+    assert len(lines.edge) == len(lines.uv) and corners.edge is None
+    assert all((corners.uv == each).all(1).any() for each in uv)
+    assert not any((lines.uv == each).all(1).any() for each in uv)
