@@ -7,7 +7,7 @@ the clock offset is fitted to each stretch without a new part, and jumps where a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ LONGEST_S, SCAN_S = 3.0, 0.04
 # a shorter stretch does not show its offset
 LEAST_S = 6.0
 LEAST_EXPLAINED = 0.3
+# parts of a video that are compared to find a first offset
+MOST_PARTS = 12
 # a smaller jump may be the fit's error
 LEAST_GAP_S, SIGMAS = 0.02, 4.0
 
@@ -57,7 +59,7 @@ def find_gaps(
     """
     if not any(joins_s):
         return []
-    anchor = _anchor(primary, assistant, joins_s[Eye.ASSISTANT])
+    anchor = _anchor(primary, assistant, joins_s)
     ends = [float(assistant.t_s[0]), float(assistant.t_s[-1])]
     joins = [(t, Eye.ASSISTANT, t) for t in joins_s[Eye.ASSISTANT]]
     joins += [(t - anchor.at(anchor.at_s), Eye.PRIMARY, t) for t in joins_s[Eye.PRIMARY]]
@@ -102,30 +104,39 @@ def with_stamps(turns: Turns, t_s: Float) -> Turns:
     return Turns(t_s[keep], turns.step[steps], turns.zoom[steps], sigma)
 
 
-def _anchor(primary: Turns, assistant: Turns, joins_s: list[float]) -> ClockFit:
-    """Fit of the part of the assistant's video that shows its offset best."""
-    first = [0, *np.searchsorted(assistant.t_s, joins_s).tolist(), len(assistant.t_s)]
+def _anchor(primary: Turns, assistant: Turns, joins_s: tuple[list[float], list[float]]) -> ClockFit:
+    """Fit of the part of the assistant's video that shows its offset best.
+
+    Compared with all of the primary's; where gaps there leave no clear offset, with its parts.
+    """
+    parts = [_parts(t, joins) for t, joins in zip((primary, assistant), joins_s, strict=True)]
     best: ClockFit | None = None
     reason: InterchangeError | None = None
-    for i, j in pairwise(first):
-        if j - i < 3 or assistant.t_s[j - 1] - assistant.t_s[i] < LEAST_S:
-            continue
-        part = Turns(
-            assistant.t_s[i:j], assistant.step[i : j - 1], assistant.zoom[i : j - 1],
-            assistant.sigma[i : j - 1],
-        )  # fmt: skip
-        try:
-            found = relate(primary, part, None).fit
-        except InterchangeError as error:
-            reason = error
-            continue
-        if best is None or found.sigma_s < best.sigma_s:
-            best = found
-    if best is None:
-        raise reason or InterchangeError(
-            "the parts of the videos are too short to relate their clocks; give --offset-s"
-        )
-    return best
+    for whole in ([primary], parts[Eye.PRIMARY][:MOST_PARTS]):
+        for one, other in product(whole, parts[Eye.ASSISTANT][:MOST_PARTS]):
+            try:
+                found = relate(one, other, None).fit
+            except InterchangeError as error:
+                reason = error
+                continue
+            if best is None or found.sigma_s < best.sigma_s:
+                best = found
+        if best is not None:
+            return best
+    raise reason or InterchangeError(
+        "the parts of the videos are too short to relate their clocks; give --offset-s"
+    )
+
+
+def _parts(turns: Turns, joins_s: list[float]) -> list[Turns]:
+    """Turns of each part of at least LEAST_S, the longest first."""
+    bounds = [0, *np.searchsorted(turns.t_s, joins_s).tolist(), len(turns.t_s)]
+    found = [
+        Turns(turns.t_s[i:j], turns.step[i : j - 1], turns.zoom[i : j - 1], turns.sigma[i : j - 1])
+        for i, j in pairwise(bounds)
+        if j - i > 2 and turns.t_s[j - 1] - turns.t_s[i] >= LEAST_S
+    ]
+    return sorted(found, key=lambda t: float(t.t_s[0] - t.t_s[-1]))
 
 
 def _stretch(

@@ -43,6 +43,23 @@ def test_a_gap_is_found_and_closed(eye: Eye, gap_s: float) -> None:
     assert abs(fit.primary_time(assistant.t_s) - true_s).max() < 0.02
 
 
+def test_several_gaps_of_a_long_drive() -> None:
+    """A recorder that loses 0.8 s every two minutes: no offset fits more than one part."""
+    primary, assistant, true_s = drive(360, 7)
+    late = 0.8 * (primary.t_s > 120) + 0.8 * (primary.t_s > 240)
+    keep = (primary.t_s < 120) | (primary.t_s > 120.8) & (primary.t_s < 240) | (primary.t_s > 240.8)
+    rows = np.flatnonzero(keep)
+    sigma = np.where(np.diff(rows) == 1, primary.sigma[rows[1:] - 1], np.inf)
+    own = (primary.t_s - late)[rows]
+    steps = primary.step[rows[1:] - 1]
+    split = Turns(own, steps, np.zeros(len(steps)), sigma)
+    gaps = find_gaps(split, assistant, ([120.0, 239.2], []))
+    assert [g.eye for g in gaps] == [Eye.PRIMARY] * 2
+    assert all(abs(g.gap_s - 0.8) < 0.03 for g in gaps)
+    fit = relate(with_stamps(split, shifted(own, gaps, Eye.PRIMARY)), assistant, None).fit
+    assert abs(fit.primary_time(assistant.t_s) - true_s).max() < 0.03
+
+
 def test_without_a_gap_nothing_is_changed() -> None:
     primary, assistant, _ = drive(90, 6)
     assert find_gaps(primary, assistant, ([40.0], [30.0, 60.0])) == []
