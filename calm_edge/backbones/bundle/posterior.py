@@ -45,6 +45,9 @@ TRACKS_ALIKE = 6.0
 # It is in full at a parallax of NEAR_PX.
 COMMON_SHARE = 0.4
 NEAR_PX = 1.0
+# Observations of less weight are wrong matches. One near a camera moves it by any length, however
+# little it counts, and says nothing of the errors of the others.
+LEAST_WEIGHT = 0.01
 # Keeps the information regular where a pose is all but free [1 / spacings^2, 1 / rad^2].
 _FLOOR = 1e-9
 
@@ -98,6 +101,7 @@ def posterior(
     state, n_points = solution.state, len(solution.state.points)
     jac = reprojection(state, m, tangent_basis(state.points))
     weight = robust_weights(solution.residual, robust_scale)
+    weight = np.where(weight < LEAST_WEIGHT, 0.0, weight)
     # The mean over directions of the derivative of weight times residual, for Cauchy's kernel
     slope = weight**2
     bare = normal_equations(state, m, ties, Structure.of(m, n_points), slope, 0.0)

@@ -91,3 +91,19 @@ def test_a_shared_error_of_parallax_is_one_of_scale(monkeypatch):
     monkeypatch.setattr(posterior, "NEAR_PX", 1e4)
     monkeypatch.setattr(posterior, "COMMON_SHARE", 0.05 * 1e4 / median_px)
     assert scale_sigma(made) == pytest.approx(np.hypot(alone, 0.05), rel=0.02)
+
+
+def test_a_wrong_match_near_a_camera_changes_nothing(monkeypatch):
+    """Its weight is all but zero, but the camera moves it by any length."""
+    solution, m, *rest = solved(turn(N))
+    alone = scale_sigma((solution, m, *rest))
+    state, view = solution.state, int(m.view[0])
+    points = state.points.copy()
+    # beyond infinity, as the solver leaves points whose rays diverge
+    near = np.append(se3.inverse(state.T_c_s[view])[:3] @ [0.01, 0.0, 0.02, -1.0], -1.0)
+    points[m.point[0]] = near / np.linalg.norm(near)
+    wrong = replace(state, points=points)
+    spoilt = solver.Solution(wrong, 0.0, solver.whitened_lengths(wrong, m))
+    assert scale_sigma((spoilt, m, *rest)) == pytest.approx(alone, rel=0.01)
+    monkeypatch.setattr(posterior, "LEAST_WEIGHT", 0.0)
+    assert scale_sigma((spoilt, m, *rest)) > 1.03 * alone
