@@ -16,8 +16,9 @@ from scipy import stats
 
 from bench.cost import circuit
 from bench.graph_covariance import optimised
+from bench.normalised import RMS
 from bench.scripted import ScriptedBackbone, ScriptedErrors
-from bench.tables import OUT, Table, publish
+from bench.tables import OUT, Check, Table, publish
 from calm_edge.config import Config, merge
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.geometry import se3
@@ -118,5 +119,11 @@ def run(options: argparse.Namespace) -> int:
     title = "Relative poses of the joint graph against their covariances"
     notes = (f"{options.seeds} drives of {options.submaps} sub-maps",)
     measured = rows(options.seeds, options.submaps)
-    table = Table("consistency", title, options.command, COLUMNS, measured, (), notes)
+    low, high = RMS
+    checks = tuple(
+        Check(f"{lag} keyframes apart: error / sigma rms", f"{low:g} to {high:g}", rms,
+              isinstance(rms, float) and low <= rms <= high)
+        for lag, _, _, _, rms, _ in measured
+    )  # fmt: skip
+    table = Table("consistency", title, options.command, COLUMNS, measured, checks, notes)
     return publish(table, options.out)
