@@ -38,8 +38,8 @@ from calm_edge.kit import layout
 from calm_edge.types import Float, Int, KitBelief
 
 # Tracks on one surface share errors: as many as this count as one observation. With COMMON_SHARE
-# fitted to the errors of scale of 92 windows on 16 rendered drives, solved with a known focal.
-TRACKS_ALIKE = 6.0
+# fitted to the errors of scale of 49 windows on 7 rendered drives.
+TRACKS_ALIKE = 2.0
 # Matches across the cameras are biased towards the near where foreground and background share a
 # patch: common error of near points against far ones, as a share of the window's median residual.
 # It is in full at a parallax of NEAR_PX.

@@ -178,7 +178,7 @@ def test_straight_windows_have_no_say_however_many_they_are():
 
 def test_a_bend_of_the_picture_limits_what_a_slight_turn_shows_of_the_focal(monkeypatch):
     T_s_p = turn(N, yaw_rad=0.002)
-    made = window(T_s_p, theta_of(), noise_px=0.01)
+    made = window(T_s_p, theta_of(), n_points=500, noise_px=0.01)
     f = layout.cameras(made.truth.theta, made.m.size)[0].fx
     turned = np.linalg.norm(np.ptp(se3.so3_log(T_s_p[:, :3, :3])[:, :2], axis=0))
     limit = module.BIAS_PX / (turned * f)

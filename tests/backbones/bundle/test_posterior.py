@@ -93,17 +93,19 @@ def test_a_shared_error_of_parallax_is_one_of_scale(monkeypatch):
     assert scale_sigma(made) == pytest.approx(np.hypot(alone, 0.05), rel=0.02)
 
 
-def test_a_wrong_match_near_a_camera_changes_nothing(monkeypatch):
-    """Its weight is all but zero, but the camera moves it by any length."""
+def test_wrong_matches_are_left_out(monkeypatch):
+    """Points near a camera move by any length with it, however little their matches count."""
     solution, m, *rest = solved(turn(N))
     alone = scale_sigma((solution, m, *rest))
-    state, view = solution.state, int(m.view[0])
-    points = state.points.copy()
+    state, points = solution.state, solution.state.points.copy()
     # beyond infinity, as the solver leaves points whose rays diverge
-    near = np.append(se3.inverse(state.T_c_s[view])[:3] @ [0.01, 0.0, 0.02, -1.0], -1.0)
-    points[m.point[0]] = near / np.linalg.norm(near)
+    near = np.append(se3.inverse(state.T_c_s[0])[:3] @ [0.01, 0.0, 0.02, -1.0], -1.0)
+    points[np.unique(m.point[m.view == 0])[:40]] = near / np.linalg.norm(near)
     wrong = replace(state, points=points)
     spoilt = solver.Solution(wrong, 0.0, solver.whitened_lengths(wrong, m))
-    assert scale_sigma((spoilt, m, *rest)) == pytest.approx(alone, rel=0.01)
+    left_out = scale_sigma((spoilt, m, *rest))
     monkeypatch.setattr(posterior, "LEAST_WEIGHT", 0.0)
-    assert scale_sigma((spoilt, m, *rest)) > 1.03 * alone
+    counted = scale_sigma((spoilt, m, *rest))
+    # forty tracks are lost, which makes it a little wider
+    assert alone < left_out < 1.05 * alone
+    assert counted > 1.01 * left_out
