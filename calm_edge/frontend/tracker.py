@@ -23,6 +23,8 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.flow import follow, long_side
 from calm_edge.geometry.pnp import PoseFit, locate, reprojection
+from calm_edge.geometry.shutter import at_middle_row
+from calm_edge.kit.estimated import readout_s
 from calm_edge.types import Bytes, Float, Float32, LocalizerUpdate, PoseSample, PoseStatus
 
 MIN_INLIERS, SAFE_INLIERS = 12, 80
@@ -47,6 +49,7 @@ class Tracker:
         self.epoch = epoch
         self.lagging = False
         self._tracks: Tracks | None = None
+        self._readout_s = 0.0
         self._candidates = Candidates.none()
         self._pending: tuple[Bytes, Float] | None = None
         self._past: deque[PastFrame] = deque(maxlen=MAX_REMEMBERED)
@@ -133,6 +136,7 @@ class Tracker:
         If that fails, the frames since are tracked one by one, some with each new frame, and the
         old points are used until then.
         """
+        self._readout_s = readout_s(update)
         newest_id, errors = update.submap.primary_ids[-1], SubmapErrors.of_update(update)
         place = {p.keyframe_id: i for i, p in enumerate(self._past) if p.keyframe_id is not None}
         newest = self._past[place[newest_id]].gray if newest_id in place else None
@@ -145,7 +149,7 @@ class Tracker:
         origin = np.array([place.get(i, -1) for i in cloud.keyframe_id.tolist()])
         known = {place[i]: T for i, T in T_w_c.items() if i in place}
         p_m, uv, T_now, gray = self._track_to_newest(camera, cloud.p_w, cloud.uv, origin, known)
-        fit = locate(camera, p_m, uv, T_now, self._threshold(gray))
+        fit = self._locate(camera, p_m, uv, T_now, gray)
         if fit is None or fit.n_inliers < SAFE_INLIERS:
             newest_only = origin == starts[-1]
             start = Tracks(camera, cloud.p_w[newest_only], cloud.uv[newest_only], gray, errors)
@@ -176,6 +180,7 @@ class Tracker:
         if running is not None and running._tracks is not None and self._followed_ns >= first.t_ns:
             return False
         self._follower = Tracker(self.config)
+        self._follower._readout_s = self._readout_s
         self._follower._tracks = replace(start, seen_in=first.gray)
         self._follower._path.add(first.t_ns, known[keyframe])
         self._followed_ns = first.t_ns
@@ -227,7 +232,7 @@ class Tracker:
         moved, good = follow(tracks.seen_in, gray, tracks.uv, self._guess(T_predicted))
         p_m, uv = tracks.p_m[good], moved[good]
         step = np.linalg.norm(uv - tracks.uv[good], axis=1)
-        fit = locate(tracks.camera, p_m, uv, T_predicted, self._threshold(gray))
+        fit = self._locate(tracks.camera, p_m, uv, T_predicted, gray)
         if fit is None or fit.n_inliers < MIN_INLIERS:
             return None
         # at standstill the image tracked from is kept, so that noise does not cause drift
@@ -236,6 +241,17 @@ class Tracker:
             self._tracks = Tracks(tracks.camera, *seen, gray, tracks.submap_errors, tracks.own)
             self._pending = tracks.seen_in, fit.T_w_c
         return fit
+
+    def _locate(
+        self, camera: Camera, p_m: Float, uv: Float32, T_m_c: Float, gray: Bytes
+    ) -> PoseFit | None:
+        """Pose of the middle row by PnP, from a predicted pose; see `locate`."""
+        seen: Float | Float32 = uv
+        twist = self._path.twist()[0] if self._path else np.full(6, np.nan)
+        if self._readout_s and np.isfinite(twist).all():
+            p_c = se3.transform(se3.inverse(T_m_c), p_m)
+            seen = at_middle_row(camera, p_c, uv, twist, self._readout_s)
+        return locate(camera, p_m, seen.astype(np.float32), T_m_c, self._threshold(gray))
 
     def _triangulated(self, tracks: Tracks, previous: Bytes, T_m_c: Float) -> Tracks:
         """Add triangulated candidates to the tracks, and detect new candidates if there is room."""

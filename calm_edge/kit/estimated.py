@@ -1,4 +1,4 @@
-"""The cameras as estimated after a window, with the lenses that the kit has learned."""
+"""The cameras as estimated after a window: the lenses and shutters that the kit has learned."""
 
 from __future__ import annotations
 
@@ -25,6 +25,15 @@ def cameras(update: LocalizerUpdate) -> dict[Eye, Camera]:
         found = dict(zip(Eye, layout.cameras(belief.mean, sizes), strict=True))
     sigma = submap.focal_log_sigma
     return {eye: camera for eye, camera in found.items() if sigma[eye] <= MAX_LOG_FOCAL_SIGMA}
+
+
+def readout_s(update: LocalizerUpdate) -> float:
+    """Readout time [s] of the primary camera's rolling shutter; 0 from a backbone without a kit."""
+    if update.kit is None or update.kit.mean.shape != (layout.SIZE,):
+        return 0.0
+    belief = product([layout.prior((None, None)), update.kit])
+    assert belief is not None
+    return float(belief.mean[layout.READOUT[0]])
 
 
 def picture_sizes(submap: Submap) -> Int:

@@ -11,8 +11,9 @@ from calm_edge.config import FrontendConfig
 from calm_edge.frontend.remembered import OWN_SCALE_SIGMA
 from calm_edge.frontend.tracker import Tracker
 from calm_edge.geometry import se3
-from calm_edge.types import Float, Metre, PoseSample, PoseStatus
-from tests.frontend.plane_world import DEPTH, PlaneWorld, drive
+from calm_edge.kit import layout
+from calm_edge.types import Bytes, Float, KitBelief, Metre, PoseSample, PoseStatus
+from tests.frontend.plane_world import DEPTH, HEIGHT, WIDTH, PlaneWorld, drive
 
 PERIOD_NS = 100_000_000
 WORLD = PlaneWorld()
@@ -310,3 +311,35 @@ def test_exposure_that_pumps_disturbs_neither_pose_nor_submap() -> None:
         sample = seen(tracker, stamp(i), pumped(i), i // 3 if i % 3 == 0 else None)
         assert sample.status is PoseStatus.LIVE
         assert np.linalg.norm(sample.T_w_c[:3, 3] - poses[i][:3, 3]) < 0.05
+
+
+def test_the_readout_of_a_rolling_shutter_is_corrected() -> None:
+    # slowly, then a turn to the right and back to the left
+    yaw = np.radians(np.concatenate([np.zeros(9), 3.0 * np.sin(np.arange(1, 25) * 0.4)]))
+    poses = drive(len(yaw), step_m=0.02)
+    poses[:, :3, :3] = se3.so3_exp(np.stack([0 * yaw, yaw, 0 * yaw], 1))
+    t_s = np.arange(len(poses)) * PERIOD_NS * 1e-9
+    readout_s, bands = 0.04, 24
+
+    def rolling(i: int) -> Bytes:
+        out = np.empty((HEIGHT, WIDTH), np.uint8)
+        for rows in np.array_split(np.arange(HEIGHT), bands):
+            exposed = np.array([t_s[i] + readout_s * (rows.mean() / (HEIGHT - 1) - 0.5)])
+            (T,) = se3.interpolate_at(t_s, poses, np.clip(exposed, 0, t_s[-1]))
+            out[rows] = WORLD.render(T)[rows]
+        return out
+
+    def largest_error_deg(kit: KitBelief | None) -> float:
+        tracker = Tracker(FrontendConfig())
+        pictures = [rolling(i) for i in range(len(poses))]
+        for i in range(9):
+            seen(tracker, stamp(i), pictures[i], i // 3 if i % 3 == 0 else None)
+        update = WORLD.update(0, [0, 1, 2], [stamp(3 * i) for i in range(3)], poses[[0, 3, 6]])
+        assert tracker.attach(replace(update, kit=kit))
+        found = [seen(tracker, stamp(i), pictures[i]).T_w_c for i in range(9, len(poses))]
+        off = se3.so3_log(np.stack(found)[:, :3, :3].swapaxes(1, 2) @ poses[9:, :3, :3])
+        return float(np.degrees(np.linalg.norm(off, axis=1).max()))
+
+    kit = layout.prior((None, None), readout_s=(readout_s, readout_s))
+    # the turn rate is that before the frame
+    assert largest_error_deg(kit) < 0.75 * largest_error_deg(None)
