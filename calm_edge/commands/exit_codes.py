@@ -36,6 +36,11 @@ OF_COMMAND: dict[str, dict[int, str]] = {
         OK: "compared",
         LOSS: "there are no poses to compare; the spacing was given and no metre found",
     },
+    "export": {
+        OK: "written",
+        ERROR: "nothing was written",
+        LOSS: "written, of a recording that is damaged",
+    },
     "calibration": {OK: "written", LOSS: "written, of a recording that is damaged"},
     "recover": {
         OK: "all was copied",

@@ -96,6 +96,8 @@ def write_trajectory(
     write_tum(out / TUM, estimate.t_ns, estimate.T_w_c)
     write_kitti(out / KITTI, estimate.T_w_c)
     content = summary(estimate) | {
+        "recording": str(recording.path.resolve()),
+        "T_p_a": None if drive.trajectory is None else drive.trajectory.T_p_a.tolist(),
         "seams": asdict(seams) if seams is not None else None,
         "gaps": [asdict(gap) for gap in drive.gaps(config)],
     }

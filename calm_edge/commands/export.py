@@ -1,0 +1,46 @@
+"""`calm-edge export`: write a drive in the formats of other programs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from calm_edge.commands.console import say
+from calm_edge.commands.exit_codes import LOSS, OK
+
+# as of interchange/export/registry, which is not imported for `--help`
+FORMATS = ("tum", "kitti", "csv")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument(
+        "source", type=Path, metavar="REC_OR_MAP", help="a recording, or a folder made by map"
+    )
+    parser.add_argument("--to", choices=FORMATS, required=True, help="the format")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
+    parser.add_argument(
+        "--recording", type=Path, metavar="REC", help="of the map, if it was moved since"
+    )
+    parser.add_argument("--force", action="store_true", help="replace files in the output folder")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Export; print what was written, assumed and left out."""
+    from calm_edge.interchange.export.base import ExportOptions
+    from calm_edge.interchange.export.drive import read_drive
+    from calm_edge.interchange.export.output import output_folder
+    from calm_edge.interchange.export.registry import EXPORTERS
+
+    with output_folder(arguments.out, force=arguments.force) as folder:
+        drive = read_drive(arguments.source, arguments.recording)
+        written = EXPORTERS[arguments.to].write(drive, folder, ExportOptions())
+    for line in written.wrote:
+        print(f"wrote       {arguments.out}/{line}")
+    for line in written.assumed:
+        print(f"assumed     {line}")
+    for line in written.left_out or ("nothing",):
+        print(f"left out    {line}")
+    for line in drive.recording.losses:
+        say(f"loss: {line}")
+    return LOSS if drive.recording.losses else OK

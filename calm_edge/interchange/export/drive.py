@@ -1,0 +1,205 @@
+"""What is exported: a recording, or a map with the recording that it was made of."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calm_edge.interchange import InterchangeError
+from calm_edge.interchange.export.frame_poses import (
+    FramePoses,
+    LivePoses,
+    of_assistant,
+    of_primary,
+)
+from calm_edge.recording import schema
+from calm_edge.recording.reader import Recording
+from calm_edge.trajectories import folded, read_tum
+from calm_edge.types import Float, Int, LocalizerUpdate, Metre, PoseStatus, Trajectory
+from device.frame import Eye
+
+MAP, TUM, SUMMARY = "map.ply", "trajectory.tum", "summary.json"
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedDrive:
+    """A drive with its final poses.
+
+    keyframes: optimised poses of the primary's keyframes, t_ns on the recording's clock.
+    stamp_ns: added to a time of that clock, it gives the user's own; stamps: what these are, in
+    words. spacing: world units per map unit. metre: how well lengths are known. lateness: (S, 2)
+    time and time offset [ns] of each sub-map. cloud: file of the map. assumed: lines for the user.
+    """
+
+    path: Path
+    recording: Recording
+    keyframes: Trajectory
+    last: LocalizerUpdate
+    lateness: Int
+    stamp_ns: int
+    stamps: str
+    spacing_m: float
+    metre: Metre
+    cloud: Path | None = None
+    assumed: tuple[str, ...] = ()
+
+    @property
+    def spacing(self) -> float:
+        """World units per map unit."""
+        return self.spacing_m or 1.0
+
+    @property
+    def unit(self) -> str:
+        """Unit of lengths, in words."""
+        if not self.spacing_m:
+            return "camera spacings (their distance, spacing_m, was not given)"
+        if self.metre.metric:
+            return f"metres, sigma of the scale {100 * self.metre.log_sigma:.1f} %"
+        return f"metres of unknown scale ({self.metre.reason or 'not metric'})"
+
+    @property
+    def eyes(self) -> tuple[Eye, ...]:
+        """Cameras with frames."""
+        return tuple(eye for eye in Eye if self.recording.count(schema.IMAGE_TOPICS[eye]))
+
+    def own_ns(self, t_ns: Int) -> Int:
+        """Convert times of the recording's clock to the user's own stamps."""
+        return np.asarray(t_ns + self.stamp_ns)
+
+    def exposed_ns(self, t_ns: Int) -> Int:
+        """Times of exposure of the assistant's frames stamped t_ns (F,), on the primary's clock."""
+        nearest = np.abs(self.lateness[:, 0] - t_ns[:, None]).argmin(1)
+        return np.asarray(t_ns + self.lateness[nearest, 1])
+
+    def frame_poses(self) -> dict[Eye, FramePoses]:
+        """Poses of all frames of each eye; stamps are of the recording's clock."""
+        samples = sorted(self.recording.poses(), key=lambda sample: sample.t_ns)
+        tracked = [
+            s for s in samples if s.status is not PoseStatus.LOST and np.isfinite(s.T_w_c).all()
+        ]
+        live = LivePoses(
+            np.array([s.t_ns for s in tracked], np.int64),
+            np.array([s.T_w_c for s in tracked]).reshape(-1, 4, 4),
+            np.array([s.epoch for s in tracked], np.int64),
+        )
+        poses: dict[Eye, FramePoses] = {}
+        for eye in self.eyes:
+            t_ns = np.unique(self.recording.frame_times(eye))
+            if eye is Eye.PRIMARY:
+                k = self.keyframes
+                poses[eye] = of_primary(t_ns, k.t_ns, k.T_w_c, live, self.spacing)
+            elif Eye.PRIMARY in poses:
+                exposed = self.exposed_ns(t_ns)
+                poses[eye] = of_assistant(t_ns, exposed, poses[Eye.PRIMARY], self.keyframes.T_p_a)
+        return poses
+
+
+def read_drive(path: Path, recording: Path | None = None) -> ExportedDrive:
+    """Open a recording, or a map folder.
+
+    recording: that of the map, if it is not where it was. Raises InterchangeError, RecordingError.
+    """
+    if not path.exists():
+        raise InterchangeError(f"{path}: not found; give a recording or a folder made by map")
+    if not (path.is_dir() and (path / SUMMARY).is_file() and (path / TUM).is_file()):
+        return _of_recording(path)
+    summary = _summary(path / SUMMARY)
+    named = recording or (Path(summary["recording"]) if summary.get("recording") else None)
+    if named is None or not named.exists():
+        where = "its summary.json names none" if named is None else f"{named} is not there"
+        raise InterchangeError(
+            f"{path}: a map is exported with its recording, and {where}; give it by --recording"
+        )
+    return _of_map(path, summary, _of_recording(named))
+
+
+def _of_recording(path: Path) -> ExportedDrive:
+    recording = Recording(path)
+    trajectories: list[Trajectory] = []
+    lateness: list[tuple[int, int]] = []
+    last: LocalizerUpdate | None = None
+    for update in recording.updates():
+        trajectories.append(update.trajectory)
+        lateness.append((int(np.median(update.submap.t_ns)), update.submap.late_ns))
+        last = update
+    keyframes = folded(trajectories)
+    if last is None or keyframes is None or not len(keyframes.t_ns):
+        raise InterchangeError(
+            f"{path}: holds no solved window; run calm-edge map first, or record with a backbone"
+        )
+    order = np.argsort(keyframes.t_ns, kind="stable")
+    keyframes = replace(
+        keyframes,
+        keyframe_ids=keyframes.keyframe_ids[order],
+        t_ns=keyframes.t_ns[order],
+        T_w_c=keyframes.T_w_c[order],
+    )
+    stamp_ns, stamps = _clock(recording)
+    return ExportedDrive(
+        path,
+        recording,
+        keyframes,
+        last,
+        np.array(lateness, np.int64),
+        stamp_ns,
+        stamps,
+        recording.config.scale.spacing_m or 0.0,
+        last.metre,
+    )
+
+
+def _of_map(path: Path, summary: dict[str, Any], drive: ExportedDrive) -> ExportedDrive:
+    """The drive with the poses and the cloud of a map."""
+    own_ns, T_w_c = read_tum(path / TUM)
+    t_ns = own_ns + drive.recording.origin_ns
+    stored = drive.recording.frame_times(Eye.PRIMARY)
+    if not np.isin(t_ns, stored).all():
+        raise InterchangeError(
+            f"{path}: its poses are not at frames of {drive.path}; give the recording of the map "
+            "by --recording"
+        )
+    value = summary.get("metre") or {}
+    percent = value.get("sigma_percent")
+    metre = Metre(np.inf if percent is None else percent / 100, str(value.get("reason") or ""))
+    rig: Float = drive.keyframes.T_p_a
+    if summary.get("T_p_a") is not None:
+        rig = np.array(summary["T_p_a"], np.float64).reshape(4, 4)
+    cloud = path / MAP
+    return replace(
+        drive,
+        path=path,
+        keyframes=Trajectory(np.arange(len(t_ns)), t_ns, T_w_c, rig, 0),
+        spacing_m=float(summary.get("spacing_m") or 0.0),
+        metre=metre,
+        cloud=cloud if cloud.is_file() else None,
+    )
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    try:
+        summary = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise InterchangeError(f"{path}: not readable ({error}); run calm-edge map again") from None
+    if not isinstance(summary, dict):
+        raise InterchangeError(f"{path}: not a JSON object; run calm-edge map again")
+    return summary
+
+
+def _clock(recording: Recording) -> tuple[int, str]:
+    """What converts stamps to the user's own, and what these are in words.
+
+    Stamps of a replay or an import are the source's. Those of live cameras are of the host's
+    monotonic clock: the last reading of the wall clock, which by then is most likely set, dates
+    them.
+    """
+    if recording.origin_ns or schema.ORIGIN_KEY not in recording.metadata:
+        return -recording.origin_ns, "as in the source"
+    pairs = list(recording.json_messages(schema.CLOCK))
+    if not pairs:
+        return 0, "as recorded"
+    pair = pairs[-1]
+    return int(pair["realtime_ns"]) - int(pair["monotonic_ns"]), "of the host's wall clock"

@@ -1,0 +1,10 @@
+"""The table of export formats."""
+
+from __future__ import annotations
+
+from calm_edge.interchange.export.base import Exporter
+from calm_edge.interchange.export.kitti import Kitti
+from calm_edge.interchange.export.table import Table
+from calm_edge.interchange.export.tum import Tum
+
+EXPORTERS: dict[str, Exporter] = {each.name: each for each in (Tum(), Kitti(), Table())}
