@@ -101,7 +101,9 @@ def evidence(clip: Clip) -> list[KitBelief]:
 
 def focals(beliefs: Iterable[KitBelief]) -> tuple[Float, Float]:
     """Log focals (2,) of the product of beliefs with the prior of an unknown kit, and sigmas."""
-    joint = product([layout.prior((None, None)), *beliefs])
+    beliefs = list(beliefs)
+    families = [layout.families(belief.mean) for belief in beliefs] or [layout.PERSPECTIVE]
+    joint = product([layout.prior((None, None), families=families[-1]), *beliefs])
     assert joint is not None
     statistical = covariance(replace(joint, common=0.0))
     return joint.mean[layout.LOG_FOCAL], np.sqrt(np.diag(statistical)[layout.LOG_FOCAL])

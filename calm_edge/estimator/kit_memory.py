@@ -11,6 +11,8 @@ import numpy as np
 
 from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
 from calm_edge.estimator.metre import UNKNOWN
+from calm_edge.geometry.camera import Camera
+from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.types import Float, Hints, Int, KitBelief, Overlap, Prediction
 
@@ -29,11 +31,13 @@ class _Window:
     """A solved window.
 
     log_focal: (2,) log focal length in px of each camera, as solved; NaN for one without images.
+    lenses: class of each camera.
     """
 
     prediction: Prediction
     hints: Hints
     log_focal: Float
+    lenses: tuple[type[Camera], ...]
 
 
 class KitMemory:
@@ -72,7 +76,10 @@ class KitMemory:
     def belief(self, without: int | None = None) -> KitBelief | None:
         """Product of `evidence(without)` and of the prior, which holds for the first epoch."""
         prior = self.prior if self.epoch(without) == 0 else None
-        return product([prior, self.evidence(without)])
+        evidence = self.evidence(without)
+        if prior is not None and evidence is not None and not layout.alike(prior, evidence):
+            prior = None
+        return product([prior, evidence])
 
     def begin_epoch(self, submap_id: int, carried: KitBelief | None) -> None:
         """Collect the evidence from a sub-map on separately: the kit has changed before it.
@@ -109,7 +116,10 @@ class KitMemory:
             for key, kit in self._evidence.items()
             if key != without and self.epoch(key) == epoch
         ]
-        return product([self._carried[epoch], *own])
+        carried = self._carried[epoch]
+        own = own if carried is None else [carried, *own]
+        # before the lenses' family is known; the newest window knows most
+        return product([kit for kit in own if layout.alike(kit, own[-1])])
 
     def add(self, submap_id: int, prediction: Prediction, hints: Hints) -> None:
         """Collect the kit evidence of a solved window, and keep the window to solve it again.
@@ -121,12 +131,16 @@ class KitMemory:
             self._total = self._of_epoch(self.epoch(None))
         if prediction.kit is not None and teaches(prediction):
             self._evidence[submap_id] = prediction.kit
+            total, kit = self._total, prediction.kit
             if self.epoch(submap_id) == self.epoch(None):
-                self._total = product([self._total, prediction.kit])
+                known = total is None or layout.alike(total, kit)
+                self._total = product([total, kit]) if known else self._of_epoch(self.epoch(None))
         if not isinstance(self._backbone, ResolvingBackbone):
             return
         light = replace(prediction, depth=None, confidence=None)
-        self._windows[submap_id] = _Window(light, hints, _log_focal(prediction, hints))
+        self._windows[submap_id] = _Window(
+            light, hints, _log_focal(prediction, hints), _lenses(prediction)
+        )
         while len(self._windows) > self._limit:
             del self._windows[min(self._windows)]
 
@@ -137,6 +151,9 @@ class KitMemory:
         """
         before = self._windows.get(submap_id - 1)
         if before is None or self.epoch(submap_id - 1) != self.epoch(submap_id):
+            return None
+        belief, own = self.belief(without=submap_id), before.prediction.kit
+        if belief is not None and own is not None and not layout.alike(belief, own):
             return None
         return before.prediction.overlap
 
@@ -171,7 +188,7 @@ class KitMemory:
         """Ids of sub-maps solved with another focal length than the newest window.
 
         That is, the log focal lengths of either camera differ by more than FOCAL_MOVED, and by
-        MOVED_SIGMAS of the newest window.
+        MOVED_SIGMAS of the newest window, or the lenses are of other families.
         """
         if not self._windows:
             return []
@@ -185,7 +202,10 @@ class KitMemory:
             submap_id
             for submap_id, window in sorted(self._windows.items())
             if self.epoch(submap_id) == self.epoch(None)
-            and np.any(np.abs(newest.log_focal - window.log_focal) > limit)
+            and (
+                newest.lenses != window.lenses
+                or np.any(np.abs(newest.log_focal - window.log_focal) > limit)
+            )
         ]
 
     def resolve(self, submap_ids: Iterable[int]) -> dict[int, Prediction]:
@@ -193,7 +213,7 @@ class KitMemory:
         solved: dict[int, Prediction] = {}
         if not (self._windows and isinstance(self._backbone, ResolvingBackbone)):
             return solved
-        newest = self._windows[max(self._windows)].log_focal
+        newest = self._windows[max(self._windows)]
         for submap_id in submap_ids:
             window = self._windows[submap_id]
             hints = replace(
@@ -201,19 +221,20 @@ class KitMemory:
                 kit=self.belief(without=submap_id),
                 overlap=self.overlap_before(submap_id),
             )
-            # also after a failure store the newest focal length, so that `outdated` does not list
-            # the window again with the same belief
-            prediction, log_focal = window.prediction, newest
+            # also after a failure store the newest focal length and lenses, so that `outdated` does
+            # not list the window again with the same belief
+            prediction, log_focal, lenses = window.prediction, newest.log_focal, newest.lenses
             try:
                 prediction = self._backbone.resolve(window.prediction, hints)
-                solved[submap_id], log_focal = prediction, _log_focal(prediction, hints)
+                solved[submap_id] = prediction
+                log_focal, lenses = _log_focal(prediction, hints), _lenses(prediction)
                 self._evidence.pop(submap_id, None)
                 if prediction.kit is not None and teaches(prediction):
                     self._evidence[submap_id] = prediction.kit
             except BackboneError as error:
                 log.warning("sub-map %d keeps its earlier solution: %s", submap_id, error)
             light = replace(prediction, depth=None, confidence=None)
-            self._windows[submap_id] = _Window(light, hints, log_focal)
+            self._windows[submap_id] = _Window(light, hints, log_focal, lenses)
         self._total = self._of_epoch(self.epoch(None))
         return solved
 
@@ -226,6 +247,10 @@ def teaches(prediction: Prediction) -> bool:
     """
     sigma = prediction.scale_log_sigma
     return sigma is None or sigma < UNKNOWN
+
+
+def _lenses(prediction: Prediction) -> tuple[type[Camera], ...]:
+    return tuple(dict.fromkeys(type(camera) for camera in prediction.cameras))
 
 
 def _log_focal(prediction: Prediction, hints: Hints) -> Float:

@@ -25,6 +25,8 @@ Int = NDArray[np.int64]
 
 # inverse of the distortion: Newton iterations, initialised from a table over the angle
 NEWTON_STEPS = 8
+# angle off the axis up to which `within_reach` holds for a camera without a limit
+MAX_REACH_RAD = np.radians(89.99)
 TABLE_RAD = np.radians(np.linspace(0.0, 89.9, 1000))
 
 
@@ -84,6 +86,12 @@ class Camera(ABC):
         """Project camera points (..., 3) to pixels (..., 2); invalid beyond max_angle."""
         q = self._plane(p_c)
         return np.stack([self.fx * q[..., 0] + self.cx, self.fy * q[..., 1] + self.cy], -1)
+
+    def within_reach(self, p_c: Float) -> NDArray[np.bool_]:
+        """Whether camera points (..., 3) are within max_angle, where `project` is valid."""
+        reach = float(np.tan(min(self.max_angle, MAX_REACH_RAD)))
+        out: NDArray[np.bool_] = np.hypot(p_c[..., 0], p_c[..., 1]) < reach * p_c[..., 2]
+        return out
 
     def parameter_jacobian(self, p_c: Float) -> Float:
         """Derivative (..., 2, P) of `project` by P parameters: fx, fy, cx, cy, distortion..."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,13 +12,19 @@ from numpy.polynomial import Polynomial
 from calm_edge.geometry.camera import NEWTON_STEPS, TABLE_RAD, Camera, Float, first_root
 
 MAX_FISHEYE_DEG = 160.0
+# Nearer to the axis the quotients by the radius lose their digits.
+TINY_RADIUS2 = 1e-8
+
+
+class FieldTooWide(ValueError):
+    """A fisheye lens with a field of view of more than MAX_FISHEYE_DEG."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fisheye(Camera):
     """Camera with image radius f (a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9) at angle a off the axis.
 
-    Raises ValueError for a field of view of more than MAX_FISHEYE_DEG.
+    Raises FieldTooWide.
     """
 
     def __post_init__(self) -> None:
@@ -26,7 +33,7 @@ class Fisheye(Camera):
         angle = np.fmin(np.arctan2(np.hypot(edges[:, 0], edges[:, 1]), edges[:, 2]), self.max_angle)
         across = np.degrees(max(angle[:2].sum(), angle[2:].sum()))
         if across > MAX_FISHEYE_DEG:
-            raise ValueError(
+            raise FieldTooWide(
                 f"fisheye lens with a field of view of {across:.0f} degrees: "
                 f"at most {MAX_FISHEYE_DEG:.0f} are supported"
             )
@@ -76,6 +83,30 @@ class Fisheye(Camera):
         """Image radius [focal lengths] at angles [rad], and its derivative."""
         radius = _odd(self.distortion)
         return radius(angle), radius.deriv()(angle)
+
+
+def angle_radial(s: Float, k: Sequence[Float | float]) -> tuple[Float, Float]:
+    """Factor (...) from normalised coordinates q to image coordinates, at squared radii s of q.
+
+    And its derivative by s. k: the leading terms k1, k2 ..., each a number, or (...) one a point.
+    """
+    r = np.sqrt(np.maximum(s, TINY_RADIUS2))
+    angle = np.arctan(r)
+    square = angle * angle
+    bend, slope = np.ones_like(r), np.ones_like(r)
+    for n, term in enumerate(k, 1):
+        power = term * square**n
+        bend += power
+        slope += (2 * n + 1) * power
+    gain = angle / r * bend
+    return gain, (slope / (1 + r * r) - gain) / (2 * r * r)
+
+
+def angle_terms(s: Float, count: int) -> Float:
+    """Derivatives (count, ...) of the factor of `angle_radial` by k1, k2 ..."""
+    r = np.sqrt(np.maximum(s, TINY_RADIUS2))
+    angle = np.arctan(r)
+    return np.stack([angle ** (2 * n + 1) / r for n in range(1, count + 1)])
 
 
 def _off_axis(p_c: Float) -> tuple[Float, Float]:

@@ -38,10 +38,10 @@ class PoseFit:
 
 
 def reprojection(camera: Camera, p_w: Float, T_w_c: Float) -> tuple[Float, Float]:
-    """Project world points (M, 3) to pixels (M, 2), inf if behind, and camera points (M, 3)."""
+    """Project world points (M, 3) to pixels (M, 2), inf if invisible, and camera points (M, 3)."""
     p_c = se3.transform(se3.inverse(T_w_c), p_w)
     uv = camera.project(p_c)
-    uv[p_c[:, 2] < NEAREST_DEPTH] = np.inf
+    uv[(p_c[:, 2] < NEAREST_DEPTH) | ~camera.within_reach(p_c)] = np.inf
     return uv, p_c
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.geometry import epipolar
+from calm_edge.geometry.camera import Camera
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -80,10 +81,17 @@ def match(a: Features, b: Features) -> Int:
     return np.stack([rows[keep], to_b[keep]], 1)
 
 
-def consistent(a: Features, b: Features, threshold_px: float) -> Int:
-    """Matches (M, 2), rows of a and b, that are inliers of one fundamental matrix."""
+def consistent(
+    a: Features, b: Features, threshold_px: float, cameras: tuple[Camera, Camera] | None = None
+) -> Int:
+    """Matches (M, 2), rows of a and b, that are inliers of one fundamental matrix.
+
+    cameras: of a and b, whose distortion is undone.
+    """
     pairs = match(a, b)
     uv_a, uv_b = a.uv[pairs[:, 0]].astype(np.float64), b.uv[pairs[:, 1]].astype(np.float64)
+    if cameras is not None:
+        uv_a, uv_b = cameras[0].undistorted(uv_a), cameras[1].undistorted(uv_b)
     found = epipolar.fundamental(uv_a, uv_b, threshold_px)
     return pairs[found.inliers] if found is not None else pairs[:0]
 

@@ -85,10 +85,12 @@ class CalibratedKit:
 
 def lens_change(known: KitBelief, evidence: KitBelief, eye: int) -> change.Change:
     """Compare all terms of an eye's optics, along the directions that both know."""
+    if change.other_family(known, evidence, eye):
+        return change.another_lens(EYES[eye])
     terms = layout.OPTICS[eye]
     axes = np.eye(layout.SIZE)[:, terms]
-    prior = np.linalg.inv(layout.prior((None, None)).information)
-    sigma = WIDER * np.sqrt(np.diag(prior))[terms]
+    usual = layout.prior((None, None), families=layout.families(known.mean))
+    sigma = WIDER * np.sqrt(np.diag(np.linalg.inv(usual.information)))[terms]
     difference = (evidence.mean - known.mean)[terms] / sigma
     A, B = (
         change.marginal(gaussian(each).information, axes) * np.outer(sigma, sigma)
@@ -120,6 +122,7 @@ def _without_optics(belief: KitBelief | None, eye: int) -> KitBelief | None:
     if belief is None:
         return None
     information = belief.information.copy()
-    information[layout.OPTICS[eye]] = 0
-    information[:, layout.OPTICS[eye]] = 0
+    terms = np.r_[layout.OPTICS[eye], layout.FAMILY[eye]]
+    information[terms] = 0
+    information[:, terms] = 0
     return KitBelief(belief.mean, information) if information.any() else None

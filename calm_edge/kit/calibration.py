@@ -16,6 +16,7 @@ from calm_edge.config import CalibratedCameraConfig, CalibrationConfig, ConfigEr
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.kit import layout
+from calm_edge.kit.lens import Family
 from calm_edge.types import Float, Int, KitBelief
 
 EYES = "primary", "assistant"
@@ -82,6 +83,7 @@ def lens_prior(camera: Camera, eye: int, sigma_px: float) -> LensPrior:
     """
     rays, uv = pixel_grid(camera)
     theta, terms = layout.prior((None, None)).mean.copy(), layout.OPTICS[eye]
+    theta[layout.FAMILY[eye]] = family_of(camera)
     theta[layout.LOG_FOCAL[eye]] = np.log(np.sqrt(camera.fx * camera.fy) / camera.width)
 
     def off(x: Float) -> Float:
@@ -96,6 +98,11 @@ def lens_prior(camera: Camera, eye: int, sigma_px: float) -> LensPrior:
     H = J.T @ J / len(rays)
     information = len(terms) * H / (sigma_px**2 + off_px**2)
     return LensPrior(np.asarray(solved.x), np.asarray(information), off_px)
+
+
+def family_of(camera: Camera) -> Family:
+    """The family of the kit's lenses that a camera is of."""
+    return Family.FISHEYE if isinstance(camera, Fisheye) else Family.PERSPECTIVE
 
 
 def pixel_grid(camera: Camera) -> tuple[Float, Float]:
@@ -138,6 +145,8 @@ def optics_belief(config: CalibrationConfig, sizes: Int) -> tuple[KitBelief | No
         lens = lens_prior(camera, eye, float(np.hypot(config.sigma_px, fit_px)))
         terms = layout.OPTICS[eye]
         mean[terms], information[np.ix_(terms, terms)] = lens.mean, lens.information
+        mean[layout.FAMILY[eye]] = family_of(camera)
+        information = layout.with_known_families(information, (eye == 0, eye == 1))
     return (KitBelief(mean, information) if information.any() else None), lines
 
 

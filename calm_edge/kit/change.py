@@ -94,7 +94,11 @@ def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
     remembered, evidence = (bounded(belief) for belief in (remembered, evidence))
     axes = np.eye(layout.SIZE)
     out = []
-    for eye, index in zip(("primary", "assistant"), layout.LOG_FOCAL, strict=True):
+    other = [other_family(remembered, evidence, eye) for eye in (0, 1)]
+    for eye, index, replaced in zip(("primary", "assistant"), layout.LOG_FOCAL, other, strict=True):
+        if replaced:
+            out.append(another_lens(eye))
+            continue
         moved, change = _part(remembered, evidence, axes[:, [index]], layout.LOG_FOCAL_SIGMA)
         percent = 100 * np.expm1(moved.sum())
         out.append(change_of(f"another lens on the {eye} camera, focal {percent:+.1f} %", change))
@@ -108,6 +112,17 @@ def changes(remembered: KitBelief, evidence: KitBelief) -> tuple[Change, ...]:
     return tuple(out)
 
 
+def other_family(one: KitBelief, other: KitBelief, eye: int) -> bool:
+    """Whether both beliefs know the lens of an eye, and its families differ."""
+    known = layout.of_lens(one)[eye] and layout.of_lens(other)[eye]
+    return known and layout.families(one.mean)[eye] is not layout.families(other.mean)[eye]
+
+
+def another_lens(eye: str) -> Change:
+    """The change to a lens of another family."""
+    return Change(f"another lens on the {eye} camera", np.inf, 1, 0.0)
+
+
 def _check(belief: KitBelief) -> None:
     if belief.mean.shape != (layout.SIZE,):
         raise ValueError(f"a kit belief has {layout.SIZE} entries, not {len(belief.mean)}")
@@ -116,7 +131,7 @@ def _check(belief: KitBelief) -> None:
 def bounded(belief: KitBelief) -> KitBelief:
     """Multiply by the prior on the parts that are not tested; ValueError for another size."""
     _check(belief)
-    prior = layout.prior((None, None))
+    prior = layout.prior((None, None), families=layout.families(belief.mean))
     information = prior.information.copy()
     for tested in (layout.LOG_FOCAL, layout.RIG):
         information[tested] = 0

@@ -1,6 +1,7 @@
 """Conversion of kits from version 0.1.0: one radial term an eye, k1, and no readout time.
 
-The 15 entries of its kit vector are those of kit/layout.py without the newer terms.
+The 15 entries of its kit vector are those of kit/layout.py without the newer terms and the families
+of the lenses, which were perspective.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from calm_edge.kit import layout
 
 SIZE = 15
-_KEPT = np.delete(np.arange(layout.SIZE), np.c_[layout.DISTORTION[:, 1:], layout.READOUT])
+_NEW = np.r_[layout.DISTORTION[:, 1], layout.READOUT, layout.FAMILY]
+_KEPT = np.delete(np.arange(layout.SIZE), _NEW)
 
 
 def converted(array: NDArray[Any]) -> NDArray[Any]:

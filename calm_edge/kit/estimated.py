@@ -20,7 +20,8 @@ def cameras(update: LocalizerUpdate) -> dict[Eye, Camera]:
         found[Eye.ASSISTANT] = submap.cameras[submap.n_primary]
     if update.kit is not None and update.kit.mean.shape == (layout.SIZE,) and len(found) == 2:
         sizes = picture_sizes(submap)
-        belief = product([layout.prior((None, None), sizes), update.kit])
+        families = layout.families(update.kit.mean)
+        belief = product([layout.prior((None, None), sizes, families=families), update.kit])
         assert belief is not None
         found = dict(zip(Eye, layout.cameras(belief.mean, sizes), strict=True))
     sigma = submap.focal_log_sigma

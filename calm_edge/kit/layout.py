@@ -1,12 +1,12 @@
 """Layout of the kit vector theta, its prior, and its drift between two drives.
 
 theta (SIZE,): for each eye log(f / width), the principal point's offset from the image centre as a
-share of the width (x, y), distortion (k1, k2, see `geometry/distortion`) and the readout time: from
+share of the width (x, y), the terms of the lens (k1, k2, see `kit/lens`) and the readout time: from
 the exposure of the first row to that of the last [s], 0 for a global shutter; then the rig T_p_a
 as a rotation vector [rad] and the assistant's centre in the primary camera [spacings]; then the
 time offset: how much later than its stamp, on the primary's clock, an assistant's picture is
-exposed [s]. Stamps and poses are those of the middle row. This file alone holds the index of a
-term; elsewhere terms are named.
+exposed [s]; then the family of each eye's lens, a constant. Stamps and poses are those of the
+middle row. This file alone holds the index of a term; elsewhere terms are named.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.geometry import se3
-from calm_edge.geometry.camera import Perspective
+from calm_edge.geometry.camera import Camera
 from calm_edge.kit.belief import blurred
+from calm_edge.kit.lens import Family, Lens
 from calm_edge.types import Float, Int, KitBelief
 
 # Indices into theta: the terms of each eye (2, terms), its optics and its shutter; then single
@@ -29,7 +30,8 @@ RIG_ROTATION = slice(EYE.size, EYE.size + 3)
 RIG_CENTRE = slice(RIG_ROTATION.stop, RIG_ROTATION.stop + 3)
 RIG = slice(RIG_ROTATION.start, RIG_CENTRE.stop)
 TIME_OFFSET = RIG.stop
-SIZE = TIME_OFFSET + 1
+FAMILY = TIME_OFFSET + np.array([1, 2])
+SIZE = int(FAMILY[-1]) + 1
 
 # Mean and sigmas of the prior. Phone, dashboard and web cameras have fields of view of 45 to 110
 # degrees; the middle of log(f / width) is at 73 degrees. HINTED: for a field of view that was
@@ -42,6 +44,13 @@ PRINCIPAL_POINT_SIGMA = 0.02
 # bends it back: the mean of k2 is this multiple of k1, its sigma given k1 the second of these.
 RADIAL_SIGMA = np.array([0.15, 0.05])
 RADIAL_RATIO = -0.25
+# Of wide lenses: between 110 and 140 degrees across. Their terms are about those of the usual
+# projections: stereographic (1/12, 1/120), equidistant (0, 0), equisolid (-1/24, 1/1920).
+WIDE_HFOV_DEG = 125.0
+WIDE_LOG_FOCAL_SIGMA = 0.25
+ANGLE_MEAN = np.array([0.02, 0.0])
+ANGLE_SIGMA = np.array([0.08, 0.03])
+FAMILY_SIGMA = 1e-3
 RIG_ROTATION_SIGMA_RAD = 0.5
 RIG_DIRECTION_SIGMA = 1.0
 SPACING_SIGMA = 1e-4
@@ -75,6 +84,10 @@ RIG_CENTRE_DRIFT = 0.01
 TIME_OFFSET_DRIFT_S = 1.0
 # set by the sensor's clock: the same while the video mode is
 READOUT_DRIFT_S = 1e-4
+FAMILY_DRIFT = 1e-4
+
+Families = tuple[Family, Family]
+PERSPECTIVE = Family.PERSPECTIVE, Family.PERSPECTIVE
 
 
 def _vector(
@@ -85,12 +98,14 @@ def _vector(
     centre: float,
     time_offset: float,
     readout: float,
+    family: float,
 ) -> Float:
     """Fill a vector (SIZE,) from one value for each kind of term, equal for both eyes."""
     out = np.empty(SIZE)
     out[LOG_FOCAL], out[PRINCIPAL_POINT], out[DISTORTION] = log_focal, principal_point, radial
     out[RIG_ROTATION], out[RIG_CENTRE], out[TIME_OFFSET] = rotation, centre, time_offset
     out[READOUT] = readout
+    out[FAMILY] = family
     return out
 
 
@@ -98,6 +113,7 @@ def prior(
     hfov_deg: tuple[float | None, float | None],
     sizes: Int | None = None,
     readout_s: tuple[float | None, float | None] = (None, None),
+    families: Families = PERSPECTIVE,
 ) -> KitBelief:
     """Prior belief; hfov_deg: horizontal field of view of each eye, None where unknown.
 
@@ -108,26 +124,32 @@ def prior(
     sigma = _vector(
         LOG_FOCAL_SIGMA, PRINCIPAL_POINT_SIGMA, RADIAL_SIGMA,
         RIG_ROTATION_SIGMA_RAD, RIG_DIRECTION_SIGMA, TIME_OFFSET_SIGMA_S, READOUT_SIGMA_S,
+        FAMILY_SIGMA,
     )  # fmt: skip
-    for eye, (index, hfov) in enumerate(zip(LOG_FOCAL, hfov_deg, strict=True)):
-        width_over_f = 2 * np.tan(np.radians(hfov or DEFAULT_HFOV_DEG) / 2)
-        if hfov:
-            sigma[index] = HINTED_LOG_FOCAL_SIGMA
-        elif sizes is not None:
+    mean[FAMILY] = families
+    # rows whose products with the kit are independent: k2 is not independent of k1
+    rows = np.eye(SIZE)
+    for eye, (hfov, family) in enumerate(zip(hfov_deg, families, strict=True)):
+        wide = family is Family.FISHEYE
+        half = np.radians(hfov or (WIDE_HFOV_DEG if wide else DEFAULT_HFOV_DEG)) / 2
+        width_over_f = 2 * (half if wide else np.tan(half))
+        if not hfov and sizes is not None:
             width_over_f *= sizes[eye, 0] / max(sizes[eye])
-        mean[index] = -np.log(width_over_f)
+        mean[LOG_FOCAL[eye]] = -np.log(width_over_f)
+        k1, k2 = DISTORTION[eye]
+        if wide:
+            mean[[k1, k2]], sigma[[k1, k2]] = ANGLE_MEAN, ANGLE_SIGMA
+            sigma[LOG_FOCAL[eye]] = WIDE_LOG_FOCAL_SIGMA
+        else:
+            rows[k2, k1] = -RADIAL_RATIO
+        if hfov:
+            sigma[LOG_FOCAL[eye]] = HINTED_LOG_FOCAL_SIGMA
     for index, readout in zip(READOUT, readout_s, strict=True):
         mean[index] = READOUT_S if readout is None else readout
         if readout is not None:
             sigma[index] = HINTED_READOUT_SIGMA_S
-    information = np.diag(sigma**-2.0)
-    # k2 - RADIAL_RATIO k1 is independent of k1
-    for k1, k2 in DISTORTION:
-        row = np.zeros(SIZE)
-        row[[k1, k2]] = -RADIAL_RATIO, 1.0
-        information[k2, k2] = 0.0
-        information += np.outer(row, row) / RADIAL_SIGMA[1] ** 2
-    return KitBelief(mean=mean, information=information)
+    rows /= sigma[:, None]
+    return KitBelief(mean=mean, information=rows.T @ rows)
 
 
 def drift_sigma() -> Float:
@@ -135,20 +157,58 @@ def drift_sigma() -> Float:
     return _vector(
         LOG_FOCAL_DRIFT, PRINCIPAL_POINT_DRIFT, RADIAL_DRIFT,
         RIG_ROTATION_DRIFT_RAD, RIG_CENTRE_DRIFT, TIME_OFFSET_DRIFT_S, READOUT_DRIFT_S,
+        FAMILY_DRIFT,
     )  # fmt: skip
 
 
-def cameras(theta: Float, size: Int) -> tuple[Perspective, Perspective]:
-    """Camera of each eye. size: (2, 2) width, height [px]."""
+def families(theta: Float) -> Families:
+    """Family of each eye's lens."""
+    primary, assistant = (Family(value > 0.5) for value in theta[FAMILY].tolist())
+    return primary, assistant
+
+
+def of_lens(belief: KitBelief) -> tuple[bool, bool]:
+    """Whether a belief holds anything of each eye's lens; else its family means nothing."""
+    primary, assistant = np.diag(belief.information)[LOG_FOCAL] > 0
+    return bool(primary), bool(assistant)
+
+
+def with_known_families(information: Float, known: tuple[bool, bool] = (True, True)) -> Float:
+    """Information (SIZE, SIZE) of a belief that knows the families of its lenses.
+
+    So that in products these are those of the beliefs that know them.
+    """
+    out = information.copy()
+    which = FAMILY[list(known)]
+    out[which, which] = FAMILY_SIGMA**-2.0
+    return out
+
+
+def alike(one: KitBelief, other: KitBelief) -> bool:
+    """Whether two beliefs have a product: all lenses that both know are of the same family."""
+    pairs = zip(families(one.mean), families(other.mean), strict=True)
+    both = zip(of_lens(one), of_lens(other), strict=True)
+    return all(a is b or not (x and y) for (a, b), (x, y) in zip(pairs, both, strict=True))
+
+
+def lenses(theta: Float) -> tuple[Lens, Lens]:
+    """Lens of each eye."""
+    k = theta[DISTORTION].tolist()
+    primary, assistant = families(theta)
+    return Lens(primary, tuple(k[0])), Lens(assistant, tuple(k[1]))
+
+
+def cameras(theta: Float, size: Int) -> tuple[Camera, Camera]:
+    """Camera of each eye. size: (2, 2) width, height [px]. Raises FieldTooWide."""
     return camera(theta, 0, *size[0].tolist()), camera(theta, 1, *size[1].tolist())
 
 
-def camera(theta: Float, eye: int, width: int, height: int) -> Perspective:
-    """Camera of an eye for pictures of width x height px."""
+def camera(theta: Float, eye: int, width: int, height: int) -> Camera:
+    """Camera of an eye for pictures of width x height px; raises FieldTooWide."""
     f = float(np.exp(theta[LOG_FOCAL[eye]]) * width)
     cx, cy = (theta[PRINCIPAL_POINT[eye]] * width).tolist()
-    k = tuple(theta[DISTORTION[eye]].tolist())
-    return Perspective(f, f, (width - 1) / 2 + cx, (height - 1) / 2 + cy, width, height, k)
+    centre = (width - 1) / 2 + cx, (height - 1) / 2 + cy
+    return lenses(theta)[eye].camera(f, *centre, width, height)
 
 
 def rig(theta: Float) -> Float:

@@ -35,7 +35,8 @@ def observed_part(belief: KitBelief) -> KitBelief | None:
     if len(unknown) == len(parts):
         return None
     kept = np.setdiff1d(terms, np.concatenate([terms[:0], *unknown]))
-    mean, information = layout.prior((None, None)).mean, np.zeros((layout.SIZE, layout.SIZE))
+    mean = layout.prior((None, None), families=layout.families(belief.mean)).mean
+    information = np.zeros((layout.SIZE, layout.SIZE))
     mean[kept] = belief.mean[kept]
     information[np.ix_(kept, kept)] = marginal(belief.information, axes[:, kept])
     return KitBelief(mean, (information + information.T) / 2)

@@ -6,7 +6,7 @@ import logging
 from pathlib import Path
 
 from calm_edge.config import Config
-from calm_edge.kit import change, file
+from calm_edge.kit import change, file, layout
 from calm_edge.kit.belief import product
 from calm_edge.kit.calibrated import CalibratedKit
 from calm_edge.kit.observed import observed_part
@@ -39,8 +39,12 @@ class KitPrior:
     @property
     def belief(self) -> KitBelief | None:
         """Product of the calibration and, once it is trusted, of the belief of earlier drives."""
-        trusted = self._compared >= TRUSTED_AFTER
-        return product([self._calibrated.belief, self._remembered if trusted else None])
+        calibrated, earlier = self._calibrated.belief, self._remembered
+        if self._compared < TRUSTED_AFTER or earlier is None:
+            return calibrated
+        if calibrated is not None and not layout.alike(calibrated, earlier):
+            return calibrated
+        return product([calibrated, earlier])
 
     def open(self, sizes: Int | None) -> None:
         """Use what was stored, or calibrated, for images of these sizes (2, 2) [px].

@@ -18,7 +18,8 @@ def swapped(belief: KitBelief) -> KitBelief:
     """
     belief = gaussian(belief)
     theta, J = belief.mean, np.zeros((layout.SIZE, layout.SIZE))
-    J[layout.EYE, layout.EYE[::-1]] = 1.0
+    for of_eyes in (layout.EYE, layout.FAMILY):
+        J[of_eyes, of_eyes[::-1]] = 1.0
     turn, centre = theta[layout.RIG_ROTATION], theta[layout.RIG_CENTRE]
     R_a_p = se3.so3_exp(-turn)
     J[layout.RIG_ROTATION, layout.RIG_ROTATION] = -np.eye(3)

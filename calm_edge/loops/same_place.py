@@ -82,10 +82,11 @@ def same_place(
     explains the matches.
     """
     stretch = float(max(size)) / REFERENCE_SIDE_PX
-    pairs = consistent(query, past, EPIPOLAR_PX * stretch)
+    primary = kit.cameras[0]
+    pairs = consistent(query, past, EPIPOLAR_PX * stretch, (primary, primary))
     if len(pairs) < min_matches or not well_spread(query.uv[pairs[:, 0]], size):
         return None
-    across = consistent(query, assistant, EPIPOLAR_PX * stretch)
+    across = consistent(query, assistant, EPIPOLAR_PX * stretch, kit.cameras)
     shared, in_past, in_assistant = np.intersect1d(
         pairs[:, 0], across[:, 0], assume_unique=True, return_indices=True
     )
@@ -107,7 +108,10 @@ def same_place(
     ):
         return None
     F = epipolar.from_motion(kit.cameras[0], kit.cameras[0], se3.inverse(T))
-    miss = np.abs(epipolar.sampson(F, _double(query, pairs[:, 0]), _double(past, pairs[:, 1])))
+    straight = [
+        primary.undistorted(_double(*side)) for side in ((query, pairs[:, 0]), (past, pairs[:, 1]))
+    ]
+    miss = np.abs(epipolar.sampson(F, *straight))
     if np.mean(miss < POSE_PX * stretch) < MIN_AGREEING:
         return None
     again = seen_again(all_points, query.vector[across[:, 0]], past, kit.cameras[0], T, size)
@@ -144,10 +148,13 @@ def rig_between(uv_p: Float, uv_a: Float, kit: KnownKit) -> Float:
     T_p_a = np.array(kit.T_p_a)
     T_p_a[:3, 3] /= np.linalg.norm(T_p_a[:3, 3])
     start = se3.inverse(T_p_a)
+    straight = [
+        camera.undistorted(uv) for camera, uv in zip(kit.cameras, (uv_p, uv_a), strict=True)
+    ]
 
     def error(xi: Float) -> Float:
         F = epipolar.from_motion(*kit.cameras, se3.exp(xi) @ start)
-        return np.concatenate([epipolar.sampson(F, uv_p, uv_a), xi / RIG_SIGMA])
+        return np.concatenate([epipolar.sampson(F, *straight), xi / RIG_SIGMA])
 
     fit = least_squares(error, np.zeros(6), loss="soft_l1", max_nfev=20)
     return np.asarray(se3.exp(fit.x) @ start)

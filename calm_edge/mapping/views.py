@@ -165,9 +165,10 @@ def sight(views: DenseViews, p_s: Float, tolerance: float) -> Sightings:
     p_c = np.moveaxis(T_c_s[:, :3, :3] @ p_s.T + T_c_s[:, :3, 3:], 2, 0)
     z = p_c[..., 2]
     uv = np.stack([c.project(p_c[:, n]) for n, c in enumerate(views.cameras)], 1)
+    front = np.stack([c.within_reach(p_c[:, n]) for n, c in enumerate(views.cameras)], 1)
     view = np.broadcast_to(np.arange(len(T_c_s)), z.shape)
     seen = sample(views, view, uv)
-    known = (seen > 0) & (z > 0)
+    known = (seen > 0) & front
     return Sightings(
         np.clip(uv, -1e6, 1e6).astype(np.float32),
         known & (np.abs(z - seen) <= tolerance * seen),

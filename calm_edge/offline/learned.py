@@ -44,7 +44,8 @@ def learned(recording: Recording) -> tuple[Calibration, tuple[str, ...]]:
         config = recording.config
         hfov, readout_s = config.backbone.hfov_of_eye, config.capture.readout_s_of_eye
         sizes = picture_sizes(last.submap)
-        belief = product([layout.prior(hfov, sizes, readout_s), last.kit])
+        families = layout.families(last.kit.mean)
+        belief = product([layout.prior(hfov, sizes, readout_s, families), last.kit])
         assert belief is not None
         calibration, notes = _of_kit(recording, belief, sizes, config.scale.spacing_m)
     return calibration, (head, *notes)

@@ -6,14 +6,26 @@ import pytest
 from calm_edge.backbones.base import BackboneError
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.geometry.camera import Perspective
+from calm_edge.geometry.fisheye import Fisheye
+from calm_edge.kit import layout
+from calm_edge.kit.lens import Family
 from calm_edge.types import Hints, KitBelief, Overlap, Prediction
 
 HINTS = Hints(eyes=np.array([0, 0, 1]), t_ns=np.arange(3))
 
 
+def evidence(kit, families=layout.PERSPECTIVE):
+    """Evidence on the first entry of the kit alone."""
+    mean = np.zeros(layout.SIZE)
+    mean[0], mean[layout.FAMILY] = kit, families
+    information = layout.with_known_families(np.diag(np.eye(layout.SIZE)[0]))
+    information[layout.LOG_FOCAL, layout.LOG_FOCAL] = 1.0
+    return KitBelief(mean, information)
+
+
 def seen(focals, *, sigma=0.002, kit=None):
     each = [focals[eye] for eye in HINTS.eyes]
-    belief = None if kit is None else KitBelief(np.array([kit]), np.array([[1.0]]))
+    belief = None if kit is None else evidence(kit)
     depth = np.ones((3, 2, 2), np.float32)
     return Prediction(
         cameras=tuple(Perspective(f, f, 319.5, 119.5, 640, 240) for f in each),
@@ -46,8 +58,8 @@ def test_the_prior_of_a_window_is_the_evidence_of_the_others():
     memory = KitMemory(Resolver(), 10)
     for submap_id, kit in enumerate((1.0, 2.0, 6.0)):
         memory.add(submap_id, seen((500, 500), kit=kit), HINTS)
-    assert memory.belief().mean == pytest.approx([3.0])
-    assert memory.belief(without=2).mean == pytest.approx([1.5])
+    assert memory.belief().mean[0] == pytest.approx(3.0)
+    assert memory.belief(without=2).mean[0] == pytest.approx(1.5)
     assert KitMemory(Resolver(), 10).belief() is None
 
 
@@ -57,13 +69,13 @@ def test_a_window_whose_scale_is_unknown_teaches_nothing_until_it_is_known():
     memory.add(0, unknown, HINTS)
     assert memory.evidence() is None
     memory.add(1, seen((500, 500), kit=1.0), HINTS)
-    assert memory.evidence().mean == pytest.approx([1.0])
+    assert memory.evidence().mean[0] == pytest.approx(1.0)
     # the resolver gives evidence of 5 and no sigma
     memory.resolve([0])
-    assert memory.evidence().mean == pytest.approx([3.0])
+    assert memory.evidence().mean[0] == pytest.approx(3.0)
     # and what became unknown is forgotten
     memory.add(0, unknown, HINTS)
-    assert memory.evidence().mean == pytest.approx([1.0])
+    assert memory.evidence().mean[0] == pytest.approx(1.0)
 
 
 def test_new_evidence_of_a_window_replaces_the_old():
@@ -74,7 +86,7 @@ def test_new_evidence_of_a_window_replaces_the_old():
     assert set(memory.resolve([0, 1])) == {0, 1}
     # each was solved with the newest evidence of the other
     assert backbone.asked == [2.0, 5.0]
-    assert memory.belief().mean == pytest.approx([5.0])
+    assert memory.belief().mean[0] == pytest.approx(5.0)
     assert memory.belief().information[0, 0] == pytest.approx(2.0)
 
 
@@ -111,14 +123,14 @@ def test_the_oldest_windows_are_dropped_but_not_their_evidence():
     for submap_id in range(4):
         memory.add(submap_id, seen((500, 500), kit=float(submap_id)), HINTS)
     assert memory.retained() == [2, 3]
-    assert memory.belief().mean == pytest.approx([1.5])
+    assert memory.belief().mean[0] == pytest.approx(1.5)
 
 
 def test_a_backbone_that_cannot_resolve_keeps_no_window():
     memory = KitMemory(object(), 10)
     memory.add(0, seen((500, 500), kit=1.0), HINTS)
     assert memory.retained() == [] and memory.resolve([0]) == {}
-    assert memory.belief().mean == pytest.approx([1.0])
+    assert memory.belief().mean[0] == pytest.approx(1.0)
 
 
 def test_the_overlap_is_that_of_the_newest_solution_of_the_window_before():
@@ -157,6 +169,27 @@ def test_pictures_of_another_size_begin_an_epoch_of_the_kit():
     assert memory.evidence() is None and memory.belief() is None
     # an earlier window that is solved again keeps its epoch
     assert not memory.resized(1, wide) and np.array_equal(memory.sizes, small)
-    assert memory.evidence(without=1).mean == 1.0
+    assert memory.evidence(without=1).mean[0] == 1.0
     memory.add(2, seen((200.0, 200.0), kit=3.0), HINTS)
-    assert memory.evidence().mean == 3.0 and memory.overlap_before(2) is None
+    assert memory.evidence().mean[0] == 3.0 and memory.overlap_before(2) is None
+
+
+def test_windows_of_another_family_of_lenses_are_outdated_and_no_evidence():
+    memory = KitMemory(Resolver(), 10)
+    memory.add(0, seen((500, 500), kit=1.0), HINTS)
+    wide = (Family.FISHEYE, Family.FISHEYE)
+    of_fisheye = tuple(Fisheye(500.0, 500.0, 319.5, 119.5, 640, 240) for _ in range(3))
+    found = dataclasses.replace(
+        seen((500, 500)), cameras=of_fisheye, kit=evidence(7.0, wide), overlap=None
+    )
+    memory.add(1, found, HINTS)
+    assert layout.families(memory.belief().mean) == wide
+    assert memory.belief().mean[0] == pytest.approx(7.0)
+    assert memory.belief().information[0, 0] == pytest.approx(1.0)
+    assert memory.outdated() == [0]
+    # not again and again where that fails
+    failing = KitMemory(Resolver(fails=True), 10)
+    failing.add(0, seen((500, 500), kit=1.0), HINTS)
+    failing.add(1, found, HINTS)
+    assert failing.outdated() == [0] and not failing.resolve([0])
+    assert failing.outdated() == []

@@ -83,7 +83,7 @@ def test_the_prior_is_on_the_calibrated_eyes_alone():
     belief, lines = optics_belief(config, SIZES)
     assert lines == [] and belief is not None
     known = np.flatnonzero(np.diag(belief.information))
-    assert set(known) == set(layout.OPTICS[0])
+    assert set(known) == {*layout.OPTICS[0], layout.FAMILY[0]}
     joint = product([layout.prior((None, None)), belief])
     primary, _ = layout.cameras(joint.mean, SIZES)
     assert primary.fx == pytest.approx(812.0, rel=2e-3)

@@ -17,6 +17,7 @@ SIGMA[layout.RIG] = 0.004, 0.004, 0.004, 0.01, 0.02, 0.02
 FADES = np.full(D, 1.0)
 FADES[layout.OPTICS] = 0.015, 0.003, 0.003, 2e-3, 2e-3
 FADES[layout.READOUT] = 1e-4
+FADES[layout.FAMILY] = 1e-4
 FADES[layout.RIG] = 0.005, 0.005, 0.005, 0.01, 0.01, 0.01
 DRIFT = FADES.copy()
 DRIFT[layout.TIME_OFFSET] = 0.005
@@ -117,6 +118,13 @@ def test_a_direction_is_compared_on_the_sphere(axis, degrees):
     assert all(part.noticed for part in caught)
     angles = [float(part.text.split()[-5]) for part in caught]
     assert np.median(angles) == pytest.approx(degrees, abs=2.5)
+
+
+def test_a_lens_of_another_family_is_noticed():
+    remembered, evidence = drives(0)
+    evidence.mean[layout.FAMILY[1]] = 1.0
+    lines = change.described(remembered, evidence)
+    assert lines[0] == "another lens on the assistant camera"
 
 
 def test_swapped_cameras_are_named_and_nothing_else():

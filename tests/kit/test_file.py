@@ -91,6 +91,7 @@ def test_a_kit_of_one_radial_term_has_nothing_on_the_second(tmp_path):
     assert np.array_equal(back.mean[names], mean)
     assert np.array_equal(back.information[np.ix_(names, names)], information)
     assert not back.information[layout.DISTORTION[:, 1]].any()
+    assert layout.families(back.mean) == layout.PERSPECTIVE
 
 
 NOT_POSITIVE = np.diag([-1.0] + [1.0] * (layout.SIZE - 1)).tolist()

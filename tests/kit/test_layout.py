@@ -5,13 +5,15 @@ import pytest
 
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
+from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.kit import layout
+from calm_edge.kit.lens import Family
 
 
 def test_names_cover_the_vector_once():
     terms = [layout.LOG_FOCAL, layout.PRINCIPAL_POINT.ravel(), layout.DISTORTION.ravel()]
-    single = layout.RIG_ROTATION, layout.RIG_CENTRE, layout.TIME_OFFSET
-    entries = np.r_[*terms, layout.READOUT, *single]
+    single = layout.RIG_ROTATION, layout.RIG_CENTRE, layout.TIME_OFFSET, layout.FAMILY
+    entries = np.r_[(*terms, layout.READOUT, *single)]
     assert np.array_equal(np.sort(entries), np.arange(layout.SIZE))
     assert np.array_equal(np.sort(np.concatenate(terms)), np.sort(layout.OPTICS.ravel()))
     assert np.array_equal(np.r_[layout.RIG_ROTATION, layout.RIG_CENTRE], np.r_[layout.RIG])
@@ -24,7 +26,7 @@ def test_drift_and_prior_are_set_for_every_term():
         assert np.isfinite(vector).all() and (vector > 0).all()
         assert np.array_equal(vector[layout.OPTICS[0]], vector[layout.OPTICS[1]])
     # except for the time offset, a drive starts from the belief of the last one
-    assert (drift < sigma)[: layout.TIME_OFFSET].all() and drift[layout.TIME_OFFSET] == 1.0
+    assert (np.delete(drift < sigma, layout.TIME_OFFSET)).all() and drift[layout.TIME_OFFSET] == 1.0
 
 
 def test_the_second_radial_term_is_expected_to_bend_back():
@@ -62,6 +64,27 @@ def test_the_camera_of_a_hint_is_a_pinhole_of_that_field():
         made, expected = layout.camera(theta, eye, *size), Perspective.from_hfov(hfov, *size)
         assert np.allclose(made.matrix, expected.matrix) and made.is_pinhole
         assert (made.width, made.height) == size
+
+
+def test_lenses_of_either_family_have_their_own_priors():
+    families = Family.FISHEYE, Family.PERSPECTIVE
+    belief = layout.prior((None, None), families=families)
+    assert layout.families(belief.mean) == families
+    wide, narrow = layout.cameras(belief.mean, np.array([[640, 360], [640, 360]]))
+    assert type(wide) is Fisheye and type(narrow) is Perspective
+    # 125 degrees across, and half a degree more by the lens's terms
+    left, right = wide.rays(np.array([[-0.5, 179.5], [639.5, 179.5]]))
+    assert np.degrees(np.arccos(left @ right)) == pytest.approx(125, abs=4)
+    sigma = np.sqrt(np.diag(np.linalg.inv(belief.information)))
+    assert sigma[layout.DISTORTION[0]] == pytest.approx([0.08, 0.03])
+    assert sigma[layout.LOG_FOCAL] == pytest.approx([0.25, 0.30])
+    hinted = layout.camera(layout.prior((120.0, None), families=families).mean, 0, 640, 360)
+    assert hinted.fx == pytest.approx(320 / np.radians(60))
+
+
+def test_beliefs_of_other_lenses_are_not_alike():
+    one, other = (layout.prior((None, None), families=(f, Family.PERSPECTIVE)) for f in Family)
+    assert layout.alike(one, one) and not layout.alike(one, other)
 
 
 def test_the_principal_point_is_a_share_of_the_width_from_the_centre():

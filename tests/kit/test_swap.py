@@ -18,6 +18,7 @@ def test_the_rig_is_inverted_and_the_optics_are_exchanged():
     before, after = kit(), swapped(kit())
     assert np.allclose(layout.rig(after.mean), se3.inverse(layout.rig(before.mean)))
     assert np.array_equal(after.mean[layout.OPTICS], before.mean[layout.OPTICS[::-1]])
+    assert np.array_equal(after.mean[layout.FAMILY], before.mean[layout.FAMILY[::-1]])
     assert after.mean[layout.TIME_OFFSET] == -before.mean[layout.TIME_OFFSET]
 
 

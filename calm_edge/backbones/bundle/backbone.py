@@ -6,8 +6,8 @@ and rig, then plane-sweep depth. The cameras need no calibration.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import cv2
@@ -23,14 +23,18 @@ from calm_edge.backbones.bundle.problem import Measurements, rig_ties
 from calm_edge.backbones.bundle.solver import PosePrior
 from calm_edge.backbones.bundle.starts import Known, initial_states
 from calm_edge.config import BackboneConfig, Config
+from calm_edge.geometry.fisheye import FieldTooWide
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product, sigmas
+from calm_edge.kit.lens import Family
 from calm_edge.loops.descriptor import PlaceDescriptor
 from calm_edge.types import Float, Hints, KitBelief, Prediction
 
 # Largest sigma of the rig's rotation at which it guides the matching between the cameras and the
 # start; below layout.KIT_KNOWN rig and focals are taken as they are to start from.
 RIG_GUIDES_RAD = 0.04
+# Families of the lenses that are tried where nothing is known, perspective ones first.
+FAMILIES = (layout.PERSPECTIVE, *((p, a) for p in Family for a in Family if p or a))
 
 
 class BundleBackbone:
@@ -86,32 +90,67 @@ class BundleBackbone:
             alone = self.infer(images[:-1], hints.without_loop())
             return loop_view.with_loop(images, hints, alone)
         cv2.setRNGSeed(self._seed)
-        belief = kit_belief(hints)
+        beliefs = kit_beliefs(hints)
+        belief = next(iter(beliefs.values()))
         sigma = self.kit_sigma(hints)
-        guided, settled = bool(sigma[0] < RIG_GUIDES_RAD), bool(np.all(sigma < layout.KIT_KNOWN))
+        guided = bool(sigma[0] < RIG_GUIDES_RAD)
         with _solvable():
-            m = window.measure(images, hints, belief.mean, guided, self._matching)
+            kits = [each.mean for each in beliefs.values()]
+            m = window.measure(images, hints, kits, guided, self._matching)
         try:
-            with _solvable():
-                ties, before = rig_ties(m), overlap.prior(hints, solution.TEMPERING)
-                # the previous window leads the start; whether it is right is judged later
-                poses: list[PosePrior] = [motion_prior(m, 1 / solution.TEMPERING)]
-                if before is not None:
-                    poses.append(before)
-                kit = solution.kit_prior(solution.stiffened(belief, solution.HELD), ties)
-                known = Known(
-                    kit, poses, float(sigma[1]), guided, settled, hints.travel,
-                    follows=before is not None,
-                )  # fmt: skip
-                starts = initial_states(m, ties, known)
-                solved = solution.first_sound(starts, m, ties, belief, hints)
+            solved = self._solved(m, hints, beliefs)
         except BackboneError as error:
-            error.T_s_c_apart = _apart(m, belief, hints)
-            raise
+            solved, failure = None, error
+        if solved is None or solved.kit is None:
+            other = self._of_other_lenses(m, hints)
+            solved, sigma = (solved, sigma) if other is None else other
+        if solved is None:
+            failure.T_s_c_apart = _apart(m, belief, hints)
+            raise failure
         apart = _apart(m, belief, hints)
         solved = window.with_known_offset(solved, hints)
         notices = (*self._notices, *solved.notices)
         return replace(solved, kit_sigma=sigma, notices=notices, T_s_c_apart=apart)
+
+    def _solved(
+        self, m: Measurements, hints: Hints, beliefs: Mapping[layout.Families, KitBelief]
+    ) -> Prediction:
+        """Solve a window of lenses of any of the families of `beliefs`; raises BackboneError."""
+        sigma = self.kit_sigma(hints)
+        guided, settled = bool(sigma[0] < RIG_GUIDES_RAD), bool(np.all(sigma < layout.KIT_KNOWN))
+        with _solvable():
+            ties, before = rig_ties(m), overlap.prior(hints, solution.TEMPERING)
+            # the previous window leads the start; whether it is right is judged later
+            poses: list[PosePrior] = [motion_prior(m, 1 / solution.TEMPERING)]
+            if before is not None:
+                poses.append(before)
+            kits = [
+                solution.kit_prior(solution.stiffened(belief, solution.HELD), ties)
+                for belief in beliefs.values()
+            ]
+            known = Known(
+                kits, poses, float(sigma[1]), guided, settled, hints.travel,
+                follows=before is not None,
+            )  # fmt: skip
+            starts = initial_states(m, ties, known)
+            return solution.first_sound(starts, m, ties, beliefs, hints)
+
+    def _of_other_lenses(self, m: Measurements, hints: Hints) -> tuple[Prediction, Float] | None:
+        """Solve a window that does not fit the belief with lenses of another family.
+
+        Only before the focals are known. With `kit_sigma`; None if the window gives no evidence on
+        such a kit either.
+        """
+        if hints.kit is None or self.kit_sigma(hints)[1] < layout.FOCAL_KNOWN:
+            return None
+        anew = replace(hints, kit=None, overlap=None)
+        beliefs = kit_beliefs(anew)
+        del beliefs[layout.families(hints.kit.mean)]
+        with suppress(BackboneError):
+            solved = self._solved(m, anew, beliefs)
+            if solved.kit is not None:
+                return solved, self.kit_sigma(anew)
+        return None
 
     def kit_sigma(self, hints: Hints) -> Float:
         """Sigmas (2,) of the rig's rotation [rad] and of the log focals under `hints.kit`."""
@@ -126,8 +165,10 @@ class BundleBackbone:
         if hints.loop:
             alone = self.resolve(prediction.without_loop(), hints.without_loop())
             return loop_view.placed_again(alone, prediction)
-        belief = kit_belief(hints)
-        with_own = kit_belief(replace(hints, kit=product([hints.kit, prediction.kit])))
+        belief, own = kit_belief(hints), prediction.kit
+        if own is not None and not layout.alike(own, belief):
+            own = None
+        with_own = kit_belief(replace(hints, kit=product([hints.kit, own])))
         m, start = window.from_prediction(prediction, hints, with_own.mean)
         ties = rig_ties(m)
         with _solvable():
@@ -148,12 +189,27 @@ class BundleBackbone:
         return replace(prediction, depth=depth, confidence=confidence)
 
 
-def kit_belief(hints: Hints) -> KitBelief:
+def kit_beliefs(hints: Hints) -> dict[layout.Families, KitBelief]:
+    """Priors on the kit by the families that its lenses may be of: all where nothing is known."""
+    known, own = (False, False), layout.PERSPECTIVE
+    if hints.kit is not None:
+        known, own = layout.of_lens(hints.kit), layout.families(hints.kit.mean)
+    return {
+        families: kit_belief(hints, families)
+        for families in FAMILIES
+        if all(a is b or not k for a, b, k in zip(families, own, known, strict=True))
+    }
+
+
+def kit_belief(hints: Hints, families: layout.Families | None = None) -> KitBelief:
     """Prior on the kit: product of the layout's, with the hints, and hints.kit.
 
-    The time offset is what is left of it after the known offsets of the stamps.
+    families: of the lenses, None: as of hints.kit, or perspective. The time offset is what is left
+    of it after the known offsets of the stamps.
     """
-    prior = layout.prior(hints.hfov_deg, hints.sizes, hints.readout_s)
+    if families is None:
+        families = layout.PERSPECTIVE if hints.kit is None else layout.families(hints.kit.mean)
+    prior = layout.prior(hints.hfov_deg, hints.sizes, hints.readout_s, families)
     prior = layout.with_time_jitter(prior, hints.late_sigma_s)
     joint = product([prior, hints.kit])
     assert joint is not None
@@ -175,9 +231,11 @@ def _apart(m: Measurements, belief: KitBelief, hints: Hints) -> Float | None:
 
 @contextmanager
 def _solvable() -> Iterator[None]:
-    """Translate failures of numpy and OpenCV to BackboneError."""
+    """Translate failures of numpy, OpenCV and camera models to BackboneError."""
     try:
         yield
+    except FieldTooWide as error:
+        raise BackboneError(f"bundle: {error}") from None
     except (np.linalg.LinAlgError, cv2.error):
         raise BackboneError(
             "bundle: the pictures do not determine their poses (too few matches?)"

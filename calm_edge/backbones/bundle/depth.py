@@ -18,6 +18,7 @@ from calm_edge.backbones.bundle.scanline import aggregate
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.flow import long_side
+from calm_edge.geometry.undistortion import Undistortion, undistortion
 from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 
 DEPTH_SIDE_PX = 192
@@ -38,6 +39,9 @@ AGREE_RELATIVE = 0.05
 AGREE_STEPS = 0.5
 SPREAD = 0.05
 FRINGE_PX = 5  # width of the border around sky where depth is dropped
+# Field of view of undistorted pictures; cosine of the largest angle off their axis, with margin.
+MAX_FOV_DEG = 100.0
+MIN_COSINE = 0.2
 FARTHEST = 80.0  # spacings: indistinguishable from infinity beyond
 
 
@@ -45,6 +49,9 @@ def sweep_window(
     images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
 ) -> tuple[Float32, Float32]:
     """Depth and confidence (N, h, w) of N images (H, W, 3) in batch order.
+
+    Planes are swept over undistorted pictures, MAX_FOV_DEG across at most, and the result is
+    brought back to the pictures as they are: the z-depths of both are the same.
 
     depth: z in the sub-map's unit, 0 unknown. confidence: [0, 1], about the probability that the
     depth is within five percent. A loop keyframe is matched against the nearest views of the
@@ -56,11 +63,19 @@ def sweep_window(
     eyes = np.asarray(hints.eyes)
     size = _shrunk(images[0], DEPTH_SIDE_PX)
     sweep_size = size[0] * OVERSAMPLE, size[1] * OVERSAMPLE
-    gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
+    straight = _undistortions(prediction.cameras)
+    cameras = [
+        lens if s is None else s.camera
+        for lens, s in zip(prediction.cameras, straight, strict=True)
+    ]
+    gray = [
+        _straightened(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8), s)
+        for image, s in zip(images, straight, strict=True)
+    ]
     sweep = [
         SweepView(
             whitened(_shrink(g, sweep_size)),
-            _resized(prediction.cameras[i], g, sweep_size),
+            _resized(cameras[i], g, sweep_size),
             prediction.T_s_c[i],
         )
         for i, g in enumerate(gray)
@@ -78,14 +93,49 @@ def sweep_window(
     views = []
     for i, view in enumerate(sweep):
         scores = match_scores(view, [sweep[j] for j in sources[i]], zeta, size)
-        camera = _resized(prediction.cameras[i], gray[i], size)
+        camera = _resized(cameras[i], gray[i], size)
         views.append(DepthView(choose(scores, small[i], zeta), camera, prediction.T_s_c[i]))
     step = float(zeta[1] - zeta[0])
     judged = [
         judge(agree(view, [views[j] for j in sources[i]], AGREE_RELATIVE, AGREE_STEPS * step))
         for i, view in enumerate(views)
     ]
-    return np.stack([depth for depth, _ in judged]), np.stack([c for _, c in judged])
+    as_seen = [
+        tuple(_as_seen(part, lens, camera) for part in parts)
+        for parts, lens, camera in zip(judged, prediction.cameras, cameras, strict=True)
+    ]
+    return np.stack([depth for depth, _ in as_seen]), np.stack([c for _, c in as_seen])
+
+
+def _undistortions(lenses: Sequence[Camera]) -> list[Undistortion | None]:
+    """Maps of each view's picture to a pinhole camera, None where it is one."""
+    made = {
+        lens: None if lens.is_pinhole else undistortion(lens, MAX_FOV_DEG)
+        for lens in dict.fromkeys(lenses)
+    }
+    return [made[lens] for lens in lenses]
+
+
+def _straightened(gray: Bytes, straight: Undistortion | None) -> Bytes:
+    if straight is None:
+        return gray
+    seen = cv2.remap(gray, straight.map_x, straight.map_y, cv2.INTER_AREA)
+    return np.asarray(seen, np.uint8)
+
+
+def _as_seen(part: Float32, lens: Camera, pinhole: Camera) -> Float32:
+    """Values (h, w) of the pixels of an undistorted picture at those of the picture as it is."""
+    if lens is pinhole:
+        return part
+    h, w = part.shape
+    small = [camera.scaled(w / camera.width, h / camera.height) for camera in (lens, pinhole)]
+    pixels = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
+    rays = small[0].rays(pixels)
+    seen = rays[..., 2] > MIN_COSINE
+    there = np.where(seen[..., None], small[1].project(np.where(seen[..., None], rays, 1.0)), -1.0)
+    x, y = np.moveaxis(there.astype(np.float32), -1, 0)
+    # the nearest: between two depths there is nothing
+    return np.asarray(cv2.remap(part, x, y, cv2.INTER_NEAREST), np.float32)
 
 
 def judge(agreement: Agreement) -> tuple[Float32, Float32]:

@@ -78,7 +78,8 @@ def kit_evidence(
     gradient = cells.sum(0) + by_ties[1] @ reduced
     B = cells.T @ cells + reduced.T @ by_ties[0] @ reduced
     # how much larger the errors are than the matches' sigmas: the scale of the weights, not theirs
-    excess = max(float(np.mean(np.diag(B) / np.diag(A))), LEAST_EXCESS)
+    moved = np.diag(A) > 0  # all but the families of the lenses
+    excess = max(float(np.mean(np.diag(B)[moved] / np.diag(A)[moved])), LEAST_EXCESS)
     information, noise = (A + A.T) / 2 / excess, B / excess**2
     # makes the information regular along t_p_a, whose length is the unit
     for matrix in (information, noise):
@@ -87,12 +88,13 @@ def kit_evidence(
     known = vectors[:, values > _ROUNDING * max(values.max(), 1e-12)]
     kept, projector = values[-known.shape[1] :], known @ known.T
     mean = state.theta - (known / kept) @ (known.T @ gradient) / excess
-    kept_information = (known * kept) @ known.T
+    kept_information = layout.with_known_families((known * kept) @ known.T)
     common = COMMON**2 * float(2 * (weight**2).sum() / excess)
     belief = KitBelief(
         mean, kept_information, projector @ noise @ projector, kept_information, common
     )
-    bounded = np.linalg.inv(kept_information + layout.prior((None, None)).information)
+    prior = layout.prior((None, None), families=layout.families(state.theta))
+    bounded = np.linalg.inv(kept_information + prior.information)
     unturned = BIAS_PX / max(_turn_px(state, m), BIAS_PX * 1e-3)
     focals = np.zeros(layout.SIZE)
     focals[layout.LOG_FOCAL] = 1.0

@@ -67,7 +67,7 @@ def with_loop(
 
     images: (H, W, 3) uint8 BGR, N + 1. `loop_found` is False where it could not be placed.
     """
-    tracks = match_loop(images, hints)
+    tracks = match_loop(images, hints, prediction.cameras)
     pose = locate(prediction.cameras, prediction.T_s_c, tracks)
     if pose is None:
         return _appended(prediction, np.eye(4), prediction.landmarks, found=False)
@@ -103,17 +103,20 @@ def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
     return _appended(window, window.T_s_c[nearest] @ T_view_loop, window.landmarks, found=True)
 
 
-def match_loop(images: Sequence[NDArray[np.uint8]], hints: Hints) -> LoopTracks:
+def match_loop(
+    images: Sequence[NDArray[np.uint8]], hints: Hints, cameras: Sequence[Camera]
+) -> LoopTracks:
     """Match SIFT features of the loop picture, the last one, to the views most similar to it.
 
-    Only points that are matched in two views or more are kept.
+    cameras: of the views, the first also of the loop picture. Only points that are matched in two
+    views or more are kept.
     """
     loop = sift.detect(_gray(images[-1]), MAX_FEATURES)
     stretch = long_side(images[-1]) / REFERENCE_SIDE_PX
     row, view, uv = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros((0, 2), np.float32)]
     for v in _alike(images, hints):
         there = sift.detect(_gray(images[v]), MAX_FEATURES)
-        pairs = sift.consistent(loop, there, EPIPOLAR_PX * stretch)
+        pairs = sift.consistent(loop, there, EPIPOLAR_PX * stretch, (cameras[0], cameras[v]))
         row.append(pairs[:, 0])
         view.append(np.full(len(pairs), v))
         uv.append(there.uv[pairs[:, 1]])

@@ -18,8 +18,8 @@ import numpy as np
 
 from calm_edge.backbones.bundle.jitter import jitter
 from calm_edge.geometry import se3
-from calm_edge.geometry.distortion import distorted, distorted_jacobian, term_jacobian
 from calm_edge.kit import layout
+from calm_edge.kit.lens import Lens
 from calm_edge.types import Float, Int
 
 # Smallest z of a unit homogeneous point that counts as in front of a view.
@@ -112,19 +112,34 @@ def move_points(points: Float, basis: Float, delta: Float) -> Float:
 
 @dataclass(frozen=True, slots=True)
 class _Optics:
-    """Optics for each observation: f (O,) px, centre (2, O) px; k: distortion terms, (O,) each."""
+    """Optics for each observation: f (O,) px, centre (2, O) px; lenses: one of each eye.
+
+    rows: slice of each eye's observations.
+    """
 
     f: Float
     centre: Float
-    k: list[Float]
+    lenses: tuple[Lens, Lens]
+    rows: tuple[slice, slice]
 
     @classmethod
     def of(cls, theta: Float, m: Measurements) -> _Optics:
-        eye, lenses = m.eye[m.view], layout.cameras(theta, m.size)
-        f = np.array([lens.fx for lens in lenses])
-        centre = np.array([[lens.cx for lens in lenses], [lens.cy for lens in lenses]])
-        k = np.array([lens.distortion for lens in lenses]).T
-        return cls(f[eye], centre[:, eye], list(k[:, eye]))
+        eye = m.eye[m.view]
+        f: Float = np.exp(theta[layout.LOG_FOCAL]) * m.size[:, 0]
+        centre = (m.size - 1) / 2 + theta[layout.PRINCIPAL_POINT] * m.size[:, :1]
+        first = int(np.searchsorted(eye, 1))
+        rows = slice(0, first), slice(first, len(eye))
+        return cls(f[eye], centre.T[:, eye], layout.lenses(theta), rows)
+
+    def factor(self, s: Float) -> tuple[Float, Float]:
+        """Image radius over that of a pinhole camera at squared radii s (O,); derivative by s."""
+        parts = [lens.factor(s[rows]) for lens, rows in zip(self.lenses, self.rows, strict=True)]
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def terms(self, s: Float) -> Float:
+        """Derivatives (terms, O) of the factor by the lens terms."""
+        parts = [lens.terms(s[rows]) for lens, rows in zip(self.lenses, self.rows, strict=True)]
+        return np.concatenate(parts, 1)
 
 
 def camera_points(state: State, m: Measurements) -> Float:
@@ -180,7 +195,9 @@ def project(state: State, m: Measurements) -> tuple[Float, Float]:
     """Predicted pixels (O, 2), and z (O,) of `exposed_points`."""
     (X, Y, Z), _ = exposed_points(state, m)
     lens, z = _Optics.of(state.theta, m), _away_from_zero(Z)
-    return (distorted(np.stack([X / z, Y / z]), lens.k, lens.f) + lens.centre).T, Z
+    x, y = X / z, Y / z
+    gain = lens.f * lens.factor(x * x + y * y)[0]
+    return (np.stack([gain * x, gain * y]) + lens.centre).T, Z
 
 
 def _away_from_zero(z: Float) -> Float:
@@ -191,10 +208,14 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
     """Pixels and analytic derivatives of all observations."""
     (X, Y, Z), motion = exposed_points(state, m)
     lens, z = _Optics.of(state.theta, m), _away_from_zero(Z)
-    q = np.stack([X / z, Y / z])
-    offset = distorted(q, lens.k, lens.f)
+    x, y = q = np.stack([X / z, Y / z])
+    square = x * x + y * y
+    gain, slope = lens.factor(square)
+    offset = lens.f * gain * q
     by_point = np.empty((3, 2, len(z)))
-    np.divide(distorted_jacobian(q, lens.k, lens.f), z, out=by_point[:2])
+    by_point[0, 0], by_point[1, 1] = gain + 2 * slope * x * x, gain + 2 * slope * y * y
+    by_point[0, 1] = by_point[1, 0] = 2 * slope * x * y
+    by_point[:2] *= lens.f / z
     by_point[2] = -q[0] * by_point[0] - q[1] * by_point[1]
     camera = np.zeros((6 + layout.EYE.shape[1], 2, len(z)))
     camera[:3] = by_point * state.points[:, 3][m.point]
@@ -204,7 +225,7 @@ def reprojection(state: State, m: Measurements, basis: Float) -> ReprojectionJac
     of_eye, (cx, cy) = camera[6:], layout.PRINCIPAL_POINT[0]
     of_eye[layout.LOG_FOCAL[0]] = offset
     of_eye[cx, 0] = of_eye[cy, 1] = m.size[:, 0][m.eye[m.view]]
-    of_eye[layout.DISTORTION[0]] = term_jacobian(q, lens.k, lens.f)
+    of_eye[layout.DISTORTION[0]] = lens.terms(square)[:, None] * (lens.f * q)
     of_eye[layout.READOUT[0]] = (by_point * motion[:, None]).sum(0)
     point = times(times(by_point, state.T_c_s[:, :3], m.view), basis, m.point)
     return ReprojectionJacobians((offset + lens.centre).T, camera, point, Z > NEAREST)

@@ -49,11 +49,12 @@ def fitted_rig(
     start = stack[int(np.argmin(np.median(np.linalg.norm(rotation, axis=2), axis=1)))]
     uv, p_p = _seen_across(m, X, assistant, at)
     camera = layout.cameras(theta, m.size)[1]
+    centre = np.array([camera.cx, camera.cy])
 
     def error_px(x: Float) -> Float:
-        zoomed = camera.with_focal(float(np.exp(x[6])) * camera.fx)
         p_a = se3.transform(se3.exp(x[:6]), se3.transform(se3.inverse(start), p_p))
-        predicted = zoomed.project(_in_front(p_a))
+        # another focal scales the picture about the principal point
+        predicted = centre + np.exp(x[6]) * (camera.project(_in_front(p_a)) - centre)
         return np.asarray(np.clip(predicted - uv, -1e3, 1e3).ravel())
 
     fit = least_squares(error_px, np.zeros(7), loss="cauchy", f_scale=2.0, max_nfev=30)

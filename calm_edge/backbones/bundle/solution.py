@@ -5,7 +5,7 @@ The first pass is solved without the previous window; its prior joins in the sec
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 
@@ -55,14 +55,20 @@ CONTRADICTED = "windows contradict each other on the keyframes they share: solve
 
 
 def first_sound(
-    starts: Iterator[State], m: Measurements, ties: RigTies, belief: KitBelief, hints: Hints
+    starts: Iterator[State],
+    m: Measurements,
+    ties: RigTies,
+    beliefs: Mapping[layout.Families, KitBelief],
+    hints: Hints,
 ) -> Prediction:
     """Solve from the first start whose solution is not rejected; raises BackboneError.
 
+    beliefs: on the kit, by the families of its lenses.
     If it contradicts the previous window, one from another start that does not is preferred.
     """
     apart, failure = None, None
     for start in islice(starts, MAX_STARTS):
+        belief = beliefs[layout.families(start.theta)]
         try:
             found = solved(start, m, ties, belief, hints, belief, FREE)
         except BackboneError as error:
@@ -166,6 +172,7 @@ def _solve(
     why = contradiction(m.t[primary], se3.inverse(solution.state.T_c_s[primary]))
     if why:
         raise BackboneError(f"bundle: {why}")
+    window.lenses(solution.state, m)
     return solution, timed_ties, mismatch
 
 
@@ -186,7 +193,7 @@ def _prediction(
     joint = product([belief, evidence])
     assert joint is not None
     sigma = np.hypot(sigmas(joint), joint.mean - state.theta)[layout.LOG_FOCAL]
-    cameras = [lens.pinhole for lens in layout.cameras(state.theta, m.size)]
+    cameras = layout.cameras(state.theta, m.size)
     known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], factor)
     return Prediction(
         cameras=tuple(cameras[eye] for eye in m.eye),

@@ -6,7 +6,7 @@ classical flow is too biased for bundle adjustment.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -101,19 +101,23 @@ def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) ->
 
 
 def on_epipolar_lines(
-    a: Float32, b: Float32, threshold_px: float, lenses: tuple[Camera, Camera] | None = None
+    a: Float32, b: Float32, threshold_px: float, lenses: Sequence[tuple[Camera, Camera]] = ()
 ) -> NDArray[np.bool_]:
     """Inliers of matches (N, 2), (N, 2) px for one fundamental matrix; all where none is found.
 
     cv2.findFundamentalMat with USAC_MAGSAC. lenses: of either picture, whose distortion is undone;
-    distances from the epipolar lines are then angles, in pixels of the middle of the picture.
+    distances from the epipolar lines are then angles, in pixels of the middle of the picture. Of
+    several pairs of lenses that may be right the one with most inliers counts.
     """
-    if lenses is not None and not all(lens.is_pinhole for lens in lenses):
-        return _on_epipolar_planes(a, b, threshold_px, lenses)
+    if len(lenses) > 1:
+        found = [on_epipolar_lines(a, b, threshold_px, [pair]) for pair in lenses]
+        return max(found, key=np.count_nonzero)
+    if lenses and not all(lens.is_pinhole for lens in lenses[0]):
+        return _on_epipolar_planes(a, b, threshold_px, lenses[0])
     if len(a) < 16:
         return np.ones(len(a), bool)
-    found = _fundamental(a, b, threshold_px)
-    return np.ones(len(a), bool) if found is None else found[1]
+    model = _fundamental(a, b, threshold_px)
+    return np.ones(len(a), bool) if model is None else model[1]
 
 
 def _on_epipolar_planes(
@@ -183,13 +187,13 @@ def _apply(H: Float, uv: Float32) -> Float32:
 
 
 def temporal_tracks(
-    pictures: list[Gray], matching: Matching | None = None, lens: Camera | None = None
+    pictures: list[Gray], matching: Matching | None = None, lenses: Sequence[Camera] = ()
 ) -> Iterator[tuple[Int, Float32, Float32]]:
-    """Corner tracks through consecutive pictures. lens: as far as known.
+    """Corner tracks through consecutive pictures. lenses: that may be right.
 
     Yields for each picture the track ids (n,), uv (n, 2) px and sigma (n,) px.
     """
-    lenses = None if lens is None else (lens, lens)
+    pairs = [(lens, lens) for lens in lenses]
     uv = detect_corners(pictures[0], np.zeros((0, 2), np.float32))
     ids, sights = np.arange(len(uv)), FirstSights()
     sights.add(pictures[0], uv)
@@ -207,7 +211,7 @@ def temporal_tracks(
             found = matching.along(source, target, uv)
             moved, ok, sigma = found.uv, found.sure, found.sigma_px
         inlier = np.flatnonzero(ok)
-        inlier = inlier[on_epipolar_lines(uv[inlier], moved[inlier], EPIPOLAR_PX, lenses)]
+        inlier = inlier[on_epipolar_lines(uv[inlier], moved[inlier], EPIPOLAR_PX, pairs)]
         sights.keep(inlier)
         at, registered = sights.corrected(target, moved[inlier])
         # while young a track has not drifted yet, and its last step may be blurred
@@ -249,13 +253,13 @@ def across_eyes(
     H_a_p: Float,
     uv: Float32,
     guess: Float32,
-    lenses: tuple[Camera, Camera] | None = None,
+    lenses: Sequence[tuple[Camera, Camera]] = (),
 ) -> tuple[Float32, NDArray[np.bool_]]:
     """Match primary corners uv (N, 2) px to the assistant: (N, 2) px and whether found (N,).
 
     The assistant is first warped by H_a_p to look like the primary, so that patches match in zoom
     and roll. guess: (N, 2) px, expected motion from primary to warped picture, i.e. parallax.
-    lenses: of primary and assistant, as far as known.
+    lenses: of primary and assistant, that may be right.
     """
     height, width = primary.shape
     warped = cv2.warpPerspective(
@@ -285,19 +289,19 @@ def window_tracks(
     partner: list[int],
     H_a_p: Float | None,
     matching: Matching | None = None,
-    lenses: tuple[Camera, Camera] | None = None,
+    lenses: Sequence[tuple[Camera, Camera]] = (),
 ) -> Tracks:
     """All tracks of a window. partner: for each assistant view the primary index nearest in time.
 
     H_a_p: the infinite homography of a known kit (Hartley and Zisserman, "Multiple View Geometry",
-    13.4); None to estimate it from matches. lenses: of primary and assistant, as far as known.
+    13.4); None to estimate it from matches. lenses: of primary and assistant, that may be right.
     """
     if matching is not None:
         matching.expect(primary, assistant, H_a_p)
     if H_a_p is None:
         H_a_p = _first_homography(primary, assistant, partner, matching)
     parallax: dict[int, Float32] = {}
-    lens = None if lenses is None else lenses[0]
+    own_lenses = list(dict.fromkeys(pair[0] for pair in lenses))
 
     def across(j: int, ids: Int, points: Float32, H_a_p: Float) -> Rows:
         eyes = primary[partner[j]], assistant[j]
@@ -317,7 +321,7 @@ def window_tracks(
     # a view's points are matched across the eyes while they are tracked to the next view
     with ThreadPoolExecutor(1, "across") as beside:
         found_across, n_before = [], 0
-        for i, (ids, uv, sigma) in enumerate(temporal_tracks(primary, matching, lens)):
+        for i, (ids, uv, sigma) in enumerate(temporal_tracks(primary, matching, own_lenses)):
             edge = edges(primary[i], uv)
             edge[ids >= n_before] = 0
             n_before = max(n_before, int(ids.max(initial=-1)) + 1)
@@ -346,7 +350,7 @@ def _across_from(
     assistant: Gray,
     H_a_p: Float,
     points: Float32,
-    lenses: tuple[Camera, Camera] | None,
+    lenses: Sequence[tuple[Camera, Camera]],
 ) -> tuple[Float32, NDArray[np.bool_]]:
     """`across_eyes` from points with track ids `ids`, started from their parallax in earlier views.
 

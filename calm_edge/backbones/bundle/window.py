@@ -15,6 +15,7 @@ from calm_edge.backbones.bundle.problem import Measurements, State, project
 from calm_edge.backbones.bundle.tracks import Tracks, window_tracks
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.fisheye import FieldTooWide
 from calm_edge.kit import layout
 from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
 
@@ -56,22 +57,22 @@ def with_known_offset(prediction: Prediction, hints: Hints) -> Prediction:
 def measure(
     images: Sequence[NDArray[np.uint8]],
     hints: Hints,
-    theta: Float,
+    kits: Sequence[Float],
     rig_known: bool,
     matching: Matching | None = None,
 ) -> Measurements:
     """Matches of all pictures (H, W, 3) as measurements; raises BackboneError when too few.
 
-    theta: the kit, which guides the matching between the cameras when `rig_known`. matching: by a
-    network; None for Lucas-Kanade.
+    kits: one, which guides the matching between the cameras when `rig_known`, or several that may
+    be right. matching: by a network; None for Lucas-Kanade.
     """
     primary, assistant = split_eyes(hints)
     gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
     t = seconds(hints)
     partner = [int(np.argmin(np.abs(t[primary] - t[j]))) for j in assistant]
     size = np.array([gray[primary[0]].shape[::-1], gray[assistant[0]].shape[::-1]])
-    lenses = layout.cameras(theta, size)
-    H_a_p = _infinite_homography(lenses, layout.rig(theta)) if rig_known else None
+    lenses = [layout.cameras(theta, size) for theta in kits]
+    H_a_p = _infinite_homography(lenses[0], layout.rig(kits[0])) if rig_known else None
     eyes = [[gray[i] for i in views] for views in (primary, assistant)]
     tracks = window_tracks(eyes[0], eyes[1], partner, H_a_p, matching, lenses)
     return _measurements(tracks, hints, size)
@@ -123,6 +124,20 @@ def thinned(m: Measurements, n_points: int) -> Measurements:
     rows = np.isin(m.point, kept)
     point = np.searchsorted(kept, m.point[rows])
     return replace(m.at(rows), point=point)
+
+
+def lenses(state: State, m: Measurements) -> tuple[Camera, Camera]:
+    """Camera of each eye in a state; raises BackboneError if it does not show the whole picture."""
+    try:
+        cameras = layout.cameras(state.theta, m.size)
+    except FieldTooWide as error:
+        raise BackboneError(f"bundle: {error}") from None
+    for camera in cameras:
+        u, v = camera.width - 1.0, camera.height - 1.0
+        corners = np.array([[0.0, 0.0], [u, 0.0], [0.0, v], [u, v]])
+        if not np.isfinite(camera.rays(corners)).all():
+            raise BackboneError("bundle: the lens that fits best shows no whole picture")
+    return cameras
 
 
 def to_landmarks(state: State, m: Measurements) -> Landmarks:

@@ -60,11 +60,13 @@ def window(
     noise_px: float = 0.0,
     outliers: float = 0.0,
     delay_s: float = DELAY_S,
+    wide: float = 1.0,
     seed: int = 0,
 ) -> Window:
     """Points about a path, seen by both eyes; the assistant sits exactly on the rig.
 
     delay_s: of its exposures; its stamps are early by theta's time offset.
+    wide: factor on the angles at which points are born.
     outliers: share of the pixels moved by up to 60 px. Points lie 3 to 300 spacings ahead.
     """
     rng = np.random.default_rng(seed)
@@ -75,7 +77,9 @@ def window(
     # a point is born in front of some view, nearer ones more often
     ahead = np.exp(rng.uniform(np.log(5), np.log(300), n_points))
     p_c = np.c_[
-        rng.uniform(-0.7, 0.7, n_points), rng.uniform(-0.25, 0.2, n_points), np.ones(n_points)
+        wide * rng.uniform(-0.7, 0.7, n_points),
+        wide * rng.uniform(-0.25, 0.2, n_points),
+        np.ones(n_points),
     ]
     birth = T_s_p[rng.integers(0, n, n_points)]
     p_s = (birth[:, :3, :3] @ (p_c * ahead[:, None])[..., None])[..., 0] + birth[:, :3, 3]

@@ -9,7 +9,8 @@ import pytest
 from calm_edge.backbones.bundle.agreement import Agreement
 from calm_edge.backbones.bundle.depth import FARTHEST, judge, nearest_depth, sweep_window
 from calm_edge.geometry import se3
-from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.camera import Camera, Perspective
+from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.types import Float32, Hints, Landmarks, Prediction
 from tests.synthetic.drive import Settings, exposed, make_rig
 from tests.synthetic.render import render_views
@@ -96,6 +97,34 @@ def test_slightly_wrong_poses_and_focals_lose_little_depth(turn):
     depth, confidence = sweep_window(turn.images, turn.hints, off)
     error, confidence, real = errors(turn, depth, confidence)
     assert np.median(error[real & (confidence > 0.5)]) < 0.04
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_depth_through_a_lens_is_that_of_its_pixels(turn, wide):
+    """The same scene behind lenses of about the same field: pictures and truth are warped."""
+
+    def lens(c):
+        distortion = (0.3, 0.1) if wide else (-0.15, 0.04)
+        kind = Fisheye if wide else Perspective
+        return kind(c.fx, c.fy, c.cx, c.cy, c.width, c.height, distortion)
+
+    lenses = tuple(map(lens, turn.prediction.cameras))
+    images, truth = [], []
+    pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).astype(np.float64)
+    for behind, camera, image, z in zip(
+        lenses, turn.prediction.cameras, turn.images, turn.truth, strict=True
+    ):
+        at = camera.project(behind.rays(pixels)).astype(np.float32)
+        images.append(cv2.remap(image, at, None, cv2.INTER_LINEAR))
+        truth.append(cv2.remap(z, at, None, cv2.INTER_NEAREST))
+    behind = replace(turn, truth=np.stack(truth))
+    prediction = replace(turn.prediction, cameras=lenses)
+    depth, confidence = sweep_window(images, turn.hints, prediction)
+    error, confidence, real = errors(behind, depth, confidence)
+    sure = real & (confidence > 0.5)
+    assert sure.sum() > 0.3 * real.sum()
+    assert np.median(error[sure]) < 0.025
+    assert (error[sure] < 0.1).mean() > 0.85
 
 
 def test_black_pictures_have_no_depth(turn):

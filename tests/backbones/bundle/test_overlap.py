@@ -19,7 +19,7 @@ N, SHARED = 6, 3
 WINDOWS, DRIVES = 5, 20
 # wide enough to weigh all pixels alike: their noise is Gaussian here
 WIDE = 50.0
-KIT_SIGMA = layout._vector(0.02, 1e-3, 3e-4, 7e-3, 0.03, 2e-3, 1e-3)
+KIT_SIGMA = layout._vector(0.02, 1e-3, 3e-4, 7e-3, 0.03, 2e-3, 1e-3, 1e-3)
 
 
 def hints_of(w, before=None, n_overlap=SHARED):

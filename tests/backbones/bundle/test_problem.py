@@ -8,15 +8,19 @@ from calm_edge.backbones.bundle.problem import State
 from calm_edge.backbones.bundle.solver import solve
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
+from calm_edge.kit.lens import Family
 from tests.backbones.bundle.exact_window import PERIOD_S, perturbed, theta_of, turn, window
 
 H = 1e-6
 
 
-@pytest.fixture(scope="module")
-def seen():
-    """A window with radial terms, off-centre optics and some points at or beyond infinity."""
-    made = window(turn(4), theta_of(radial=(0.06, -0.04)), n_points=60)
+@pytest.fixture(scope="module", params=[layout.PERSPECTIVE, (Family.FISHEYE, Family.PERSPECTIVE)])
+def seen(request):
+    """A window with lenses, off-centre optics and some points at or beyond infinity."""
+    theta = theta_of(radial=(0.06, -0.04))
+    theta[layout.DISTORTION[:, 1]] = -0.02, 0.03
+    theta[layout.FAMILY] = request.param
+    made = window(turn(4), theta, n_points=60)
     state = perturbed(made.truth)
     state.theta[layout.PRINCIPAL_POINT] = [0.01, -0.02], [0.015, 0.005]
     far = np.argsort(np.abs(state.points[:, 3]))[:4]
@@ -125,6 +129,14 @@ def test_pixels_by_point_tangent(seen):
 
     numeric = central_difference(stepped, m, 3)
     assert_jacobian(problem.reprojection(state, m, basis).point, numeric)
+
+
+def test_pixels_are_those_of_the_cameras(seen):
+    m, state = seen
+    p_c, cameras = problem.camera_points(state, m).T, layout.cameras(state.theta, m.size)
+    front = p_c[:, 2] > 0.1
+    expected = [cameras[eye].project(p) for eye, p in zip(m.eye[m.view], p_c, strict=True)]
+    assert np.allclose(problem.project(state, m)[0][front], np.array(expected)[front])
 
 
 def test_without_distortion_pixels_are_a_pinholes():

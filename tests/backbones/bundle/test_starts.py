@@ -5,8 +5,10 @@ import pytest
 
 from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import starts
+from calm_edge.backbones.bundle.backbone import FAMILIES
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
+from calm_edge.kit.lens import Family
 from calm_edge.types import KitBelief
 from tests.backbones.bundle.exact_window import theta_of, turn, window
 
@@ -22,7 +24,7 @@ def made():
 def known(made, **others):
     """Nothing known but the prior, unless given."""
     return replace(
-        starts.Known(PRIOR, (), focal_sigma=0.3, rig=False, all=False, travel=None), **others
+        starts.Known((PRIOR,), (), focal_sigma=0.3, rig=False, all=False, travel=None), **others
     )
 
 
@@ -41,12 +43,12 @@ def test_the_first_is_near_the_truth_and_all_have_all_points(made):
 def test_none_is_taken_because_it_is_the_only_one(made, monkeypatch):
     tried = []
 
-    def trial(m, ties, known, start):
+    def trial(m, ties, kit, poses, start):
         tried.append(start)
         return float(len(tried)), start
 
     monkeypatch.setattr(starts, "_trial", trial)
-    sure = known(made, kit=exact_kit(made), focal_sigma=0.01, rig=True, all=True)
+    sure = known(made, kits=(exact_kit(made),), focal_sigma=0.01, rig=True, all=True)
     # a first path of the lowest cost does not end the search
     monkeypatch.setattr(starts, "GOOD_START", 100.0)
     assert len(list(starts.initial_states(made.m, made.ties, sure))) == 2
@@ -63,12 +65,12 @@ def test_none_is_taken_because_it_is_the_only_one(made, monkeypatch):
 def test_after_a_solved_window_the_first_path_comes_alone_and_before_all_others(made, monkeypatch):
     tried = []
 
-    def trial(m, ties, known, start):
+    def trial(m, ties, kit, poses, start):
         tried.append(start)
         return float(-len(tried)), start
 
     monkeypatch.setattr(starts, "_trial", trial)
-    sure = known(made, kit=exact_kit(made), focal_sigma=0.01, rig=True, all=True, follows=True)
+    sure = known(made, kits=(exact_kit(made),), focal_sigma=0.01, rig=True, all=True, follows=True)
     states = starts.initial_states(made.m, made.ties, sure)
     first = next(states)
     assert len(tried) == 1
@@ -76,6 +78,22 @@ def test_after_a_solved_window_the_first_path_comes_alone_and_before_all_others(
     rest = list(states)
     assert len(rest) == len(tried) - 1 >= starts.ENOUGH_PATHS
     assert np.array_equal(rest[0].T_c_s, tried[-1].T_c_s)
+
+
+@pytest.mark.parametrize("families", FAMILIES)
+def test_the_cheapest_start_has_lenses_of_the_true_families(families):
+    theta = theta_of()
+    wide = np.array(families) == Family.FISHEYE
+    theta[layout.FAMILY] = families
+    theta[layout.LOG_FOCAL[wide]] = np.log(0.48)
+    theta[layout.DISTORTION[wide]] = 0.01, -0.004
+    theta[layout.DISTORTION[~wide]] = -0.1, 0.03
+    # as wide pictures show: points far off the axis
+    made = window(turn(N), theta, n_points=400, noise_px=0.3, wide=2.0)
+    kits = [layout.prior((None, None), families=each) for each in FAMILIES]
+    first = next(starts.initial_states(made.m, made.ties, known(made, kits=kits)))
+    assert layout.families(first.theta) == families
+    assert np.abs(first.theta - theta)[layout.LOG_FOCAL].max() < 0.1
 
 
 def test_without_matches_between_the_eyes_it_raises(made):

@@ -123,10 +123,13 @@ def test_distortion_is_undone_before_epipolar_lines_are_fitted():
     wrong = rng.random(300) < 0.25
     shift = rng.uniform(5, 20, (int(wrong.sum()), 2)) * rng.choice([-1, 1], (wrong.sum(), 2))
     b[wrong] += shift.astype(np.float32)
-    kept = tracks.on_epipolar_lines(a, b, 1.0, (lens, lens))
+    kept = tracks.on_epipolar_lines(a, b, 1.0, [(lens, lens)])
     assert kept[~wrong].mean() > 0.97 and kept[wrong].mean() < 0.25
-    as_pinhole = tracks.on_epipolar_lines(a, b, 1.0, (lens.pinhole, lens.pinhole))
+    as_pinhole = tracks.on_epipolar_lines(a, b, 1.0, [(lens.pinhole, lens.pinhole)])
     assert as_pinhole[~wrong].mean() < 0.9
+    # of two lenses the right one counts
+    either = [(lens.pinhole, lens.pinhole), (lens, lens)]
+    assert np.array_equal(tracks.on_epipolar_lines(a, b, 1.0, either), kept)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from calm_edge.backbones.bundle import window
 from calm_edge.backbones.bundle.problem import project
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
+from calm_edge.kit.lens import Family
 from calm_edge.types import Hints, Prediction
 from tests.backbones.bundle.exact_window import SIZE, theta_of, turn
 from tests.backbones.bundle.exact_window import window as exact_window
@@ -117,6 +118,18 @@ def test_a_known_kit_maps_far_points_to_the_other_eye():
     assert np.abs(there[:, :2] / there[:, 2:] - seen_a).max() < 4.0
 
 
+def test_lenses_that_do_not_show_the_whole_picture_are_refused():
+    made = exact_window(turn(N), theta_of())
+    assert window.lenses(made.truth, made.m) == layout.cameras(made.truth.theta, SIZE)
+    folding = replace(made.truth, theta=made.truth.theta.copy())
+    folding.theta[layout.DISTORTION[0]] = -0.9, 0.0
+    too_wide = replace(made.truth, theta=made.truth.theta.copy())
+    too_wide.theta[layout.FAMILY], too_wide.theta[layout.LOG_FOCAL] = Family.FISHEYE, np.log(0.3)
+    for state in (folding, too_wide):
+        with pytest.raises(BackboneError, match=r"^bundle: .*lens"):
+            window.lenses(state, made.m)
+
+
 T_NS = np.array([0, 200, 400, 17, 217]) * 1_000_000
 
 
@@ -149,7 +162,7 @@ def test_too_few_points_are_counted():
             picture[v : v + 7, u : u + 7] = 255
     hints = Hints(eyes=np.array([0, 0, 0, 1, 1]), t_ns=T_NS)
     with pytest.raises(BackboneError, match=r"^bundle: only (\d+) points could be foll") as error:
-        window.measure([picture] * 5, hints, theta_of(), rig_known=False)
+        window.measure([picture] * 5, hints, [theta_of()], rig_known=False)
     assert 5 < int(str(error.value).split()[2]) < window.MIN_POINTS
 
 
