@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.backbones.bundle.features import FeatureNet, Features
-from calm_edge.backbones.bundle.matching import Matches
+from calm_edge.backbones.bundle.matching import Bool, Matches
 from calm_edge.types import Float32, Int
 
 STRIDE, FINE_STRIDE = 8, 4
@@ -20,24 +20,34 @@ RADIUS = 4
 RETURN_CELLS = 1.5
 # Queries with a lower reliability, as the encoder predicts it, are not matched.
 MIN_RELIABILITY = 0.05
+# A match is ambiguous if a cell farther from it than NEAR_CELLS is similar to the query to within
+# MIN_MARGIN. On fences, crash barriers and road markings most such matches are wrong by a period.
+MIN_MARGIN, NEAR_CELLS = 0.07, 2
 ROUNDS = 2
 # Lower bound of a match's sigma [input px], whatever the network gives: the features' resolution.
 MIN_SIGMA = 0.67
 
 
-def find(net: FeatureNet, a: Features, b: Features, uv: Float32) -> Matches:
-    """Match points uv (N, 2) px of a's picture to b's; raises BackboneError."""
+def find(
+    net: FeatureNet, a: Features, b: Features, uv: Float32, corner: Bool | None = None
+) -> Matches:
+    """Match points uv (N, 2) px of a's picture to b's; raises BackboneError.
+
+    corner: (N,) points of which no ambiguous match is sure; None for none.
+    """
     if len(uv) == 0:
         none = np.zeros(0, bool)
         return Matches(uv, none, np.zeros(0, np.float32), none)
     uv_a = a.to_input(uv)
     query = sampled(a.coarse, uv_a, STRIDE)
-    cells, guess = _best(query, b.coarse)
+    cells, guess, likeness = _best(query, b.coarse)
     columns_b = b.coarse.shape[1]
     there = b.coarse[cells // columns_b, cells % columns_b]
-    _, back = _best(there, a.coarse)
+    _, back, _ = _best(there, a.coarse)
     sure = np.linalg.norm(back - uv_a, axis=1) < RETURN_CELLS * STRIDE
     sure &= _nearest(a.reliability, uv_a) > MIN_RELIABILITY
+    if corner is not None:
+        sure &= (_margin(likeness, cells, columns_b) > MIN_MARGIN) | ~corner
     sigma = np.full(len(uv), np.inf, np.float32)
     fine = sampled(a.fine, uv_a, FINE_STRIDE)
     here = correlations(a.fine, uv_a, fine)
@@ -90,8 +100,10 @@ def correlations(fine: Float32, uv: Float32, query: Float32) -> Float32:
     return np.asarray(mixed.reshape(len(uv), -1), np.float32)
 
 
-def _best(query: Float32, maps: Float32) -> tuple[Int, Float32]:
+def _best(query: Float32, maps: Float32) -> tuple[Int, Float32, Float32]:
     """Cell (N,) of a map (h, w, C) most similar to each query (N, C), and refined position (N, 2).
+
+    With all similarities (N, h w).
 
     Cell: row * w + column. Position: px of the network's input, the mean of the 3 x 3 cells around
     it weighted by the softmax of their similarity.
@@ -109,7 +121,19 @@ def _best(query: Float32, maps: Float32) -> tuple[Int, Float32]:
     centre = np.stack(
         [(weight * n.reshape(-1, 9)).sum(1) for n in (near_x + 0 * near_y, near_y + 0 * near_x)], 1
     )
-    return cell, np.asarray((centre + 0.5) * STRIDE - 0.5, np.float32)
+    return cell, np.asarray((centre + 0.5) * STRIDE - 0.5, np.float32), likeness
+
+
+def _margin(likeness: Float32, cell: Int, width: int) -> Float32:
+    """By how much the similarity of the best cells (N,) exceeds that of all that are not near it.
+
+    likeness: (N, cells) of a map that is `width` cells wide.
+    """
+    y, x = np.divmod(np.arange(likeness.shape[1]), width)
+    near = np.abs(y - (cell // width)[:, None]) <= NEAR_CELLS
+    near &= np.abs(x - (cell % width)[:, None]) <= NEAR_CELLS
+    best = likeness[np.arange(len(cell)), cell]
+    return np.asarray(best - np.where(near, -np.inf, likeness).max(1), np.float32)
 
 
 # Temperature of the softmax over cosine similarities: the one used in the encoder's training.

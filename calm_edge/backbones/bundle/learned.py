@@ -49,6 +49,8 @@ MAX_SIGMAS = 3.0
 # Sigma [px] of a Lucas-Kanade match that the features do not support; largest sigma [px] of a match
 # of the features that is kept without Lucas-Kanade.
 UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
+# Share of the error that does not count along an edge, above which a point is none of a corner.
+MOST_EDGE = 0.9
 # Above this zoom the smaller picture is enlarged instead of the larger one shrunk, which would lose
 # too much detail; below it enlarging costs more accuracy, by the blur.
 MUCH_LARGER = 1.5
@@ -78,7 +80,9 @@ class LearnedMatching:
 
     def along(self, source: Gray, target: Gray, uv: Float32) -> Matches:
         """Match uv (N, 2) px to a later picture of the same camera; raises BackboneError."""
-        found = _found(self.net, source, target, uv)
+        # a match along an edge counts across it, so it does not matter which
+        corner = np.square(edges(source, uv)).sum(1) < MOST_EDGE
+        found = _found(self.net, source, target, uv, corner)
         return _only_measured(finished(source, target, uv, found))
 
     def homography(self, primary: Gray, assistant: Gray) -> Float | None:
@@ -221,9 +225,9 @@ def _only_measured(found: Matches) -> Matches:
     return replace(found, sure=found.measured)
 
 
-def _found(net: FeatureNet, a: Gray, b: Gray, uv: Float32) -> Matches:
+def _found(net: FeatureNet, a: Gray, b: Gray, uv: Float32, corner: Bool | None = None) -> Matches:
     features_a, features_b = net.of([a, b])
-    return find(net, features_a, features_b, uv)
+    return find(net, features_a, features_b, uv, corner)
 
 
 def _rotated_or_zoomed(net: FeatureNet, a: Gray, b: Gray, uv: Float32, found: Matches) -> Matches:

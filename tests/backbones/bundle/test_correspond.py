@@ -75,6 +75,18 @@ def test_a_point_of_low_reliability_is_not_sure(coarse):
     assert correspond.find(Refiner(), a, a, uv).sure.tolist() == [True, False]
 
 
+def test_a_corner_of_a_pattern_that_repeats_is_not_sure(coarse):
+    fence = coarse.copy()
+    fence[:, 14:18] = fence[:, 4:8]
+    a = features(coarse)
+    uv = centres([5, 6, 1, 10], [5, 7, 5, 7]).astype(np.float32)
+    found = [
+        correspond.find(Refiner(), a, features(fence), uv, corner).sure.tolist()
+        for corner in (None, np.ones(4, bool), np.array([False, True, True, True]))
+    ]
+    assert found == [[True] * 4, [False, False, True, True], [True, False, True, True]]
+
+
 def test_matches_are_in_the_pixels_of_pictures_of_different_size(coarse):
     uv = centres([4, 9], [3, 6]).astype(np.float32)
     found = correspond.find(Refiner(), features(coarse), features(coarse, zoom=4.0), uv)
