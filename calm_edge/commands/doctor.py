@@ -30,6 +30,7 @@ NEEDED = {
 OPTIONAL = {
     "av": "no import of videos (pip install av)",
     "rosbags": "no import of ROS bags (pip install rosbags)",
+    "laspy": "no export of LAZ clouds (pip install 'laspy[lazrs]')",
     "yaml": "no calibrations of ROS and Kalibr (pip install pyyaml)",
     "serial": "no pose on a serial port (pip install pyserial)",
     "systemd": "no watchdog and no readiness under systemd (pip install systemd-python, "

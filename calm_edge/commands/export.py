@@ -9,7 +9,7 @@ from calm_edge.commands.console import say
 from calm_edge.commands.exit_codes import LOSS, OK
 
 # as of interchange/export/registry, which is not imported for `--help`
-FORMATS = ("tum", "kitti", "csv")
+FORMATS = ("tum", "kitti", "csv", "colmap", "transforms", "ply", "laz")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +22,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--recording", type=Path, metavar="REC", help="of the map, if it was moved since"
     )
+    parser.add_argument(
+        "--distorted",
+        action="store_true",
+        help="pictures as recorded, with the lens (OPENCV, OPENCV_FISHEYE); default: undistorted",
+    )
+    parser.add_argument("--binary", action="store_true", help="COLMAP's .bin files")
     parser.add_argument("--force", action="store_true", help="replace files in the output folder")
 
 
@@ -32,9 +38,10 @@ def run(arguments: argparse.Namespace) -> int:
     from calm_edge.interchange.export.output import output_folder
     from calm_edge.interchange.export.registry import EXPORTERS
 
+    options = ExportOptions(arguments.distorted, arguments.binary)
     with output_folder(arguments.out, force=arguments.force) as folder:
         drive = read_drive(arguments.source, arguments.recording)
-        written = EXPORTERS[arguments.to].write(drive, folder, ExportOptions())
+        written = EXPORTERS[arguments.to].write(drive, folder, options)
     for line in written.wrote:
         print(f"wrote       {arguments.out}/{line}")
     for line in written.assumed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
@@ -85,21 +86,49 @@ def read_cloud(path: Path) -> tuple[Float32, Bytes]:
 
     Raises CloudError.
     """
+    tiles = list(read_tiles(path, max(count_points(path), 1)))
+    if not tiles:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
+    return tiles[0].points_w, tiles[0].color
+
+
+def count_points(path: Path) -> int:
+    """Number of points of a PLY written by CloudWriter; raises CloudError."""
+    return _layout(path)[1]
+
+
+def read_tiles(path: Path, size: int) -> Iterator[MapTile]:
+    """Read a PLY written by CloudWriter, at most `size` points at a time; raises CloudError."""
+    start, count = _layout(path)
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as file:
+            file.seek(start)
+            for done in range(0, count, size):
+                vertices = np.frombuffer(
+                    file.read(min(size, count - done) * VERTEX.itemsize), VERTEX
+                )
+                yield MapTile(vertices["p"].copy(), vertices["color"].copy())
     except OSError as error:
         raise CloudError(f"{path}: cannot be read ({error.strerror})") from None
-    head, end, body = raw.partition(b"end_header\n")
+
+
+def _layout(path: Path) -> tuple[int, int]:
+    """Offset of the first point, and number of points; raises CloudError."""
+    try:
+        with path.open("rb") as file:
+            head, end, _ = file.read(4096).partition(b"end_header\n")
+        size = path.stat().st_size
+    except OSError as error:
+        raise CloudError(f"{path}: cannot be read ({error.strerror})") from None
     lines = head.decode("ascii", "replace").splitlines()
     counts = [line.split()[2] for line in lines if line.startswith("element vertex ")]
     ours = [line for line in lines if line.startswith("property")] == PROPERTIES
     if not (end and ours and len(counts) == 1 and counts[0].isdigit()):
         raise CloudError(f"{path}: not a cloud of calm-edge map; give its map.ply")
-    count = int(counts[0])
-    if len(body) != count * VERTEX.itemsize:
+    start, count = len(head) + len(end), int(counts[0])
+    if size - start != count * VERTEX.itemsize:
         raise CloudError(
-            f"{path}: holds {len(body) // VERTEX.itemsize} of {count} points; "
+            f"{path}: holds {(size - start) // VERTEX.itemsize} of {count} points; "
             "run calm-edge map again"
         )
-    vertices = np.frombuffer(body, VERTEX)
-    return vertices["p"].copy(), vertices["color"].copy()
+    return start, count

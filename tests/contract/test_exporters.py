@@ -4,17 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calm_edge.cli import main
 from calm_edge.commands.export import FORMATS
 from calm_edge.interchange.export.registry import EXPORTERS
-from tests.interchange.export.drives import write_recording
+from calm_edge.mapping.cloud_file import CloudWriter
+from calm_edge.types import MapTile
+from tests.interchange.export.drives import MARKERS, with_map, write_recording
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_recording(tmp_path_factory.mktemp("drive") / "rec")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map, with the recording that it names."""
+    folder = tmp_path_factory.mktemp("drive")
+    made = with_map(write_recording(folder / "rec"), folder / "map")
+    with CloudWriter(made / "map.ply") as cloud:
+        cloud.write(MapTile(MARKERS.astype(np.float32), np.zeros((4, 3), np.uint8)))
+    return made
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -28,10 +36,10 @@ def test_the_command_offers_every_exporter() -> None:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_an_export_says_what_it_did_and_never_replaces_unasked(
-    name: str, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before, out = content(recording), tmp_path / "new" / "out"
-    command = ["export", str(recording), "--to", name, "--out", str(out)]
+    before, out = content(source.parent), tmp_path / "new" / "out"
+    command = ["export", str(source), "--to", name, "--out", str(out)]
     assert main(command) == 0
     shown = capsys.readouterr()
     heads = {line.split("  ")[0] for line in shown.out.splitlines()}
@@ -42,7 +50,7 @@ def test_an_export_says_what_it_did_and_never_replaces_unasked(
         if line.startswith("wrote"):
             assert Path(line.split(maxsplit=1)[1].split(":")[0]).exists(), line
     # neither the source nor what is around the output has changed
-    assert content(recording) == before and [f.name for f in out.parent.iterdir()] == ["out"]
+    assert content(source.parent) == before and [f.name for f in out.parent.iterdir()] == ["out"]
 
     (out / "mine.txt").write_text("kept")
     assert main(command) == 1

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.interchange.calibration.calibration import (
     CalibratedCamera,
@@ -35,7 +36,8 @@ from calm_edge.interchange.calibration.opencv import coefficients, distorted_cam
 from calm_edge.types import Float
 
 FILE, RIGS = "cameras.txt", "rigs.txt"
-_CENTRE = 0.5
+# added to principal points and pixels
+CENTRE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +113,9 @@ def write(folder: Path, calibration: Calibration, notes: tuple[str, ...]) -> lis
     comment = "".join(f"# {note}\n" for note in notes)
     rows = []
     for number, each in enumerate(calibration.cameras, 1):
-        lens, k = each.camera, coefficients(each.camera)
-        name = "OPENCV" if len(k) == 4 else "FULL_OPENCV"
-        if isinstance(lens, Fisheye):
-            name = "OPENCV_FISHEYE"
-        k += [0.0] * (_BY_NAME[name].terms - len(k))
-        params = [lens.fx, lens.fy, lens.cx + _CENTRE, lens.cy + _CENTRE, *k]
-        text = " ".join(repr(float(value)) for value in params)
+        lens = each.camera
+        name, _, params = model_of(lens)
+        text = " ".join(map(repr, params))
         rows.append(f"{number} {name} {lens.width} {lens.height} {text}\n")
     path = folder / FILE
     path.write_text(
@@ -136,6 +134,18 @@ def write(folder: Path, calibration: Calibration, notes: tuple[str, ...]) -> lis
         f"1 2 CAMERA 1 CAMERA 2 1 {pose}\n"
     )
     return [path, rigs]
+
+
+def model_of(camera: Camera) -> tuple[str, int, list[float]]:
+    """Name, number and parameters of COLMAP's model of a camera."""
+    k = [] if camera.is_pinhole else coefficients(camera)
+    name = {0: "PINHOLE", 4: "OPENCV"}.get(len(k), "FULL_OPENCV")
+    if isinstance(camera, Fisheye):
+        name = "OPENCV_FISHEYE"
+    model = _BY_NAME[name]
+    k += [0.0] * (model.terms - len(k))
+    params = [camera.fx, camera.fy, camera.cx + CENTRE, camera.cy + CENTRE, *k]
+    return name, model.number, [float(value) for value in params]
 
 
 _Row = tuple[int, str, int, int, list[float]]
@@ -173,7 +183,7 @@ def _camera(
     values = numbers(where, f"{name} parameters", params, (model.size,))
     focals, centre, k = values[: model.focals], values[model.focals :][:2], values[-model.terms :]
     k = k if model.terms else []
-    matrix = focals[0], focals[-1], centre[0] - _CENTRE, centre[1] - _CENTRE
+    matrix = focals[0], focals[-1], centre[0] - CENTRE, centre[1] - CENTRE
     if model.plane is not None:
         camera, off_px = fitted(where, Lens(model.plane(k), *matrix, width, height))
         return checked(where, CalibratedCamera(camera, name, off_px))

@@ -34,8 +34,8 @@ ORIGIN_NS = 1_000_000_000
 LATE_NS = 20_000_000
 T_P_A = se3.exp(np.array([0.5, 0.02, -0.01, 0.01, 0.03, -0.02]))
 LENSES: tuple[Camera, Camera] = (
-    Perspective(90.0, 92.0, 47.0, 33.0, 96, 64, (-0.08, 0.02)),
-    Perspective(110.0, 110.0, 49.5, 30.5, 96, 64, (-0.05, 0.01)),
+    Perspective(180.0, 184.0, 94.5, 66.5, 192, 128, (-0.08, 0.02)),
+    Perspective(220.0, 220.0, 99.5, 61.5, 192, 128, (-0.05, 0.01)),
 )
 # metres, in the world; in front of every view
 MARKERS = np.array([[0.0, 0.5, 40.0], [-6.0, -2.0, 45.0], [5.0, 3.0, 50.0], [9.0, -4.0, 60.0]])
@@ -71,11 +71,11 @@ def write_recording(
     folder: Path,
     *,
     lenses: tuple[Camera, Camera] = LENSES,
-    live_scale: float = 0.8,
+    live: list[PoseSample] | None = None,
     sigma: float = 0.01,
     spacing_m: float = 0.5,
 ) -> Path:
-    """Record the drive: keyframes are exact, live poses drift and are live_scale too short."""
+    """Record the drive: keyframes are exact; live poses are `live_poses(0.8)` unless given."""
     t, T_p, T_a = true_times(), true_poses(), assistant_poses()
     config = merge(Config(), {"scale": {"spacing_m": spacing_m}})
     with RecordingWriter(
@@ -85,20 +85,20 @@ def write_recording(
             for eye, T in zip(Eye, (T_p[i], T_a[i]), strict=True):
                 data = jpeg(picture(lenses[eye], T), 98)
                 writer.write_frame(Frame(eye, i, int(t[i]), data))
-        for sample in live_poses(live_scale):
+        for sample in live_poses(0.8) if live is None else live:
             writer.write_pose(sample)
         writer.write_update(update(lenses, sigma))
     return folder
 
 
-def live_poses(scale: float) -> list[PoseSample]:
-    """Live poses: lost at first, and from frame 14 to 16."""
+def live_poses(scale: float, *, exact: bool = False) -> list[PoseSample]:
+    """Live poses that drift, in another scale, lost at first and from frame 14 to 16; or exact."""
     t, T = true_times(), true_poses()
     drift = se3.exp(np.outer(np.arange(FRAMES), [0.01, 0, 0, 0, 0.001, 0]))
     samples = []
     for i in range(FRAMES):
-        lost = i < 2 or 14 <= i < 17
-        T_live = T[i] @ drift[i]
+        lost = (i < 2 or 14 <= i < 17) and not exact
+        T_live = T[i] @ (np.eye(4) if exact else drift[i])
         T_live[:3, 3] *= scale
         samples.append(
             PoseSample(
@@ -144,7 +144,7 @@ def update(lenses: tuple[Camera, Camera], sigma: float) -> LocalizerUpdate:
         (mark, view, point)
         for view, points in enumerate(uv)
         for mark, point in enumerate(points)
-        if (point > 0).all() and (point < [95, 63]).all()
+        if (point > 0).all() and (point < [191, 127]).all()
     ]
     marks = Landmarks(
         MARKERS + 0.3,
