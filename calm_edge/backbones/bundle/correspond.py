@@ -127,13 +127,14 @@ def _best(query: Float32, maps: Float32) -> tuple[Int, Float32, Float32]:
 def _margin(likeness: Float32, cell: Int, width: int) -> Float32:
     """By how much the similarity of the best cells (N,) exceeds that of all that are not near it.
 
-    likeness: (N, cells) of a map that is `width` cells wide.
+    likeness: (N, cells) of a map that is `width` cells wide; the cells near the best are cleared.
     """
-    y, x = np.divmod(np.arange(likeness.shape[1]), width)
-    near = np.abs(y - (cell // width)[:, None]) <= NEAR_CELLS
-    near &= np.abs(x - (cell % width)[:, None]) <= NEAR_CELLS
-    best = likeness[np.arange(len(cell)), cell]
-    return np.asarray(best - np.where(near, -np.inf, likeness).max(1), np.float32)
+    best = np.take_along_axis(likeness, cell[:, None], 1)[:, 0]
+    around = np.arange(-NEAR_CELLS, NEAR_CELLS + 1)
+    y = np.clip((cell // width)[:, None, None] + around[:, None], 0, likeness.shape[1] // width - 1)
+    x = np.clip((cell % width)[:, None, None] + around, 0, width - 1)
+    np.put_along_axis(likeness, (y * width + x).reshape(len(cell), -1), -np.inf, 1)
+    return np.asarray(best - likeness.max(1), np.float32)
 
 
 # Temperature of the softmax over cosine similarities: the one used in the encoder's training.
