@@ -92,6 +92,8 @@ def consistent(
     uv_a, uv_b = a.uv[pairs[:, 0]].astype(np.float64), b.uv[pairs[:, 1]].astype(np.float64)
     if cameras is not None:
         uv_a, uv_b = cameras[0].undistorted(uv_a), cameras[1].undistorted(uv_b)
+        seen = np.isfinite(uv_a[:, 0]) & np.isfinite(uv_b[:, 0])
+        pairs, uv_a, uv_b = pairs[seen], uv_a[seen], uv_b[seen]
     found = epipolar.fundamental(uv_a, uv_b, threshold_px)
     return pairs[found.inliers] if found is not None else pairs[:0]
 

@@ -23,8 +23,9 @@ MIN_VIEWS_OF_A_POINT = 3
 MIN_POINTS = 40
 FARTHEST = 1e6  # distance [spacings] stored for points at infinity
 RESCALED = 0.3  # log of the spacing beyond which a window's start is brought to the right scale
-# Grid of pixels over a picture, and largest angle off the axis, for a homography between lenses.
-GUIDED_COLUMNS, MAX_GUIDED_DEG = 9, 80.0
+# Pixels across and down at which lenses are compared; largest angle off the axis, for a homography
+# between them; least share of these pixels that a lens must show.
+GRID_COLUMNS, MAX_GUIDED_DEG, LEAST_SEEN = 9, 80.0, 0.9
 KEPT_PX = 5.0  # observations with a larger reprojection error are dropped
 
 
@@ -87,15 +88,20 @@ def _infinite_homography(lenses: tuple[Camera, Camera], T_p_a: Float) -> Float:
     R_a_p = T_p_a[:3, :3].T
     if primary.is_pinhole and assistant.is_pinhole:
         return np.asarray(assistant.matrix @ R_a_p @ np.linalg.inv(primary.matrix))
-    across = np.linspace(0, primary.width - 1, GUIDED_COLUMNS)
-    down = np.linspace(0, primary.height - 1, GUIDED_COLUMNS)
-    uv = np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)
+    uv = _grid(primary)
     rays = primary.rays(uv) @ R_a_p.T
     seen = rays[:, 2] > np.cos(min(assistant.max_angle, np.radians(MAX_GUIDED_DEG)))
     H, _ = cv2.findHomography(uv[seen], assistant.project(rays[seen]))
     if H is None:
         raise BackboneError("bundle: the cameras look in different directions")
     return np.asarray(H, np.float64)
+
+
+def _grid(camera: Camera) -> Float:
+    """Pixels (GRID_COLUMNS^2, 2) from corner to corner of a picture."""
+    across = np.linspace(0, camera.width - 1, GRID_COLUMNS)
+    down = np.linspace(0, camera.height - 1, GRID_COLUMNS)
+    return np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)
 
 
 def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
@@ -127,16 +133,18 @@ def thinned(m: Measurements, n_points: int) -> Measurements:
 
 
 def lenses(state: State, m: Measurements) -> tuple[Camera, Camera]:
-    """Camera of each eye in a state; raises BackboneError if it does not show the whole picture."""
+    """Camera of each eye in a state; raises BackboneError if none shows such a picture.
+
+    The outermost corners may be missing: so it is with strong distortion of low degree.
+    """
     try:
         cameras = layout.cameras(state.theta, m.size)
     except FieldTooWide as error:
         raise BackboneError(f"bundle: {error}") from None
     for camera in cameras:
-        u, v = camera.width - 1.0, camera.height - 1.0
-        corners = np.array([[0.0, 0.0], [u, 0.0], [0.0, v], [u, v]])
-        if not np.isfinite(camera.rays(corners)).all():
-            raise BackboneError("bundle: the lens that fits best shows no whole picture")
+        seen = np.isfinite(camera.rays(_grid(camera))[:, 0])
+        if seen.mean() < LEAST_SEEN:
+            raise BackboneError("bundle: the lens that fits best does not show the whole picture")
     return cameras
 
 
@@ -153,6 +161,9 @@ def to_landmarks(state: State, m: Measurements) -> Landmarks:
     edge = np.zeros_like(error) if m.edge is None else m.edge
     slid = edge * (edge * error).sum(1, keepdims=True)
     keep = np.linalg.norm(error - slid, axis=1) < KEPT_PX
+    for eye, camera in enumerate(layout.cameras(state.theta, m.size)):
+        rows = np.flatnonzero(m.eye[m.view] == eye)
+        keep[rows[~np.isfinite(camera.rays(m.uv[rows])[:, 0])]] = False
     alike = bool((m.sigma_px == FOLLOWED_PX).all())
     sigma = None if alike else m.sigma_px[keep].astype(np.float32)
     uv = (m.uv - slid)[keep].astype(np.float32)

@@ -121,6 +121,16 @@ def test_a_known_kit_maps_far_points_to_the_other_eye():
 def test_lenses_that_do_not_show_the_whole_picture_are_refused():
     made = exact_window(turn(N), theta_of())
     assert window.lenses(made.truth, made.m) == layout.cameras(made.truth.theta, SIZE)
+    cornerless = replace(made.truth, theta=made.truth.theta.copy())
+    cornerless.theta[layout.DISTORTION[0]] = -0.22, 0.0
+    seen = window.lenses(cornerless, made.m)[0]
+    assert np.isnan(seen.rays(np.array([[0.0, 0.0]]))).all()
+    # what such a corner shows is no landmark
+    m = replace(made.m, uv=made.m.uv.copy())
+    m.uv[0] = 0.0
+    cornerless.points[m.point[0]] = np.linalg.inv(cornerless.T_c_s[m.view[0]]) @ [-9, -3.4, 9, 0]
+    cornerless.points[m.point[0]] /= np.linalg.norm(cornerless.points[m.point[0]])
+    assert not (window.to_landmarks(cornerless, m).uv == 0).all(1).any()
     folding = replace(made.truth, theta=made.truth.theta.copy())
     folding.theta[layout.DISTORTION[0]] = -0.9, 0.0
     too_wide = replace(made.truth, theta=made.truth.theta.copy())
