@@ -17,7 +17,6 @@ from calm_edge.daemon.source import Source
 from calm_edge.recording import RecordingError
 from calm_edge.recording.retention import TRAJECTORY_FILE, new_drive
 from calm_edge.recording.room import check_room
-from calm_edge.recording.schema import ORIGIN_KEY
 from calm_edge.recording.segment import segment_files
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.trajectories import write_tum
@@ -78,12 +77,12 @@ def record(
             {
                 "source": source.description,
                 "pace": "lockstep" if lockstep else "realtime",
-                ORIGIN_KEY: str(source.origin_ns),
                 # nothing in a replay that waits depends on when it is run
                 **({"boot_id": ""} if lockstep else {}),
             },
             lossless=lockstep,
             root=target.root,
+            time_base=source.time_base,
             now_ns=source.clock.now_ns,
         )
 
@@ -103,7 +102,7 @@ def record(
         if result.trajectory is not None:
             file = folder / TRAJECTORY_FILE
             try:
-                t_ns = result.trajectory.t_ns - source.origin_ns
+                t_ns = result.trajectory.t_ns - source.time_base.origin_ns
                 write_tum(file, t_ns, result.trajectory.T_w_c)
             except OSError as error:
                 # e.g. the disk is full; not fatal: the recording contains the trajectory as well

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from calm_edge.config import Config
-from calm_edge.recording import RecordingError
+from calm_edge.recording import RecordingError, time_base
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.sequence_folder import ORIGIN_NS, SequenceFolder
 from calm_edge.recording.stamp_order import check_common_time
+from calm_edge.recording.time_base import TimeBase
 from calm_edge.types import CalmEdgeError
 from device.camera import (
     SAME_DEVICE,
@@ -76,7 +77,7 @@ class Source:
 
     open: returns the primary and the assistant camera, not yet started; called once, when both
     child processes are ready. clock: of the frames' stamps. is_replay: stored frames, which end.
-    origin_ns: what was added to the stamps that the user knows.
+    time_base: of the frames' stamps.
     notes: lines for the user on how the frames are read. name_of: where a stored frame is, or "".
     """
 
@@ -84,7 +85,7 @@ class Source:
     clock: Clock
     is_replay: bool
     description: str
-    origin_ns: int = 0
+    time_base: TimeBase = field(default_factory=TimeBase)
     notes: Sequence[str] = ()
     name_of: Callable[[Frame], str] = lambda frame: ""
 
@@ -101,7 +102,8 @@ def replayed(
     """Source that replays stored frames of both cameras with their original stamps.
 
     epoch_ns: stamp of the first frame. paced: True for real time, False for as fast as they are
-    read. origin_ns, notes, name_of: as of `Source`.
+    read. origin_ns: what was added to the stamps that the user knows. notes, name_of: as of
+    `Source`.
     """
     clock: TimelineClock | StampClock = TimelineClock(epoch_ns) if paced else StampClock(epoch_ns)
 
@@ -122,7 +124,8 @@ def replayed(
         )
         return primary, assistant
 
-    return Source(cameras, clock, True, description, origin_ns, notes, name_of)
+    base = time_base.of_stamps(origin_ns, epoch_ns, lockstep=not paced)
+    return Source(cameras, clock, True, description, base, notes, name_of)
 
 
 def _as_camera(frames: Iterable[Frame | Unusable]) -> Iterator[Frame | Unusable]:
@@ -180,4 +183,4 @@ def live(config: Config) -> Source:
     def cameras() -> tuple[Camera, Camera]:
         return open_camera(specs[0], clock), open_camera(specs[1], clock)
 
-    return Source(cameras, clock, False, f"{capture.primary} {capture.assistant}")
+    return Source(cameras, clock, False, f"{capture.primary} {capture.assistant}", time_base.live())

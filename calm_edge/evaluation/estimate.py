@@ -211,17 +211,22 @@ def _points(path: Path) -> Float32:
 
 def _published_ages(path: Path) -> dict[str, float] | None:
     from calm_edge.recording.scan import scan
-    from calm_edge.recording.schema import POSE_SAMPLE
+    from calm_edge.recording.schema import CLOCK, POSE_SAMPLE
     from calm_edge.recording.segment import segment_files
 
-    rows = [
-        rows
-        for file in (segment_files(path) if path.is_dir() else [path])
-        for _, rows in scan(file).topic_rows(POSE_SAMPLE)
-    ]
-    published = [np.array(r.publish_time, np.int64) for r in rows]
-    exposed = [np.array(r.log_time, np.int64) for r in rows]
-    return pose_ages(np.concatenate(published), np.concatenate(exposed)) if rows else None
+    published, exposed = [], []
+    for file in segment_files(path) if path.is_dir() else [path]:
+        index = scan(file)
+        if not index.topic_rows(CLOCK):
+            # in lockstep nothing is logged at the time of its writing
+            continue
+        for _, rows in index.topic_rows(POSE_SAMPLE):
+            times = [np.array(t, np.int64) for t in (rows.log_time, rows.publish_time)]
+            # version 0.1.0 has them the other way round
+            written, stamped = times if index.epoch_ns is not None else reversed(times)
+            published.append(written)
+            exposed.append(stamped)
+    return pose_ages(np.concatenate(published), np.concatenate(exposed)) if published else None
 
 
 def from_recording(path: Path) -> Estimate:

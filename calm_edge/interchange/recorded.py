@@ -7,6 +7,7 @@ import json
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 
 from calm_edge.config import Config
@@ -14,8 +15,9 @@ from calm_edge.geometry import se3
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.base import Imported
 from calm_edge.interchange.calibration import formats
+from calm_edge.recording import time_base
 from calm_edge.recording.reader import Recording
-from calm_edge.recording.schema import IMPORT_METADATA, ORIGIN_KEY
+from calm_edge.recording.schema import IMPORT_METADATA
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.trajectories import write_kitti
@@ -65,13 +67,21 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
     name: of the format. Ground truth goes to the sub-folder TRUTH, a calibration to CALIBRATION.
     Raises CalmEdgeError.
     """
-    now = ORIGIN_NS
     counts = dict.fromkeys(imported.eyes, 0)
-    session = {"cameras": f"imported: {name}", ORIGIN_KEY: str(ORIGIN_NS)}
-    writer = RecordingWriter(folder, config, session, lossless=True, now_ns=lambda: now)
+    streams = [imported.frames(eye) for eye in imported.eyes]
+    frames = heapq.merge(*streams, key=lambda f: (f.t_ns, f.eye))
+    first = next(frames, None)
+    now = ORIGIN_NS if first is None else first.t_ns
+    writer = RecordingWriter(
+        folder,
+        config,
+        {"cameras": f"imported: {name}"},
+        lossless=True,
+        time_base=time_base.of_stamps(ORIGIN_NS, now, lockstep=True),
+        now_ns=lambda: now,
+    )
     try:
-        streams = [imported.frames(eye) for eye in imported.eyes]
-        for frame in heapq.merge(*streams, key=lambda f: (f.t_ns, f.eye)):
+        for frame in chain([] if first is None else [first], frames):
             now = frame.t_ns
             writer.write_frame(frame)
             counts[frame.eye] += 1

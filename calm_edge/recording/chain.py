@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from calm_edge.config import RecordingConfig
@@ -12,7 +12,8 @@ from calm_edge.recording import schema
 from calm_edge.recording.health import Space
 from calm_edge.recording.room import Room
 from calm_edge.recording.schema import LogMessage
-from calm_edge.recording.segment import Segment, Write
+from calm_edge.recording.segment import Segment, Stamped, Write
+from calm_edge.recording.time_base import TimeBase
 
 _log = logging.getLogger(__name__)
 
@@ -23,7 +24,8 @@ class SegmentChain:
     After the first `open` no method raises OSError: a disk error is stored in `error` and passed to
     `on_error` (an empty text: recovered), and messages not written go to the next segment. root:
     folder of all drives, the oldest of which are removed to make room; None: nothing is removed.
-    timeless: messages are published at their own time, not at that of writing.
+    timeless: messages are logged at their own time, not at that of their arrival. time_base: of the
+    messages; their log times in the files never decrease.
     """
 
     def __init__(
@@ -37,15 +39,17 @@ class SegmentChain:
         root: Path | None = None,
         *,
         timeless: bool = False,
+        time_base: TimeBase | None = None,
     ) -> None:
-        self._timeless = timeless
+        self._timeless, self._time_base = timeless, time_base or TimeBase()
+        self._newest_log_ns = 0
         self._folder, self._config, self._metadata = folder, config, dict(metadata)
         self._now_ns, self._write, self._on_error = now_ns, write, on_error
         self._room = Room(folder, config, root)
         self._segment: Segment | None = None
         self._number = 0
         self._closed_bytes = 0
-        self._unwritten: list[LogMessage] = []
+        self._unwritten: list[Stamped] = []
         self.error = ""
         self.sync_ms = 0.0
 
@@ -63,19 +67,27 @@ class SegmentChain:
         """Begin the next segment; raises OSError."""
         self._segment = self._begin()
 
-    def write(self, messages: list[LogMessage]) -> None:
-        """Write to the segment, or keep the messages for the next one if none is open."""
-        for i, message in enumerate(messages):
+    def write(self, messages: Iterable[LogMessage], arrived_ns: int) -> None:
+        """Write to the segment, or keep the messages for the next one if none is open.
+
+        arrived_ns: time of their arrival at the recorder, on the clock of the frames.
+        """
+        for message in messages:
+            stamped = self._stamped(message, arrived_ns)
             if self._segment is None:
-                self._unwritten += messages[i:]
-                return
+                self._unwritten.append(stamped)
+                continue
             try:
-                self._segment.write(message, self._published_ns(message))
+                self._segment.write(stamped)
             except OSError as error:
                 self.fail(_reason(error))
 
-    def _published_ns(self, message: LogMessage) -> int:
-        return message.log_time if self._timeless else time.monotonic_ns()
+    def _stamped(self, message: LogMessage, arrived_ns: int) -> Stamped:
+        epoch_ns = self._time_base.epoch_ns
+        log_ns = epoch_ns + (message.t_ns if self._timeless else arrived_ns)
+        # readers expect order: what is older than its predecessor takes the time of that
+        self._newest_log_ns = log_ns = max(self._newest_log_ns, log_ns)
+        return Stamped(message, log_ns, message.t_ns + epoch_ns)
 
     def write_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write metadata to the segment and to all that follow."""
@@ -130,8 +142,8 @@ class SegmentChain:
             self._report(_reason(error))
             return False
         try:
-            for message in self._unwritten:
-                segment.write(message, self._published_ns(message))
+            for stamped in self._unwritten:
+                segment.write(stamped)
             segment.sync()
         except OSError as error:
             segment.discard()
@@ -171,7 +183,9 @@ class SegmentChain:
         enough = self._room.check(time.monotonic(), self._closed_bytes + segment_bytes)
         for path in self._room.take_removed():
             text = f"{path}: removed to make room, as the oldest segment not marked to keep"
-            self.write([schema.log_message(self._now_ns(), logging.INFO, text, "recording")])
+            now_ns, origin_ns = self._now_ns(), self._time_base.origin_ns
+            line = schema.log_message(now_ns, logging.INFO, text, "recording", origin_ns)
+            self.write([line], now_ns)
             _log.info("%s", text)
         return enough
 

@@ -35,7 +35,7 @@ _LEVELS = (
 
 
 def timestamp(t_ns: int) -> Timestamp:
-    """Convert host-monotonic nanoseconds to a protobuf Timestamp, exactly."""
+    """Convert nanoseconds to a protobuf Timestamp, exactly."""
     return Timestamp(seconds=t_ns // 10**9, nanos=t_ns % 10**9)
 
 
@@ -84,11 +84,11 @@ def camera_calibration(eye: Eye, camera: Camera, t_ns: int) -> CameraCalibration
     )
 
 
-def odometry(sample: PoseSample) -> Odometry:
+def odometry(sample: PoseSample, t_ns: int) -> Odometry:
     """Convert a live pose: primary camera in the world, velocity and covariance in camera axes."""
     covariance, twist_covariance = sample.with_drift()
     message = Odometry(
-        timestamp=timestamp(sample.t_ns),
+        timestamp=timestamp(t_ns),
         frame_id=WORLD_FRAME,
         body_frame_id=camera_frame(Eye.PRIMARY),
         pose=poses(sample.T_w_c[None])[0],

@@ -18,6 +18,7 @@ from calm_edge.config import Config, ConfigError, merge
 from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
 from calm_edge.recording.segment import recording_files
+from calm_edge.recording.time_base import CLOCK_KEY, ORIGIN_KEY, WallClock, integer
 from calm_edge.recording.window_record import WindowRecord, rebuild
 from calm_edge.types import Int, LocalizerUpdate, PoseSample, SubmapWindow
 from device.frame import Eye, Frame
@@ -34,7 +35,7 @@ class _Location(NamedTuple):
     offset: int
     size: int
     sequence: int
-    log_time: int
+    t_ns: int
 
 
 class Recording:
@@ -80,9 +81,18 @@ class Recording:
 
     @property
     def origin_ns(self) -> int:
-        """What was added to the stamps of the source: subtract it from stamps given to users."""
-        text = self.metadata.get(schema.ORIGIN_KEY, "0")
-        return int(text) if text.isdecimal() else 0
+        """What was added to the stamps of the source: subtract it from stamps given to users.
+
+        Of a live drive, minus its Unix time at t_ns 0; from the newest reading of the clock, if
+        the clock was set during the drive.
+        """
+        metadata = self.metadata
+        origin_ns = integer(metadata, ORIGIN_KEY) or 0
+        if metadata.get(CLOCK_KEY) == WallClock.UNSYNCHRONISED.value:
+            for reading in self.json_messages(schema.CLOCK):
+                if reading.get("synchronised"):
+                    origin_ns = reading["monotonic_ns"] - reading["realtime_ns"]
+        return origin_ns
 
     def cameras(self, eye: Eye) -> dict[str, Any]:
         """Camera settings of an eye as last recorded, or {}."""
@@ -118,14 +128,14 @@ class Recording:
             return
         for location, data in self._messages(schema.IMAGE_TOPICS[eye]):
             try:
-                yield schema.read_frame(eye, location.sequence, location.log_time, data)
+                yield schema.read_frame(eye, location.sequence, location.t_ns, data)
             except RecordingError as error:
                 self.losses.append(f"{self.path}: {error}")
 
     def frame_times(self, eye: Eye) -> Int:
         """Stamps t_ns (N,) of an eye's frames in the order written, without reading pixels."""
         places = self._locations(schema.IMAGE_TOPICS[eye])
-        return np.fromiter((p.log_time for p in places), np.int64)
+        return np.fromiter((p.t_ns for p in places), np.int64)
 
     def frame(self, eye: Eye, sequence: int, t_ns: int | None = None) -> Frame:
         """Read one frame; raises RecordingError if it is not in the recording.
@@ -141,10 +151,10 @@ class Recording:
         first, last = np.searchsorted(table[:, 4], [sequence, sequence + 1])
         for row in table[first:last].tolist():
             location = _Location(*row)
-            if t_ns is None or location.log_time == t_ns:
+            if t_ns is None or location.t_ns == t_ns:
                 data = self._read(location)
                 if data is not None:
-                    return schema.read_frame(eye, sequence, location.log_time, data)
+                    return schema.read_frame(eye, sequence, location.t_ns, data)
         raise RecordingError(
             f"{self.path}: {eye.name.lower()} frame {sequence} is not in the recording"
         )
@@ -198,9 +208,8 @@ class Recording:
                         f"{index.path}: topic {topic} has schema {name}, expected {expected}; "
                         "open a recording of calm-edge"
                     )
-                columns = zip(
-                    rows.chunk, rows.offset, rows.size, rows.sequence, rows.log_time, strict=True
-                )
+                times = index.t_ns(rows)
+                columns = zip(rows.chunk, rows.offset, rows.size, rows.sequence, times, strict=True)
                 yield from (_Location(number, *row) for row in columns)
 
     def _messages(self, topic: str) -> Iterator[tuple[_Location, bytes]]:
@@ -228,7 +237,7 @@ class Recording:
                 seconds = (ref.end_ns - ref.start_ns) / 1e9
                 self.losses.append(
                     f"{index.path}: a damaged chunk of {seconds:.1f} s from t = "
-                    f"{ref.start_ns / 1e9:.3f} s left out ({error})"
+                    f"{(ref.start_ns - (index.epoch_ns or 0)) / 1e9:.3f} s left out ({error})"
                 )
                 return None
             while len(self._cache) > 1 and sum(map(len, self._cache.values())) > _CACHE_BYTES:

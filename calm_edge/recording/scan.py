@@ -23,7 +23,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 
 from calm_edge.recording import RecordingError
-from calm_edge.recording.schema import IMAGE_TOPICS
+from calm_edge.recording.schema import IMAGE_TOPICS, SESSION_METADATA
+from calm_edge.recording.time_base import EPOCH_KEY, integer
 
 MAGIC = b"\x89MCAP0\r\n"
 # calm-edge's chunks are about 1 MiB plus one message; larger ones are regarded as damaged
@@ -100,13 +101,26 @@ class SegmentIndex:
         ]
 
     @property
+    def epoch_ns(self) -> int | None:
+        """`TimeBase.epoch_ns` of the file; None of an earlier version, whose log_time is t_ns."""
+        session = (m.metadata for m in self.metadata if m.name == SESSION_METADATA)
+        return integer(next(session, {}), EPOCH_KEY)
+
+    def t_ns(self, rows: Rows) -> list[int]:
+        """Times t_ns of messages, as of frames."""
+        epoch_ns = self.epoch_ns
+        if epoch_ns is None:
+            return rows.log_time.tolist()
+        return [published - epoch_ns for published in rows.publish_time]
+
+    @property
     def newest_ns(self) -> int | None:
-        """Log time of the newest image, else of the newest message; None without any.
+        """Time t_ns of the newest image, else of the newest message; None without any.
 
         Images are preferred: in a replay the other messages are stamped by another clock.
         """
         images = [rows for topic in IMAGE_TOPICS.values() for _, rows in self.topic_rows(topic)]
-        return max((max(rows.log_time) for rows in images or self.rows.values()), default=None)
+        return max((max(self.t_ns(rows)) for rows in images or self.rows.values()), default=None)
 
     def losses(self) -> list[str]:
         """Describe each loss in one line: file, cause, time of the loss, messages recovered."""

@@ -1,6 +1,6 @@
 """Topics of a recording, their schemas, and conversion of each data type to messages and back.
 
-| topic | schema | log_time |
+| topic | schema | time of the message |
 |---|---|---|
 | /primary/image, /assistant/image | foxglove.CompressedImage | Frame.t_ns |
 | /pose/live | foxglove.Odometry, none while the pose is lost | PoseSample.t_ns |
@@ -15,7 +15,10 @@
 | /clock, /status, /health | JSON | time of writing |
 | /log | foxglove.Log | time of logging |
 
-An image without Frame.own_stamp has no timestamp of its own, only a log_time.
+That time, t_ns, is MCAP's publish_time, and the arrival at the recorder its log_time, which never
+decreases; both in Unix time, and stamps within messages are the user's: see `time_base`. In a
+recording of version 0.1.0, log_time is t_ns. An image without Frame.own_stamp has no timestamp of
+its own.
 An update is stored exactly except for depth (fp16; beyond its range: 0, unknown) and confidence
 (uint8, steps of 1/255); storing an update read from a recording changes nothing more.
 """
@@ -39,6 +42,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from calm_edge.kit import earlier, estimated
 from calm_edge.recording import RecordingError, camera_record, foxglove, record
+from calm_edge.recording.time_base import synchronised
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import LocalizerUpdate, PoseSample, PoseStatus
 from device.frame import Eye, Frame
@@ -56,8 +60,6 @@ CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
 CAMERAS_METADATA = "calm_edge.cameras"
 IMPORT_METADATA = "calm_edge.import"
-# key of the session: what was added to the stamps of the source
-ORIGIN_KEY = "origin_ns"
 
 _PROTOBUF: dict[str, Any] = {
     **dict.fromkeys(IMAGE_TOPICS.values(), CompressedImage),
@@ -76,19 +78,19 @@ TOPICS = (*_PROTOBUF, *_JSON)
 
 @dataclass(frozen=True, slots=True)
 class LogMessage:
-    """An encoded message: log_time in host-monotonic ns, data in the topic's schema.
+    """An encoded message: t_ns as of frames, data in the topic's schema.
 
     Raises RecordingError for times that MCAP cannot hold.
     """
 
     topic: str
-    log_time: int
+    t_ns: int
     data: bytes
     sequence: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.log_time < 1 << 63:
-            raise RecordingError(f"{self.topic}: time {self.log_time} ns is out of range for MCAP")
+        if not 0 <= self.t_ns < 1 << 63:
+            raise RecordingError(f"{self.topic}: time {self.t_ns} ns is out of range for MCAP")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,19 +112,19 @@ def topic_schema(topic: str) -> TopicSchema:
     return TopicSchema(str(kind.DESCRIPTOR.full_name), "protobuf", description, "protobuf")
 
 
-def _message(topic: str, log_time: int, message: Any, sequence: int = 0) -> LogMessage:
-    return LogMessage(topic, log_time, bytes(message.SerializeToString()), sequence)
+def _message(topic: str, t_ns: int, message: Any, sequence: int = 0) -> LogMessage:
+    return LogMessage(topic, t_ns, bytes(message.SerializeToString()), sequence)
 
 
-def frame_message(frame: Frame) -> LogMessage:
-    """Encode a frame's JPEG or PNG bytes, unchanged."""
+def frame_message(frame: Frame, origin_ns: int = 0) -> LogMessage:
+    """Encode a frame's JPEG or PNG bytes, unchanged. origin_ns: as of the TimeBase."""
     assert isinstance(frame.image, bytes)
-    stamp = frame.t_ns if frame.own_stamp else None
+    stamp = frame.t_ns - origin_ns if frame.own_stamp else None
     message = foxglove.image(frame.eye, stamp, frame.image)
     return _message(IMAGE_TOPICS[frame.eye], frame.t_ns, message, frame.sequence)
 
 
-def read_frame(eye: Eye, sequence: int, log_time: int, data: bytes) -> Frame:
+def read_frame(eye: Eye, sequence: int, t_ns: int, data: bytes) -> Frame:
     """Decode an image message to a frame with the bytes as recorded; raises RecordingError."""
     message = CompressedImage()
     try:
@@ -130,23 +132,23 @@ def read_frame(eye: Eye, sequence: int, log_time: int, data: bytes) -> Frame:
     except DecodeError as error:
         raise RecordingError(f"{IMAGE_TOPICS[eye]} {sequence}: not an image ({error})") from None
     own_stamp = message.HasField("timestamp")
-    return Frame(eye, sequence, log_time, bytes(message.data), own_stamp)
+    return Frame(eye, sequence, t_ns, bytes(message.data), own_stamp)
 
 
-def pose_messages(sample: PoseSample) -> list[LogMessage]:
+def pose_messages(sample: PoseSample, origin_ns: int = 0) -> list[LogMessage]:
     """Encode a live pose: exactly, and as odometry and transform for Foxglove.
 
     For a lost pose there is no transform, and without a velocity no odometry: neither has a value
-    for what is unknown.
+    for what is unknown. origin_ns: as of the TimeBase.
     """
-    t_ns = sample.t_ns
+    t_ns, stamp_ns = sample.t_ns, sample.t_ns - origin_ns
     messages = [LogMessage(POSE_SAMPLE, t_ns, record.encode("PoseSample", *record.flatten(sample)))]
     if sample.status is PoseStatus.LOST or not np.isfinite(sample.T_w_c).all():
         return messages
     if np.isfinite([sample.velocity_c, sample.turn_rate_c]).all():
-        messages.append(_message(POSE_LIVE, t_ns, foxglove.odometry(sample)))
+        messages.append(_message(POSE_LIVE, t_ns, foxglove.odometry(sample, stamp_ns)))
     primary = foxglove.camera_frame(Eye.PRIMARY)
-    messages.append(_message(TF, t_ns, foxglove.frame_transform(primary, sample.T_w_c, t_ns)))
+    messages.append(_message(TF, t_ns, foxglove.frame_transform(primary, sample.T_w_c, stamp_ns)))
     return messages
 
 
@@ -155,9 +157,15 @@ def read_pose(data: bytes) -> PoseSample:
     return record.unflatten(PoseSample, *record.decode("PoseSample", data))
 
 
-def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage]:
-    """Encode an update: exactly except depth (see the module), and its poses for Foxglove."""
+def update_messages(
+    update: LocalizerUpdate, log_depth: bool, origin_ns: int = 0
+) -> list[LogMessage]:
+    """Encode an update: exactly except depth (see the module), and its poses for Foxglove.
+
+    origin_ns: as of the TimeBase.
+    """
     t_ns = int(update.submap.t_ns.max())
+    stamp_ns = t_ns - origin_ns
     header, arrays = record.flatten(update)
     depth = arrays.pop("prediction.depth", None)
     confidence = arrays.pop("prediction.confidence", None)
@@ -167,19 +175,25 @@ def update_messages(update: LocalizerUpdate, log_depth: bool) -> list[LogMessage
         if confidence is not None:
             steps = np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 255)
             arrays["prediction.confidence"] = steps.astype(np.uint8)
-    submap = foxglove.frame_transform("submap", update.submap.T_w_s, t_ns)
+    submap = foxglove.frame_transform("submap", update.submap.T_w_s, stamp_ns)
     return [
         LogMessage(SUBMAP, t_ns, record.encode("Submap", header, arrays)),
-        _message(POSE_KEYFRAMES, t_ns, foxglove.trajectory(update.trajectory, t_ns)),
+        _message(POSE_KEYFRAMES, t_ns, foxglove.trajectory(update.trajectory, stamp_ns)),
         _message(TF, t_ns, submap),
-        *calibration_messages(update, t_ns),
+        *calibration_messages(update, t_ns, origin_ns),
     ]
 
 
-def calibration_messages(update: LocalizerUpdate, t_ns: int) -> list[LogMessage]:
+def calibration_messages(
+    update: LocalizerUpdate, t_ns: int, origin_ns: int = 0
+) -> list[LogMessage]:
     """Encode the estimated cameras for Foxglove; none of an eye whose focal is not observed."""
     return [
-        _message(CALIBRATION_TOPICS[eye], t_ns, foxglove.camera_calibration(eye, camera, t_ns))
+        _message(
+            CALIBRATION_TOPICS[eye],
+            t_ns,
+            foxglove.camera_calibration(eye, camera, t_ns - origin_ns),
+        )
         for eye, camera in estimated.cameras(update).items()
     ]
 
@@ -223,16 +237,21 @@ def read_window(data: bytes) -> WindowRecord:
     return record.unflatten(WindowRecord, *record.decode("Window", data))
 
 
-def clock_message(log_time: int, realtime_ns: int, monotonic_ns: int) -> LogMessage:
+def clock_message(t_ns: int, realtime_ns: int, monotonic_ns: int) -> LogMessage:
     """Encode a simultaneous reading of the wall clock and the host-monotonic clock."""
-    return json_message(CLOCK, log_time, {"realtime_ns": realtime_ns, "monotonic_ns": monotonic_ns})
+    reading = {
+        "realtime_ns": realtime_ns,
+        "monotonic_ns": monotonic_ns,
+        "synchronised": synchronised(),
+    }
+    return json_message(CLOCK, t_ns, reading)
 
 
-def json_message(topic: str, log_time: int, value: Mapping[str, Any]) -> LogMessage:
+def json_message(topic: str, t_ns: int, value: Mapping[str, Any]) -> LogMessage:
     """Encode a JSON object for /clock, /status or /health; other types as text."""
-    return LogMessage(topic, log_time, json.dumps(value, default=str).encode())
+    return LogMessage(topic, t_ns, json.dumps(value, default=str).encode())
 
 
-def log_message(t_ns: int, level: int, message: str, name: str) -> LogMessage:
-    """Encode a log line; level as in Python's logging."""
-    return _message(LOG, t_ns, foxglove.log(t_ns, level, message, name))
+def log_message(t_ns: int, level: int, message: str, name: str, origin_ns: int = 0) -> LogMessage:
+    """Encode a log line; level as in Python's logging. origin_ns: as of the TimeBase."""
+    return _message(LOG, t_ns, foxglove.log(t_ns - origin_ns, level, message, name))

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, NamedTuple, cast
 
 from mcap.writer import CompressionType, Writer
 
@@ -68,6 +68,14 @@ class _Sink:
         """Do nothing: there is no buffer."""
 
 
+class Stamped(NamedTuple):
+    """A message with its times in the file, Unix time in ns."""
+
+    message: LogMessage
+    log_ns: int
+    publish_ns: int
+
+
 class Segment:
     """An unfinished segment file, used by one thread; methods may raise OSError.
 
@@ -87,7 +95,7 @@ class Segment:
         self.path = self.target.with_name(self.target.name + PART)
         self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self._sink = _Sink(self._fd, write)
-        self._pending: list[LogMessage] = []
+        self._pending: list[Stamped] = []
         self._kept_bytes = 0
         self._syncing: threading.Thread | None = None
         self._sync_error: OSError | None = None
@@ -111,15 +119,16 @@ class Segment:
         schema_id = self._writer.register_schema(schema.name, schema.encoding, schema.data)
         return int(self._writer.register_channel(topic, schema.message_encoding, schema_id))
 
-    def write(self, message: LogMessage, publish_time: int) -> None:
+    def write(self, stamped: Stamped) -> None:
         """Add a message to the current chunk, which is written to the file when it is full."""
         before = self._sink.position
-        self._pending.append(message)
+        self._pending.append(stamped)
+        message = stamped.message
         self._writer.add_message(
             self._channels[message.topic],
-            message.log_time,
+            stamped.log_ns,
             message.data,
-            publish_time,
+            stamped.publish_ns,
             message.sequence & 0xFFFFFFFF,
         )
         if self._sink.position != before:
@@ -183,7 +192,7 @@ class Segment:
         sync_folder(self.target.parent)
         return self.target
 
-    def abandon(self) -> list[LogMessage]:
+    def abandon(self) -> list[Stamped]:
         """After an OSError: truncate the file to its last complete chunk and leave it as `.part`.
 
         Returns the messages after that chunk. A file without messages is removed. Never raises.

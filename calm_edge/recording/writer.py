@@ -24,6 +24,7 @@ from calm_edge.recording.mailbox import Mailbox
 from calm_edge.recording.record import array_bytes
 from calm_edge.recording.schema import LogMessage
 from calm_edge.recording.segment import Write, segment_files
+from calm_edge.recording.time_base import TimeBase
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import LocalizerUpdate, PoseSample
 from device.frame import Frame
@@ -31,6 +32,8 @@ from device.frame import Frame
 RETRY_S = 1.0
 
 _Encode = Callable[[], list[LogMessage]]
+# time of arrival, and how to encode what has arrived
+_Item = tuple[int, _Encode]
 _log = logging.getLogger(__name__)
 
 
@@ -40,8 +43,9 @@ class RecordingWriter:
     metadata: texts about the session (backbone, camera identities ...). now_ns: clock of the
     frames. lossless: `write_*` waits for room instead of dropping, and raises RecordingError if
     the disk fails; no message depends on the time of writing. root: folder of all drives, the
-    oldest of which are removed to make room. Arguments must not be changed after the call. Raises
-    RecordingError if the folder already holds a recording or cannot be written.
+    oldest of which are removed to make room. time_base: of the frames. Arguments must not be
+    changed after the call. Raises RecordingError if the folder already holds a recording or cannot
+    be written.
     """
 
     def __init__(
@@ -52,21 +56,25 @@ class RecordingWriter:
         *,
         lossless: bool = False,
         root: Path | None = None,
+        time_base: TimeBase | None = None,
         queue_bytes: int = 128 << 20,
         now_ns: Callable[[], int] = time.monotonic_ns,
         write: Write = os.write,
     ) -> None:
         self._config, self._now_ns = config, now_ns
+        time_base = time_base or TimeBase()
+        self._origin_ns = time_base.origin_ns
         session = {
             schema.CONFIG_METADATA: {"json": json.dumps(config.to_dict())},
             schema.SESSION_METADATA: {
                 "version": calm_edge.__version__,
                 "backbone": config.backbone.name,
                 "boot_id": boot_id(),
+                **time_base.metadata(),
                 **(metadata or {}),
             },
         }
-        self._mailbox: Mailbox[_Encode] = Mailbox(queue_bytes, lossless)
+        self._mailbox: Mailbox[_Item] = Mailbox(queue_bytes, lossless)
         self._lossless = lossless
         self._unwritable = self._reported_drops = 0
         self._chain = SegmentChain(
@@ -78,6 +86,7 @@ class RecordingWriter:
             self._mailbox.set_broken,
             root,
             timeless=lossless,
+            time_base=time_base,
         )
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -116,11 +125,12 @@ class RecordingWriter:
 
     def write_frame(self, frame: Frame) -> None:
         """Record an encoded frame of either eye."""
-        self._mailbox.put(lambda: [schema.frame_message(frame)], len(frame.image), True)
+        origin_ns = self._origin_ns
+        self._put(lambda: [schema.frame_message(frame, origin_ns)], len(frame.image), True)
 
     def write_pose(self, sample: PoseSample) -> None:
         """Record a live pose."""
-        self._mailbox.put(lambda: schema.pose_messages(sample), 1024, False)
+        self._put(lambda: schema.pose_messages(sample, self._origin_ns), 1024)
 
     def write_update(self, update: LocalizerUpdate) -> None:
         """Record the update of a sub-map and the poses it changed.
@@ -129,21 +139,21 @@ class RecordingWriter:
         """
         log_depth = self._config.recording.log_depth
         size = array_bytes(update)
-        self._mailbox.put(lambda: schema.update_messages(update, log_depth), size, False)
+        self._put(lambda: schema.update_messages(update, log_depth, self._origin_ns), size)
 
     def write_window(self, record: WindowRecord) -> None:
         """Record the frames of a window; a later record of the same sub-map replaces it."""
-        self._mailbox.put(lambda: [schema.window_message(record)], 1024, False)
+        self._put(lambda: [schema.window_message(record)], 1024)
 
     def write_log(self, level: int, message: str, name: str = "calm-edge") -> None:
         """Record a log line; level as in Python's logging."""
         now = self._now_ns()
-        self._mailbox.put(lambda: [schema.log_message(now, level, message, name)], 512, False)
+        self._put(lambda: [self._log_message(now, level, message, name)], 512)
 
     def write_status(self, status: Mapping[str, Any], topic: str = schema.STATUS) -> None:
         """Record a JSON object on /status or /health."""
         now, copy = self._now_ns(), dict(status)
-        self._mailbox.put(lambda: [schema.json_message(topic, now, copy)], 2048, False)
+        self._put(lambda: [schema.json_message(topic, now, copy)], 2048)
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Record texts about the session; a later call with the same name replaces them."""
@@ -153,7 +163,15 @@ class RecordingWriter:
             self._chain.write_metadata(name, copy)
             return []
 
-        self._mailbox.put(write, 512, False)
+        self._put(write, 512)
+
+    def _put(self, encode: _Encode, size: int, is_image: bool = False) -> None:
+        self._mailbox.put((self._now_ns(), encode), size, is_image)
+
+    def _log_message(
+        self, now_ns: int, level: int, message: str, name: str = "recording"
+    ) -> LogMessage:
+        return schema.log_message(now_ns, level, message, name, self._origin_ns)
 
     def close(self) -> WriterHealth:
         """Write the queued items, finish the segment, return the last state. Idempotent."""
@@ -185,9 +203,9 @@ class RecordingWriter:
                     self._give_up()
                     return
                 continue
-            encode = self._mailbox.take(max(0.0, next_tick - time.monotonic()))
-            if encode is not None:
-                self._write_item(encode)
+            item = self._mailbox.take(max(0.0, next_tick - time.monotonic()))
+            if item is not None:
+                self._write_item(*item)
             elif self._mailbox.closed:
                 break
             if time.monotonic() >= next_tick:
@@ -196,7 +214,7 @@ class RecordingWriter:
         self._chain.finish()
         self._give_up()
 
-    def _write_item(self, encode: _Encode) -> None:
+    def _write_item(self, arrived_ns: int, encode: _Encode) -> None:
         try:
             messages = encode()
         except Exception as error:
@@ -204,9 +222,9 @@ class RecordingWriter:
             self._unwritable += 1
             now = self._now_ns()
             text = f"one item could not be recorded: {error}"
-            messages = [schema.log_message(now, logging.ERROR, text, "recording")]
+            messages = [self._log_message(now, logging.ERROR, text)]
             _log.error("%s", text)
-        self._chain.write(messages)
+        self._chain.write(messages, arrived_ns)
 
     def _tick(self) -> None:
         """Run every flush_s: record clock reading and drops, sync, check the disk."""
@@ -218,10 +236,10 @@ class RecordingWriter:
         dropped = sum(self._mailbox.dropped)
         if dropped > self._reported_drops:
             text = f"queue full: {dropped - self._reported_drops} items not recorded"
-            messages.append(schema.log_message(now, logging.WARNING, text, "recording"))
+            messages.append(self._log_message(now, logging.WARNING, text))
             _log.warning("%s", text)
             self._reported_drops = dropped
-        self._chain.write(messages)
+        self._chain.write(messages, now)
         self._chain.sync()
 
     def _give_up(self) -> None:

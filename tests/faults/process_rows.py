@@ -87,11 +87,11 @@ def lost_s(recording: Recording, killed_ns: int) -> dict[str, float]:
     """
     # the replay's clock runs at the rate of the host's, from the first frame on
     *_, pair = recording.json_messages(schema.CLOCK)
-    logged = [p.log_time for p in recording._locations(schema.CLOCK)]
+    logged = [p.t_ns for p in recording._locations(schema.CLOCK)]
     killed_stamp_ns = killed_ns - pair["monotonic_ns"] + logged[-1]
     lost = {}
     for topic in (*schema.IMAGE_TOPICS.values(), schema.CLOCK, schema.HEALTH):
-        times = np.array([p.log_time for p in recording._locations(topic)], np.int64)
+        times = np.array([p.t_ns for p in recording._locations(topic)], np.int64)
         period_ns = float(np.median(np.diff(times))) if len(times) > 1 else 1e9
         newest = int(times[-1]) if len(times) else FIRST_STAMP_NS
         lost[topic] = max(0.0, (killed_stamp_ns - newest - period_ns) / 1e9)

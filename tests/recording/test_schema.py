@@ -28,7 +28,7 @@ def unasked(eye: Eye) -> tuple[int, int]:
 def test_jpeg_bytes_are_untouched() -> None:
     frame = samples.frame(Eye.ASSISTANT, 3)
     message = schema.frame_message(frame)
-    again = schema.read_frame(Eye.ASSISTANT, message.sequence, message.log_time, message.data)
+    again = schema.read_frame(Eye.ASSISTANT, message.sequence, message.t_ns, message.data)
     assert again == frame
     assert message.topic == "/assistant/image"
 
@@ -138,4 +138,4 @@ def test_the_cameras_of_a_sub_map_are_published_with_their_lenses() -> None:
 def test_a_frame_without_a_stamp_of_its_own_stays_marked() -> None:
     frame = dataclasses.replace(samples.frame(Eye.PRIMARY, 3), own_stamp=False)
     message = schema.frame_message(frame)
-    assert schema.read_frame(Eye.PRIMARY, 3, message.log_time, message.data) == frame
+    assert schema.read_frame(Eye.PRIMARY, 3, message.t_ns, message.data) == frame

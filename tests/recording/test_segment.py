@@ -10,16 +10,16 @@ import pytest
 
 from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.scan import scan
-from calm_edge.recording.segment import Segment, segment_files
+from calm_edge.recording.segment import Segment, Stamped, segment_files
 
 
-def message(k: int, size: int = 1000) -> schema.LogMessage:
-    return schema.LogMessage(schema.POSE_LIVE, k, bytes([k % 256]) * size)
+def stamped(k: int, size: int = 1000) -> Stamped:
+    return Stamped(schema.LogMessage(schema.POSE_LIVE, k, bytes([k % 256]) * size), k, k)
 
 
 def test_the_final_name_appears_only_when_finished(tmp_path: Path) -> None:
     segment = Segment(tmp_path, 3, 4096, {"a": {"b": "c"}})
-    segment.write(message(1), 1)
+    segment.write(stamped(1))
     assert [p.name for p in tmp_path.iterdir()] == ["0003.mcap.part"]
     assert segment.finish() == tmp_path / "0003.mcap"
     assert [p.name for p in tmp_path.iterdir()] == ["0003.mcap"]
@@ -53,14 +53,14 @@ def test_abandon_returns_unwritten_messages_and_leaves_a_valid_file(
     with pytest.raises(OSError, match="No space"):
         for k in range(200):
             written += 1
-            segment.write(message(k), k)
+            segment.write(stamped(k))
     back = segment.abandon()
     index = scan(tmp_path / "0000.mcap.part")
     assert not index.damaged
     assert index.cut == "never finished"
     kept = index.n_messages
     assert kept > 0
-    assert [m.log_time for m in back] == list(range(kept, written))
+    assert [log_ns for _, log_ns, _ in back] == list(range(kept, written))
 
 
 def test_files_are_sorted_by_number(tmp_path: Path) -> None:

@@ -21,17 +21,17 @@ def messages(folder: Path) -> list[list[Any]]:
     recording, found = Recording(folder), []
     for index in recording._segments:
         for topic in schema.TOPICS:
-            published = [t for _, rows in index.topic_rows(topic) for t in rows.publish_time]
+            logged = [t for _, rows in index.topic_rows(topic) for t in rows.log_time]
             read = list(recording._messages(topic))
-            assert len(read) == len(published)
-            for (place, data), t_ns in zip(read, published, strict=True):
+            assert len(read) == len(logged)
+            for (place, data), t_ns in zip(read, logged, strict=True):
                 content: Any = data
                 if topic == schema.SUBMAP:
                     header, arrays = encoding.decode("Submap", data)
                     assert header.pop(TIMINGS) is not None
                     content = json.dumps(header), {k: v.tobytes() for k, v in arrays.items()}
                 where = (place.segment, place.chunk, place.offset)
-                found.append((where, topic, place.log_time, t_ns, place.sequence, content))
+                found.append((where, topic, place.t_ns, t_ns, place.sequence, content))
     return [message for _, *message in sorted(found, key=lambda message: message[0])]
 
 

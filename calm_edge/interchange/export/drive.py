@@ -18,6 +18,7 @@ from calm_edge.interchange.export.frame_poses import (
 )
 from calm_edge.recording import schema
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.time_base import CLOCK_KEY, ORIGIN_KEY, WallClock
 from calm_edge.trajectories import folded, read_tum
 from calm_edge.types import Float, Int, LocalizerUpdate, Metre, PoseStatus, Trajectory
 from device.frame import Eye
@@ -192,11 +193,14 @@ def _summary(path: Path) -> dict[str, Any]:
 def _clock(recording: Recording) -> tuple[int, str]:
     """What converts stamps to the user's own, and what these are in words.
 
-    Stamps of a replay or an import are the source's. Those of live cameras are of the host's
-    monotonic clock: the last reading of the wall clock, which by then is most likely set, dates
-    them.
+    Stamps of a replay or an import are the source's, those of live cameras Unix time. In
+    recordings of version 0.1.0 the latter are of the host's monotonic clock: the last reading of
+    the wall clock, which by then is most likely set, dates them.
     """
-    if recording.origin_ns or schema.ORIGIN_KEY not in recording.metadata:
+    metadata = recording.metadata
+    if metadata.get(CLOCK_KEY) in (WallClock.SYNCHRONISED, WallClock.UNSYNCHRONISED):
+        return -recording.origin_ns, f"of the host's wall clock, {metadata[CLOCK_KEY]}"
+    if recording.origin_ns or ORIGIN_KEY not in metadata:
         return -recording.origin_ns, "as in the source"
     pairs = list(recording.json_messages(schema.CLOCK))
     if not pairs:

@@ -11,7 +11,7 @@ import numpy as np
 from calm_edge.config import Config, merge
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera, Perspective
-from calm_edge.recording.schema import ORIGIN_KEY
+from calm_edge.recording.time_base import ORIGIN_KEY
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.trajectories import write_tum
 from calm_edge.types import (

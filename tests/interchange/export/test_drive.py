@@ -11,7 +11,8 @@ import pytest
 from calm_edge.config import Config
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.export.drive import read_drive
-from calm_edge.recording.schema import CLOCK, ORIGIN_KEY
+from calm_edge.recording.schema import CLOCK
+from calm_edge.recording.time_base import ORIGIN_KEY
 from calm_edge.recording.writer import RecordingWriter
 from device.frame import Eye, Frame, jpeg
 from tests.interchange.export.drives import LENSES, ORIGIN_NS, update, with_map, write_recording
