@@ -207,6 +207,19 @@ def test_a_folder_with_a_recording_is_not_overwritten(
     assert before == {p.name: p.stat().st_mtime_ns for p in recorded.iterdir()}
 
 
+def test_an_output_that_cannot_be_made_is_named(
+    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("mine")
+    command = ["record", "--sequence", str(drive), "--pace", "lockstep"]
+    for out, reason in ((file, "file: is a file"), (file / "r", "r: cannot be written")):
+        assert main([*command, "--set", f"backbone.name=scripted:{drive}", "--out", str(out)]) == 1
+        line = only_line(capsys)
+        assert reason in line and "choose another output folder" in line
+    assert file.read_text() == "mine"
+
+
 def test_lockstep_with_live_cameras_is_an_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -61,11 +61,11 @@ def write_keys(path: Path, section: str, values: Mapping[str, str]) -> None:
     A missing file is created.
     """
     try:
-        text = path.read_text() if path.exists() else ""
+        text = path.read_text("utf-8-sig") if path.exists() else ""
         replace_text(path, with_keys(text, section, values))
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     except UnicodeDecodeError:
-        raise ConfigError(f"{path}: not valid TOML: not UTF-8 text") from None
+        raise ConfigError(f"{path}: not UTF-8 text; save it as UTF-8") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror})") from None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from calm_edge.commands.console import say
 from calm_edge.commands.exit_codes import OK
+from calm_edge.commands.record import metres
 
 if TYPE_CHECKING:
     from calm_edge.config import Config
@@ -50,7 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file of the kit")
     parser.add_argument(
-        "--spacing-m", type=float, metavar="X", help="distance between the cameras [m]"
+        "--spacing-m", type=metres, metavar="X", help="distance between the cameras [m]"
     )
     parser.add_argument(
         "--hfov-deg", type=float, nargs="+", metavar="A", help="horizontal field of view, a hint"

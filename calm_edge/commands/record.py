@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from calm_edge.recording.reader import Recording
 
 
+# limits of what can be meant; beyond them, centimetres or radians were given
+SPACING_M = 0.01, 10.0
+MIN_HFOV_DEG = 4.0
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file of the kit")
@@ -42,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="realtime: never wait; lockstep: wait for every window, deterministic",
     )
     parser.add_argument(
-        "--spacing-m", type=float, metavar="X", help="distance between the cameras [m]"
+        "--spacing-m", type=metres, metavar="X", help="distance between the cameras [m]"
     )
     parser.add_argument(
         "--hfov-deg",
@@ -65,6 +70,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="SECTION.KEY=VALUE",
         help="override the configuration",
     )
+
+
+def metres(text: str) -> float:
+    """Number of metres of an argument; raises argparse.ArgumentTypeError."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no number; give metres, such as 0.52"
+        ) from None
 
 
 def effective_config(arguments: argparse.Namespace, base: Config | None = None) -> Config:
@@ -92,15 +107,22 @@ def effective_config(arguments: argparse.Namespace, base: Config | None = None) 
     recorded = base.calibration.file if base is not None else ()
     if config.calibration.file and (arguments.calibration or config.calibration.file != recorded):
         config = with_calibration(config, say)
-    if config.scale.spacing_m < 0:
-        raise ConfigError(f"scale.spacing_m = {config.scale.spacing_m:g}: must not be negative")
+    spacing_m = config.scale.spacing_m
+    if spacing_m and not SPACING_M[0] <= spacing_m <= SPACING_M[1]:
+        raise ConfigError(
+            f"scale.spacing_m = {spacing_m:g}: the distance of two cameras of one car in metres, "
+            f"{SPACING_M[0]:g} to {SPACING_M[1]:g}; 52 cm are 0.52"
+        )
     readout_ms = config.capture.readout_ms
     if len(readout_ms) > 2 or any(not 0 <= ms < 200 for ms in readout_ms):
         raise ConfigError(
             f"capture.readout_ms = {list(readout_ms)}: give one value or one per camera, 0 to 200"
         )
-    if any(not 0 < a < 180 for a in config.backbone.hfov_deg):
-        raise ConfigError(f"backbone.hfov_deg = {config.backbone.hfov_deg}: must be in (0, 180)")
+    if any(not MIN_HFOV_DEG <= a < 180 for a in config.backbone.hfov_deg):
+        raise ConfigError(
+            f"backbone.hfov_deg = {list(config.backbone.hfov_deg)}: degrees, {MIN_HFOV_DEG:g} to "
+            "less than 180"
+        )
     return pinned(config, deterministic=arguments.pace == "lockstep")
 
 
@@ -167,11 +189,16 @@ def run(arguments: argparse.Namespace) -> int:
         refuse_other_sizes(config, arguments.sequence, recording)
         target = Target(arguments.out or arguments.root, is_root=arguments.out is None)
         lockstep = arguments.pace == "lockstep"
-        return report(*record(config, source, target, notifier, lockstep=lockstep, say=say))
+        code = report(*record(config, source, target, notifier, lockstep=lockstep, say=say))
     except (CalmEdgeError, DeviceError) as error:
         # shows the error in `systemctl status`
         notifier.status(f"FAILED: {error}", "FAILED")
         raise
+    if recording is not None and recording.losses:
+        more = f", and {len(recording.losses) - 1} more" if len(recording.losses) > 1 else ""
+        say(f"loss: the recording that was replayed lacks parts: {recording.losses[0]}{more}")
+        return code or LOSS
+    return code
 
 
 def report(folder: Path, result: RecordResult) -> int:

@@ -43,8 +43,9 @@ class Target:
 
     def check(self, config: Config) -> None:
         """Check that a recording can be made there; raises ConfigError or RecordingError."""
-        used = self.folder.exists() and (not self.folder.is_dir() or segment_files(self.folder))
-        if used and not self.is_root:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise RecordingError(f"{self.folder}: is a file; choose another output folder")
+        if not self.is_root and self.folder.exists() and segment_files(self.folder):
             raise RecordingError(
                 f"{self.folder}: already holds a recording; choose another output folder"
             )
@@ -130,8 +131,8 @@ def stopped_by_signals(capture: Capture) -> Iterator[None]:
 
 
 def discard(folder: Path) -> None:
-    """Remove the files of a recording, and its folder unless it holds others."""
-    for file in [*segment_files(folder), folder / TRAJECTORY_FILE]:
-        file.unlink(missing_ok=True)
-    with suppress(OSError):
+    """Remove the files of a recording, if there are any, and its folder unless it holds others."""
+    with suppress(OSError, RecordingError):
+        for file in [*segment_files(folder), folder / TRAJECTORY_FILE]:
+            file.unlink(missing_ok=True)
         folder.rmdir()

@@ -147,6 +147,8 @@ class SegmentChain:
             segment.sync()
         except OSError as error:
             segment.discard()
+            # a number that is left out would be read as a lost segment
+            self._number -= 1
             self._report(_reason(error))
             return False
         self._unwritten = []

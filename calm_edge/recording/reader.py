@@ -17,7 +17,7 @@ import numpy as np
 from calm_edge.config import Config, ConfigError, merge
 from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
-from calm_edge.recording.segment import recording_files
+from calm_edge.recording.segment import missing_segments, recording_files
 from calm_edge.recording.time_base import CLOCK_KEY, ORIGIN_KEY, WallClock, integer
 from calm_edge.recording.window_record import WindowRecord, rebuild
 from calm_edge.types import Int, LocalizerUpdate, PoseSample, SubmapWindow
@@ -54,6 +54,8 @@ class Recording:
         self._sorted: dict[Eye, Int] = {}
         self._sizes: dict[Eye, tuple[int, int]] = {}
         files = recording_files(path)
+        if path.is_dir():
+            self.losses += missing_segments(files)
         for file in files:
             try:
                 index = scan(file)
@@ -66,7 +68,7 @@ class Recording:
             self.losses += index.losses()
         if not self._segments:
             raise RecordingError(
-                f"{path}: none of its {len(files)} files can be read; {self.losses[0]}"
+                f"{path}: none of its {len(files)} files can be read; {self.losses[-1]}"
             )
 
     @property

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from calm_edge.recording import RecordingError
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
-from calm_edge.recording.segment import PART, recording_files
+from calm_edge.recording.segment import PART, missing_segments, recording_files
 
 
 class Outcome(IntEnum):
@@ -58,12 +58,12 @@ def default_target(source: Path) -> Path:
 def validate(path: Path) -> RecordingReport:
     """Check every chunk of a recording folder or file without writing; never raises."""
     messages: dict[str, int] = {}
-    losses: list[str] = []
     read: list[Path] = []
     try:
         files = recording_files(path)
     except RecordingError as error:
         return RecordingReport(Outcome.FAILED, {}, (str(error),), ())
+    losses = missing_segments(files) if path.is_dir() else []
     for file in files:
         try:
             index = scan(file, check=True)
@@ -101,6 +101,7 @@ def recover(source: Path, target: Path) -> RecordingReport:
         return RecordingReport(
             Outcome.FAILED, {}, (f"{target}: cannot be written ({error.strerror})",), ()
         )
+    losses += missing_segments(files) if source.is_dir() else []
     for file in files:
         copy = target / file.name.removesuffix(PART) if source.is_dir() else target
         try:

@@ -6,7 +6,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast
@@ -42,8 +42,25 @@ def recording_files(path: Path) -> list[Path]:
     if missing:
         raise RecordingError(f"{path}: no such recording; name a recording folder or MCAP file")
     if not files:
-        raise RecordingError(f"{path}: holds no recording (NNNN.mcap); name another folder")
+        pictures = any((path / name).is_dir() for name in ("cam0", "mav0"))
+        remedy = "make one with record --sequence" if pictures else "name another folder"
+        raise RecordingError(f"{path}: holds no recording (NNNN.mcap); {remedy}")
     return files
+
+
+def missing_segments(files: Sequence[Path]) -> list[str]:
+    """One line for each run of numbers that the segments of one folder, in order, leave out."""
+    lines, expected = [], 0
+    for file in files:
+        number = int(file.name.partition(".")[0])
+        if number > expected:
+            last = f" to {number - 1:04d}.mcap" if number - 1 > expected else ""
+            lines.append(
+                f"{file.with_name(f'{expected:04d}.mcap')}{last}: missing; copy the folder again, "
+                "unless it was removed to make room"
+            )
+        expected = number + 1
+    return lines
 
 
 class _Sink:

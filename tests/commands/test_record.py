@@ -8,7 +8,7 @@ import pytest
 
 from calm_edge.cli import build_parser
 from calm_edge.commands.record import effective_config, recorded_config
-from calm_edge.config import Config, merge
+from calm_edge.config import Config, ConfigError, merge
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
 
@@ -58,3 +58,27 @@ def test_without_a_configuration_the_defaults_are_used_and_said(
     monkeypatch.setattr("calm_edge.recording.schema.CONFIG_METADATA", "of.another.program")
     assert recorded_config(recording) == Config()
     assert "contains no configuration" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--spacing-m", "52"), "scale.spacing_m = 52: the distance .* 52 cm are 0.52"),
+        (("--spacing-m", "0.0005"), "scale.spacing_m"),
+        (("--set", "scale.spacing_m=-1"), "scale.spacing_m = -1"),
+        (("--hfov-deg", "1.2"), "hfov_deg = .1.2.: degrees"),
+        (("--hfov-deg", "400"), "hfov_deg"),
+    ],
+)
+def test_values_in_other_units_are_refused(
+    recording: Recording, options: tuple[str, ...], message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        of_replay(recording, *options)
+
+
+def test_a_spacing_with_its_unit_is_refused_in_words(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in (["record", "--out", "r"], ["import", "a.mp4", "--out", "r"]):
+        with pytest.raises(SystemExit):
+            build_parser().parse_args([*command, "--spacing-m", "50cm"])
+        assert "'50cm' is no number; give metres, such as 0.52" in capsys.readouterr().err

@@ -137,3 +137,14 @@ def test_the_default_target_is_beside_the_source_and_not_a_segment(
     before = [f.sequence for f in Recording(source).frames(Eye.PRIMARY)]
     recover(part, default_target(part))
     assert [f.sequence for f in Recording(source).frames(Eye.PRIMARY)] == before
+
+
+def test_a_missing_segment_is_a_loss(folder: Path, tmp_path: Path) -> None:
+    source = tmp_path / "rec"
+    source.mkdir()
+    for name in ("0000.mcap", "0002.mcap"):
+        shutil.copy(folder / "0000.mcap", source / name)
+    assert "0001.mcap: missing" in Recording(source).losses[0]
+    for report in (validate(source), recover(source, tmp_path / "copy")):
+        assert report.outcome == Outcome.WITH_LOSS and "0001.mcap: missing" in report.losses[0]
+    assert Recording(source / "0002.mcap").losses == []

@@ -10,7 +10,13 @@ import pytest
 
 from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.scan import scan
-from calm_edge.recording.segment import Segment, Stamped, segment_files
+from calm_edge.recording.segment import (
+    Segment,
+    Stamped,
+    missing_segments,
+    recording_files,
+    segment_files,
+)
 
 
 def stamped(k: int, size: int = 1000) -> Stamped:
@@ -73,3 +79,18 @@ def test_files_are_sorted_by_number(tmp_path: Path) -> None:
     ]
     with pytest.raises(RecordingError):
         segment_files(tmp_path / "missing")
+
+
+def test_numbers_left_out_are_missing_segments(tmp_path: Path) -> None:
+    names = ["0000.mcap", "0001.mcap", "0003.mcap", "0007.mcap.part"]
+    first, run = missing_segments([tmp_path / name for name in names])
+    assert first.startswith(f"{tmp_path}/0002.mcap: missing")
+    assert run.startswith(f"{tmp_path}/0004.mcap to 0006.mcap: missing")
+    assert missing_segments([tmp_path / name for name in names[:2]]) == []
+    assert "0000.mcap: missing" in missing_segments([tmp_path / "0001.mcap"])[0]
+
+
+def test_a_folder_of_pictures_is_to_be_recorded(tmp_path: Path) -> None:
+    (tmp_path / "cam0").mkdir()
+    with pytest.raises(RecordingError, match="record --sequence"):
+        recording_files(tmp_path)
