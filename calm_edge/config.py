@@ -381,10 +381,13 @@ def load(
     config = base or Config()
     if path is not None:
         try:
-            config = merge(config, tomllib.loads(path.read_text()))
+            # editors on other systems begin a file with a byte order mark
+            config = merge(config, tomllib.loads(path.read_text("utf-8-sig")))
         except OSError as error:
             raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        except UnicodeDecodeError:
+            raise ConfigError(f"{path}: not UTF-8 text; save it as UTF-8") from None
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise ConfigError(f"{path}: not valid TOML: {error}") from None
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None

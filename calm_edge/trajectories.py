@@ -71,7 +71,7 @@ def write_kitti(path: Path, T_w_c: Float) -> None:
 
 def _rows(path: Path, columns: int, what: str) -> list[tuple[int, list[str]]]:
     try:
-        lines = path.read_text().splitlines()
+        lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not text"
         raise TrajectoryError(f"{path}: cannot be read ({reason})") from None

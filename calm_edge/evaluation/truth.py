@@ -43,7 +43,11 @@ def _calibration(path: Path) -> tuple[Camera, Camera]:
 def _table(path: Path) -> Float:
     try:
         return np.array(
-            [[float(v) for v in line.split()] for line in path.read_text().splitlines() if line]
+            [
+                [float(v) for v in line.split()]
+                for line in path.read_text("utf-8-sig").splitlines()
+                if line
+            ]
         )
     except (OSError, ValueError) as error:
         raise EvaluationError(f"{path}: not a table of numbers ({error})") from None

@@ -38,7 +38,7 @@ def lines(path: Path, what: str) -> list[str]:
     what: description of the expected content, for the message.
     """
     try:
-        text = path.read_text()
+        text = path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError):
         raise DatasetError(f"{path}: cannot be read; it should hold {what}") from None
     return [line for line in text.splitlines() if line.strip()]

@@ -12,6 +12,7 @@ from calm_edge.interchange.kitti_odometry import KittiOdometry
 from calm_edge.interchange.kitti_raw import KittiRaw
 from calm_edge.interchange.picture_folders import PictureFolders
 from calm_edge.interchange.video_pair import VideoPair
+from calm_edge.recording.segment import segment_files
 
 # in the order in which they are asked: a folder of a data set may also look like a plainer one
 IMPORTERS: tuple[Importer, ...] = (
@@ -32,5 +33,7 @@ def importer(sources: tuple[Path, ...]) -> Importer:
     for found in IMPORTERS:
         if found.recognises(sources):
             return found
+    if sources[0].is_dir() and segment_files(sources[0]):
+        raise InterchangeError(f"{sources[0]}: is a recording already; use record --replay, or map")
     known = "; ".join(i.reads for i in IMPORTERS)
     raise InterchangeError(f"{sources[0]}: not a format that can be imported ({known})")

@@ -20,6 +20,9 @@ _TRIED = 100
 _SAMPLES = 12
 _DEPTHS = (8, 10, 12, 14, 16)
 _PNG, _PNG_END, _BMP = b"\x89PNG\r\n\x1a\n", b"IEND", b"BM"
+# how other pictures begin, whatever their names are: PNG, WebP, TIFF
+_OTHERS = (_PNG, b"RIFF", b"II*\0", b"MM\0*")
+_POINTER, _LFS = b"version https://git-lfs", "a pointer of Git LFS (git lfs pull gets the picture)"
 _TURNS = ("", "mirrored", "by 180 degrees", "by 180 degrees and mirrored",
           "by 90 degrees and mirrored", "by 90 degrees clockwise",
           "by 270 degrees and mirrored", "by 90 degrees anticlockwise")  # fmt: skip
@@ -53,11 +56,13 @@ class PictureFiles:
         That a JPEG lacks a part of the picture is found when it is decoded.
         """
         data = _bytes(file)
-        if data.startswith(SOI) or file.suffix.lower() in (".jpg", ".jpeg"):
+        named = file.suffix.lower() in (".jpg", ".jpeg") and not data.startswith(_OTHERS)
+        if data.startswith(SOI) or named:
             try:
                 return self._turned_as_first(file, walk(data)).data
             except JpegError as error:
-                raise PictureError(f"{file}: {error}") from None
+                reason = "empty" if not data else _LFS if data.startswith(_POINTER) else error
+                raise PictureError(f"{file}: {reason}") from None
         pixels = _pixels(file, data)
         if pixels.dtype == np.uint16:
             pixels = np.minimum(pixels >> (self._bits - 8), 255).astype(np.uint8)
@@ -76,7 +81,8 @@ class PictureFiles:
             except PictureError as error:
                 failure = failure or error
         assert failure is not None
-        raise failure
+        tried = f"none of the {len(files[:_TRIED])} first files of this folder is readable"
+        raise PictureError(f"{failure}; {tried}: copy them again, or convert them to JPEG or PNG")
 
     def _count_bits(self, files: Sequence[Path]) -> None:
         brightest = 0

@@ -17,6 +17,8 @@ from calm_edge.types import Int
 from device.frame import Eye, Frame, Unusable
 
 DEFAULT_RATE_HZ = 10.0
+# pictures that are not read
+_CONVERTIBLE = {".heic", ".HEIC", ".heif", ".avif", ".jp2", ".gif", ".dng", ".cr2", ".nef", ".exr"}
 
 
 class PictureFolder:
@@ -87,9 +89,13 @@ class PictureFolder:
                 f"{what} and {len(wrong) - 1} more are not after the stamp before; stamps must "
                 "increase from picture to picture"
             )
+        moved_s = (int(self.t_ns[-1]) - int(t_ns[-1])) / 1e9 if self.own[-1] else 0.0
+        was_set = (
+            f"; the clock was set: later ones are shifted by {moved_s:.3f} s" if moved_s else ""
+        )
         self._notes.append(
-            f"{what} is out of order, {len(wrong)} stamps in all; they are replaced by equal "
-            "steps, and these frames give no velocity"
+            f"{what} does not follow the one before, {len(wrong)} stamps in all; they are replaced "
+            f"by equal steps, and these frames give no velocity{was_set}"
         )
 
 
@@ -97,15 +103,24 @@ def pictures(folder: Path) -> list[Path]:
     """List the picture files of a folder in natural order (2 before 10); raises SequenceError."""
     try:
         with os.scandir(folder) as entries:
-            names = [entry.name for entry in entries if entry.is_file()]
+            names = [entry.name for entry in entries if _is_file(entry)]
     except OSError as error:
         raise SequenceError(f"{folder}: cannot be read ({error.strerror})") from None
     # .name: hidden; ._name: what macOS adds to each file on foreign disks
     seen = [n for n in names if not n.startswith(".") and Path(n).suffix.lower() in SUFFIXES]
     if not seen:
         known = ", ".join(sorted(SUFFIXES))
-        raise SequenceError(f"{folder}: holds no pictures ({known}); put this camera's there")
+        others = sorted({Path(name).suffix for name in names if Path(name).suffix in _CONVERTIBLE})
+        remedy = f"convert its {', '.join(others)}" if others else "put this camera's there"
+        raise SequenceError(f"{folder}: holds no pictures ({known}); {remedy}")
     return [folder / name for name in sorted(seen, key=_natural)]
+
+
+def _is_file(entry: os.DirEntry[str]) -> bool:
+    """Whether it is a file; also a link that leads nowhere, a picture that cannot be read."""
+    if entry.is_symlink() and not Path(entry).exists():
+        return True
+    return entry.is_file()
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -13,6 +13,7 @@ import numpy as np
 from calm_edge.recording import SequenceError
 from calm_edge.recording.picture_file import SUFFIXES
 from calm_edge.recording.picture_folder import PictureFolder
+from calm_edge.recording.segment import segment_files
 from calm_edge.recording.stamp_order import check_common_time, ordered
 from calm_edge.recording.stamp_text import read_stamps
 from calm_edge.types import Int
@@ -112,6 +113,8 @@ def _layout(path: Path) -> tuple[list[Path], list[Path]]:
         if all(_holds(folder, SUFFIXES) for folder in folders):
             return folders, [path / times.format(int(eye)) for eye in Eye]
     folders = [path / f"cam{int(eye)}" for eye in Eye]
+    if segment_files(path):
+        raise SequenceError(f"{path}: a recording, not a folder of pictures; use record --replay")
     for folder in folders:
         if _holds(folder, _IMPORTED) or _holds(path, _IMPORTED):
             raise SequenceError(f"{path}: holds videos or bags, not pictures; use calm-edge import")

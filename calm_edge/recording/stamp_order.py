@@ -17,6 +17,8 @@ Bool = NDArray[np.bool_]
 TOLERANCE = 0.5
 # If more stamps than this share are wrong, none can be trusted.
 MAX_WRONG_SHARE = 0.3
+# Nobody waits so long within a drive: a computer without a battery for its clock has set it.
+LEAP_NS = 86_400 * 10**9
 # wrong stamps at one end, where there is nothing to compare with on the other side
 _END_SHARE = 0.1
 _LONGEST = 1000
@@ -29,12 +31,13 @@ def ordered(t_ns: Int) -> tuple[Int, Bool]:
 
     Where a stamp is not after the one before, the shortest run of stamps there is replaced by equal
     steps, without which the rest follow at least as late as at the median step. If there is no such
-    run, the clock was set: all stamps from there on are shifted, and the first is not its own. With
-    more wrong ones than MAX_WRONG_SHARE the stamps are returned as they are, still out of order.
+    run, the clock was set: all stamps from there on are shifted, and the first is not its own. So
+    they are at a step of more than LEAP_NS: a clock set ahead. With more wrong ones than
+    MAX_WRONG_SHARE the stamps are returned as they are, still out of order.
     """
     steps = np.diff(t_ns)
     own = np.ones(len(t_ns), bool)
-    if not (steps <= 0).any() or not (steps > 0).any():
+    if not (steps > 0).any() or not ((steps <= 0) | (steps > LEAP_NS)).any():
         return t_ns, own
     out, period = t_ns.copy(), int(np.median(steps[steps > 0]))
     for i in np.flatnonzero(steps <= 0) + 1:
@@ -49,6 +52,9 @@ def ordered(t_ns: Int) -> tuple[Int, Bool]:
             out[i:] += out[i - 1] + period - out[i]
         if not own.sum() >= (1 - MAX_WRONG_SHARE) * len(t_ns):
             return t_ns, own
+    for i in np.flatnonzero(np.diff(out) > LEAP_NS) + 1:
+        own[i] = False
+        out[i:] += out[i - 1] + period - out[i]
     return out, own
 
 

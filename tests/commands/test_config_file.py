@@ -71,14 +71,26 @@ def test_the_file_is_replaced_atomically_and_can_be_loaded(tmp_path: Path) -> No
 def test_errors_are_one_line_with_the_file(tmp_path: Path) -> None:
     broken = tmp_path / "kit.toml"
     broken.write_text("[capture\n")
-    with pytest.raises(ConfigError, match=r"kit\.toml: not valid TOML"):
+    with pytest.raises(ConfigError, match=r"kit\.toml: not"):
         write_keys(broken, "capture", PAIR)
     assert broken.read_text() == "[capture\n"
     broken.write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match=r"kit\.toml: not valid TOML"):
+    with pytest.raises(ConfigError, match=r"kit\.toml: not"):
         write_keys(broken, "capture", PAIR)
     with pytest.raises(ConfigError, match=r"none/kit\.toml: cannot be written"):
         write_keys(tmp_path / "none/kit.toml", "capture", PAIR)
+
+
+def test_a_byte_order_mark_and_other_line_ends_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "kit.toml"
+    text = "[scale]\r\nspacing_m = 0.52\r\n"
+    path.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert load(path).scale.spacing_m == 0.52
+    write_keys(path, "capture", PAIR)
+    assert load(path).capture.primary == PAIR["primary"]
+    path.write_text(text, encoding="utf-16")
+    with pytest.raises(ConfigError, match=r"kit\.toml: not UTF-8 text; save it as UTF-8"):
+        load(path)
 
 
 @pytest.mark.parametrize("value", ["8000", '"auto-then-lock"'])

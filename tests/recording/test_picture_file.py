@@ -108,3 +108,26 @@ def test_colours_beyond_8_and_16_bits_are_refused(tmp_path: Path) -> None:
     file = written(tmp_path / "a.tif", PIXELS.astype(np.float32))
     with pytest.raises(PictureError, match="float32; convert"):
         PictureFiles([file])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".webp"])
+def test_a_picture_with_the_name_of_a_jpeg_is_read(tmp_path: Path, suffix: str) -> None:
+    file = written(tmp_path / f"a{suffix}", PIXELS).rename(tmp_path / "a.jpg")
+    picture = PictureFiles([file]).read(file)
+    assert isinstance(picture, np.ndarray) and picture.shape == PIXELS.shape
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "empty"),
+        (b"<html>404</html>", "not a JPEG"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "git lfs pull"),
+    ],
+)
+def test_why_no_file_is_a_picture_is_said(tmp_path: Path, data: bytes, reason: str) -> None:
+    files = [tmp_path / f"{k}.jpg" for k in range(3)]
+    for file in files:
+        file.write_bytes(data)
+    with pytest.raises(PictureError, match=rf"0\.jpg: .*{reason}.*none of the 3 first files"):
+        PictureFiles(files)

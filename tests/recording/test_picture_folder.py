@@ -99,7 +99,7 @@ def test_stamps_out_of_order_are_marked(tmp_path: Path) -> None:
     own = [frame.own_stamp for frame in pictures.frames(Eye.PRIMARY) if isinstance(frame, Frame)]
     assert [k for k, each in enumerate(own) if not each] == [7, 8]
     (note,) = pictures.notes
-    assert "line 8: 0.300000 s is out of order, 2 stamps in all" in note
+    assert "line 8: 0.300000 s does not follow the one before, 2 stamps in all" in note
     times.write_text("".join(f"{0.1 * (k // 2):.2f}\n" for k in range(20)))
     with pytest.raises(SequenceError, match="times0"):
         PictureFolder(folder, times)
@@ -111,7 +111,7 @@ def test_a_file_that_is_no_picture_leaves_a_gap(tmp_path: Path) -> None:
     frames = list(PictureFolder(folder).frames(Eye.ASSISTANT, 5))
     assert [frame.sequence for frame in frames] == [0, 1, 2, 3]
     unusable = frames[2]
-    assert isinstance(unusable, Unusable) and "2.jpg: not a JPEG" in unusable.reason
+    assert isinstance(unusable, Unusable) and "2.jpg: empty" in unusable.reason
     assert isinstance(frames[3], Frame) and frames[3].t_ns == 300_000_005
 
 
@@ -121,3 +121,30 @@ def test_a_folder_without_pictures_is_named(tmp_path: Path) -> None:
     for folder in (tmp_path / "cam0", tmp_path / "absent"):
         with pytest.raises(SequenceError, match=folder.name):
             PictureFolder(folder)
+
+
+def test_a_clock_that_was_set_is_said(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "cam0", [f"{k:06d}.png" for k in range(20)])
+    times = tmp_path / "times0.txt"
+    times.write_text("".join(f"{0.1 * k + 1.779e9 * (k > 11):.2f}\n" for k in range(20)))
+    pictures = PictureFolder(folder, times)
+    np.testing.assert_allclose(pictures.t_ns, np.arange(20) * 10**8, atol=1)
+    (note,) = pictures.notes
+    assert "line 13" in note and "later ones are shifted by -1779000000.000 s" in note
+
+
+def test_a_link_that_leads_nowhere_is_a_lost_picture(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "cam0", [f"{k}.jpg" for k in range(4)])
+    (folder / "2.jpg").unlink()
+    (folder / "2.jpg").symlink_to("elsewhere.jpg")
+    (folder / "3.jpg").unlink()
+    (folder / "3.jpg").symlink_to("3.jpg")
+    frames = list(PictureFolder(folder).frames(Eye.PRIMARY))
+    assert [isinstance(frame, Unusable) for frame in frames] == [False, False, True, True]
+
+
+def test_other_kinds_of_pictures_are_to_be_converted(tmp_path: Path) -> None:
+    (tmp_path / "cam0").mkdir()
+    (tmp_path / "cam0" / "0.heic").write_bytes(b"\0\0\0\x18ftypheic")
+    with pytest.raises(SequenceError, match=r"convert its \.heic"):
+        PictureFolder(tmp_path / "cam0")

@@ -122,6 +122,11 @@ def _recording(drive: Path) -> Path:
     return drive / "0000.mcap"
 
 
+def _recording_folder(drive: Path) -> Path:
+    (drive / "cam0").rename(drive / "other")
+    return _recording(drive).parent
+
+
 def _too_few_times(drive: Path) -> Path:
     (drive / "times1.txt").write_text("0.0\n0.1\n")
     return drive
@@ -147,6 +152,7 @@ def _one_time_file(drive: Path) -> Path:
         (_video, "front.mp4: a file, not a folder of pictures; use calm-edge import"),
         (_videos, "videos or bags, not pictures; use calm-edge import"),
         (_recording, "record --replay"),
+        (_recording_folder, "a recording, not a folder of pictures; use record --replay"),
         (_too_few_times, "times1.txt: 2 times for 3 images"),
         (_one_time_file, "times0.txt: missing"),
     ],

@@ -87,3 +87,19 @@ def test_stamps_in_order_are_not_touched() -> None:
         found, own = ordered(t_ns)
         np.testing.assert_array_equal(found, t_ns)
         assert own.all()
+
+
+@pytest.mark.parametrize("first", [1, 30, 54])
+def test_a_clock_set_ahead_is_followed_at_the_regular_step(first: int) -> None:
+    t_ns = TRUE.copy()
+    t_ns[first:] += 56 * 365 * 86_400 * 1000 * MS
+    found, own = ordered(t_ns)
+    assert np.flatnonzero(~own).tolist() == [first]
+    assert np.abs(found - TRUE).max() < 20 * MS
+
+
+def test_an_hour_without_pictures_is_no_setting_of_the_clock() -> None:
+    t_ns = TRUE.copy()
+    t_ns[30:] += 3600 * 1000 * MS
+    found, own = ordered(t_ns)
+    assert own.all() and (found == t_ns).all()
