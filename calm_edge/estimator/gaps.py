@@ -13,8 +13,9 @@ import numpy as np
 
 from calm_edge.types import Landmarks, LoopClosure, Submap
 
-# Landmarks seen on both sides of a cut that join it; wrong matches give one or two.
-MIN_LINKS = 5
+# Landmarks seen on both sides of a cut that join it, at least, and as share of the median over the
+# window's other places; wrong matches give some, the more the more features there are.
+MIN_LINKS, MIN_LINK_SHARE = 5, 0.1
 # sigmas of what a car does meanwhile: m/s², or spacings/s² if the spacing is not known; rad/s
 ACCELERATION_M, ACCELERATION_SPACINGS = 3.0, 6.0
 TURN_RATE = 0.5
@@ -40,7 +41,7 @@ class Gap:
 
 
 def cuts(submap: Submap, landmarks: Landmarks | None) -> tuple[int, ...]:
-    """Primary views of a sub-map that fewer than MIN_LINKS landmarks connect with those before.
+    """Primary views of a sub-map that too few landmarks connect with those before.
 
     Views of the assistant lie before or after by their stamps. Empty without landmarks.
     """
@@ -57,7 +58,8 @@ def cuts(submap: Submap, landmarks: Landmarks | None) -> tuple[int, ...]:
     t_p = submap.t_ns[:n]
     middle = t_p[:-1] + (t_p[1:] - t_p[:-1]) // 2
     links = ((first[:, None] <= middle) & (last[:, None] > middle)).sum(0)
-    return tuple((np.flatnonzero(links < MIN_LINKS) + 1).tolist())
+    needed = max(MIN_LINKS, MIN_LINK_SHARE * float(np.median(links)))
+    return tuple((np.flatnonzero(links < needed) + 1).tolist())
 
 
 def uncertainty(seconds: float, speed: float, acceleration: float) -> tuple[float, float]:

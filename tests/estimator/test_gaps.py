@@ -40,6 +40,10 @@ def test_a_cut_is_where_hardly_a_landmark_passes() -> None:
     assert gaps.cuts(submap(), marks) == (3,)
     assert gaps.cuts(submap(), landmarks(*[left] * 9, *[right] * 9, *[(2, 3 + N)] * 5)) == ()
     assert gaps.cuts(submap(), None) == ()
+    # of many features a few wrong matches pass more often
+    many = [left] * 100, [right] * 100
+    assert gaps.cuts(submap(), landmarks(*many[0], *many[1], *[(2, 3 + N)] * 9)) == (3,)
+    assert gaps.cuts(submap(), landmarks(*many[0], *many[1], *[(2, 3 + N)] * 20)) == ()
 
 
 def test_what_is_not_seen_grows_with_the_time_and_the_speed() -> None:
