@@ -1,7 +1,7 @@
 # make demo: from nothing to a map. The other targets: setup test lint bench eval deb deb-test hil
-# vm-test interop faults.
+# vm-test interop faults readers.
 .DEFAULT_GOAL := demo
-.PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test interop faults
+.PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test interop faults readers
 
 CALM_EDGE := .venv/bin/python -m calm_edge.cli
 DEMO_DRIVE ?= demo/drive
@@ -47,6 +47,10 @@ lint: .venv/.stamp-dev
 	.venv/bin/lint-imports
 
 # what is done to the daemon, and what comes of it; FAULTS="kill disk" does some rows only
+# a recording in the MCAP readers of Rust and rerun, as far as they are installed
+readers: .venv/.stamp-dev
+	.venv/bin/python -m tests.interop.readers
+
 faults: .venv/.stamp-dev
 	.venv/bin/python -m tests.faults.table $(FAULTS)
 

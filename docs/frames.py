@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calm_edge.geometry import se3
-from calm_edge.pose_output.body_frame import body_pose, mounting
+from calm_edge.geometry.body_frame import body_pose, mounting
 from calm_edge.types import Float
 
 WIDTH, HEIGHT = 960, 640

@@ -62,6 +62,7 @@ class RecordingOutput(Output):
         self.writer.write_update(update)
 
     def attached(self, attached: Attached) -> None:
+        self.writer.write_odometry_frame(attached.T_map_odom)
         T_map_odom = attached.T_map_odom.ravel().tolist()
         self.writer.write_status(
             {

@@ -11,8 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from calm_edge.config import ConfigError, PoseOutputConfig
-from calm_edge.geometry import se3
-from calm_edge.pose_output import body_frame
+from calm_edge.geometry import body_frame, se3
 from calm_edge.pose_output.jump import jumped
 from calm_edge.pose_output.line_budget import ANSWERS_HZ, check_rate
 from calm_edge.pose_output.mavlink import (

@@ -7,13 +7,16 @@ beside them, see record.py.
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -21,10 +24,11 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.geometry.se3 import quaternions
-from calm_edge.types import Float, PoseSample, Trajectory
+from calm_edge.types import Float
 from device.frame import Eye
 
-WORLD_FRAME = "world"
+# REP 105; x forward, y left, z up (REP 103)
+MAP_FRAME, ODOM_FRAME, BODY_FRAME = "map", "odom", "base_link"
 _LEVELS = (
     (logging.CRITICAL, Log.FATAL),
     (logging.ERROR, Log.ERROR),
@@ -84,46 +88,66 @@ def camera_calibration(eye: Eye, camera: Camera, t_ns: int) -> CameraCalibration
     )
 
 
-def odometry(sample: PoseSample, t_ns: int) -> Odometry:
-    """Convert a live pose: primary camera in the world, velocity and covariance in camera axes."""
-    covariance, twist_covariance = sample.with_drift()
+def odometry(
+    T_o_b: Float, twist: tuple[Float, Float], covariances: tuple[Float, Float], t_ns: int
+) -> Odometry:
+    """Convert the pose T_o_b (4, 4) of the body in ODOM_FRAME.
+
+    twist: velocity (3,) and turn rate (3,) in body axes. covariances: (6, 6) of the pose in axes of
+    ODOM_FRAME, and of the twist; published as zeros, which mark an unknown one, if not finite.
+    """
     message = Odometry(
         timestamp=timestamp(t_ns),
-        frame_id=WORLD_FRAME,
-        body_frame_id=camera_frame(Eye.PRIMARY),
-        pose=poses(sample.T_w_c[None])[0],
-        pose_covariance=_known(covariance),
-        velocity_covariance=_known(twist_covariance),
+        frame_id=ODOM_FRAME,
+        body_frame_id=BODY_FRAME,
+        pose=poses(T_o_b[None])[0],
+        pose_covariance=_known(covariances[0]),
+        velocity_covariance=_known(covariances[1]),
     )
     v, w = message.linear_velocity, message.angular_velocity
-    v.x, v.y, v.z = sample.velocity_c.tolist()
-    w.x, w.y, w.z = sample.turn_rate_c.tolist()
+    v.x, v.y, v.z = twist[0].tolist()
+    w.x, w.y, w.z = twist[1].tolist()
     return message
 
 
 def _known(covariance: Float) -> list[float]:
-    """The elements of a covariance; zeros, which mark an unknown one, if any is not finite."""
     elements = covariance.ravel().tolist()
     return elements if np.isfinite(covariance).all() else [0.0] * len(elements)
 
 
-def trajectory(value: Trajectory, t_ns: int) -> PosesInFrame:
-    """Convert the poses of all keyframes in the world."""
-    return PosesInFrame(timestamp=timestamp(t_ns), frame_id=WORLD_FRAME, poses=poses(value.T_w_c))
+def path(T_m_b: Float, t_ns: int) -> PosesInFrame:
+    """Convert poses (N, 4, 4) of the body in MAP_FRAME."""
+    return PosesInFrame(timestamp=timestamp(t_ns), frame_id=MAP_FRAME, poses=poses(T_m_b))
 
 
-def frame_transform(child: str, T_w_child: Float, t_ns: int) -> FrameTransform:
-    """Convert T_w_child (4, 4) to the transform of frame `child` in the world."""
-    pose = poses(T_w_child[None])[0]
-    message = FrameTransform(
-        timestamp=timestamp(t_ns),
-        parent_frame_id=WORLD_FRAME,
-        child_frame_id=child,
-        rotation=pose.orientation,
-    )
-    p = pose.position
-    message.translation.x, message.translation.y, message.translation.z = p.x, p.y, p.z
+def transforms(frames: Iterable[tuple[str, str, Float]], t_ns: int) -> FrameTransforms:
+    """Convert transforms (parent, child, T_parent_child)."""
+    message = FrameTransforms()
+    for parent, child, T in frames:
+        pose = poses(T[None])[0]
+        transform = message.transforms.add(
+            timestamp=timestamp(t_ns),
+            parent_frame_id=parent,
+            child_frame_id=child,
+            rotation=pose.orientation,
+        )
+        p, t = pose.position, transform.translation
+        t.x, t.y, t.z = p.x, p.y, p.z
     return message
+
+
+def cloud(points_m: Float, t_ns: int) -> PointCloud:
+    """Convert points (N, 3) in MAP_FRAME; as float32."""
+    kind = PackedElementField.FLOAT32
+    fields = [PackedElementField(name=n, offset=4 * k, type=kind) for k, n in enumerate("xyz")]
+    return PointCloud(
+        timestamp=timestamp(t_ns),
+        frame_id=MAP_FRAME,
+        pose=poses(np.eye(4)[None])[0],
+        point_stride=12,
+        fields=fields,
+        data=np.ascontiguousarray(points_m, "<f4").tobytes(),
+    )
 
 
 def log(t_ns: int, level: int, message: str, name: str) -> Log:

@@ -3,11 +3,12 @@
 | topic | schema | time of the message |
 |---|---|---|
 | /primary/image, /assistant/image | foxglove.CompressedImage | Frame.t_ns |
-| /pose/live | foxglove.Odometry, none while the pose is lost | PoseSample.t_ns |
+| /pose/live | foxglove.Odometry of `base_link` in `odom`, none while lost | PoseSample.t_ns |
 | /pose/sample | calm_edge.PoseSample: the same pose, exact | PoseSample.t_ns |
-| /pose/keyframes | foxglove.PosesInFrame | newest keyframe of the sub-map |
-| /tf | foxglove.FrameTransform: `primary` in `world` | PoseSample.t_ns |
-| /tf | foxglove.FrameTransform: `submap` in `world` | newest keyframe of the sub-map |
+| /pose/path | foxglove.PosesInFrame: at most 500, every 10 s | as /submap |
+| /tf | foxglove.FrameTransforms: `map`, `odom`, `base_link`, the cameras | PoseSample.t_ns |
+| /cloud | foxglove.PointCloud: landmarks of a new sub-map in `map` | as /submap |
+| /kit | JSON: focal lengths, their sigmas, rig ... | as /submap |
 | /primary/calibration | foxglove.CameraCalibration, once the focal is observed | as /submap |
 | /assistant/calibration | the same of the other camera | as /submap |
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
@@ -26,6 +27,7 @@ An update is stored exactly except for depth (fp16; beyond its range: 0, unknown
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -33,18 +35,19 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from google.protobuf.message import DecodeError
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from calm_edge.kit import earlier, estimated
-from calm_edge.recording import RecordingError, camera_record, foxglove, record
+from calm_edge.kit import earlier
+from calm_edge.recording import RecordingError, camera_record, foxglove, json_schemas, record
 from calm_edge.recording.time_base import synchronised
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import LocalizerUpdate, PoseSample, PoseStatus
+from calm_edge.types import LocalizerUpdate, PoseSample
 from device.frame import Eye, Frame
 
 CALIBRATION_TOPICS = {
@@ -52,9 +55,9 @@ CALIBRATION_TOPICS = {
     Eye.ASSISTANT: "/assistant/calibration",
 }
 IMAGE_TOPICS = {Eye.PRIMARY: "/primary/image", Eye.ASSISTANT: "/assistant/image"}
-POSE_LIVE, POSE_SAMPLE, POSE_KEYFRAMES = "/pose/live", "/pose/sample", "/pose/keyframes"
+POSE_LIVE, POSE_SAMPLE, PATH = "/pose/live", "/pose/sample", "/pose/path"
 TF, SUBMAP, WINDOW, CLOCK, STATUS, LOG = "/tf", "/submap", "/window", "/clock", "/status", "/log"
-HEALTH = "/health"
+HEALTH, KIT, CLOUD = "/health", "/kit", "/cloud"
 
 CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
@@ -66,13 +69,19 @@ _PROTOBUF: dict[str, Any] = {
     **dict.fromkeys(CALIBRATION_TOPICS.values(), CameraCalibration),
     POSE_LIVE: Odometry,
     POSE_SAMPLE: record.message_class("PoseSample"),
-    POSE_KEYFRAMES: PosesInFrame,
-    TF: FrameTransform,
+    PATH: PosesInFrame,
+    TF: FrameTransforms,
+    CLOUD: PointCloud,
     SUBMAP: record.message_class("Submap"),
     WINDOW: record.message_class("Window"),
     LOG: Log,
 }
-_JSON = {CLOCK: "calm_edge.Clock", STATUS: "calm_edge.Status", HEALTH: "calm_edge.Health"}
+_JSON = {
+    CLOCK: ("calm_edge.Clock", json_schemas.CLOCK),
+    STATUS: ("calm_edge.Status", json_schemas.STATUS),
+    HEALTH: ("calm_edge.Health", json_schemas.HEALTH),
+    KIT: ("calm_edge.Kit", json_schemas.KIT),
+}
 TOPICS = (*_PROTOBUF, *_JSON)
 
 
@@ -106,22 +115,24 @@ class TopicSchema:
 def topic_schema(topic: str) -> TopicSchema:
     """Return the schema of one of TOPICS."""
     if topic in _JSON:
-        return TopicSchema(_JSON[topic], "jsonschema", b'{"type": "object"}', "json")
+        name, content = _JSON[topic]
+        return TopicSchema(name, "jsonschema", json.dumps(content).encode(), "json")
     kind = _PROTOBUF[topic]
     description = build_file_descriptor_set(kind).SerializeToString(deterministic=True)
     return TopicSchema(str(kind.DESCRIPTOR.full_name), "protobuf", description, "protobuf")
 
 
-def _message(topic: str, t_ns: int, message: Any, sequence: int = 0) -> LogMessage:
-    return LogMessage(topic, t_ns, bytes(message.SerializeToString()), sequence)
+def protobuf_message(topic: str, t_ns: int, content: Any, sequence: int = 0) -> LogMessage:
+    """Encode a protobuf message."""
+    return LogMessage(topic, t_ns, bytes(content.SerializeToString()), sequence)
 
 
 def frame_message(frame: Frame, origin_ns: int = 0) -> LogMessage:
     """Encode a frame's JPEG or PNG bytes, unchanged. origin_ns: as of the TimeBase."""
     assert isinstance(frame.image, bytes)
     stamp = frame.t_ns - origin_ns if frame.own_stamp else None
-    message = foxglove.image(frame.eye, stamp, frame.image)
-    return _message(IMAGE_TOPICS[frame.eye], frame.t_ns, message, frame.sequence)
+    image = foxglove.image(frame.eye, stamp, frame.image)
+    return protobuf_message(IMAGE_TOPICS[frame.eye], frame.t_ns, image, frame.sequence)
 
 
 def read_frame(eye: Eye, sequence: int, t_ns: int, data: bytes) -> Frame:
@@ -135,21 +146,10 @@ def read_frame(eye: Eye, sequence: int, t_ns: int, data: bytes) -> Frame:
     return Frame(eye, sequence, t_ns, bytes(message.data), own_stamp)
 
 
-def pose_messages(sample: PoseSample, origin_ns: int = 0) -> list[LogMessage]:
-    """Encode a live pose: exactly, and as odometry and transform for Foxglove.
-
-    For a lost pose there is no transform, and without a velocity no odometry: neither has a value
-    for what is unknown. origin_ns: as of the TimeBase.
-    """
-    t_ns, stamp_ns = sample.t_ns, sample.t_ns - origin_ns
-    messages = [LogMessage(POSE_SAMPLE, t_ns, record.encode("PoseSample", *record.flatten(sample)))]
-    if sample.status is PoseStatus.LOST or not np.isfinite(sample.T_w_c).all():
-        return messages
-    if np.isfinite([sample.velocity_c, sample.turn_rate_c]).all():
-        messages.append(_message(POSE_LIVE, t_ns, foxglove.odometry(sample, stamp_ns)))
-    primary = foxglove.camera_frame(Eye.PRIMARY)
-    messages.append(_message(TF, t_ns, foxglove.frame_transform(primary, sample.T_w_c, stamp_ns)))
-    return messages
+def pose_message(sample: PoseSample) -> LogMessage:
+    """Encode a live pose exactly; for viewers, see `display`."""
+    data = record.encode("PoseSample", *record.flatten(sample))
+    return LogMessage(POSE_SAMPLE, sample.t_ns, data)
 
 
 def read_pose(data: bytes) -> PoseSample:
@@ -157,15 +157,8 @@ def read_pose(data: bytes) -> PoseSample:
     return record.unflatten(PoseSample, *record.decode("PoseSample", data))
 
 
-def update_messages(
-    update: LocalizerUpdate, log_depth: bool, origin_ns: int = 0
-) -> list[LogMessage]:
-    """Encode an update: exactly except depth (see the module), and its poses for Foxglove.
-
-    origin_ns: as of the TimeBase.
-    """
-    t_ns = int(update.submap.t_ns.max())
-    stamp_ns = t_ns - origin_ns
+def update_message(update: LocalizerUpdate, log_depth: bool) -> LogMessage:
+    """Encode an update exactly except depth (see the module); for viewers, see `display`."""
     header, arrays = record.flatten(update)
     depth = arrays.pop("prediction.depth", None)
     confidence = arrays.pop("prediction.confidence", None)
@@ -175,27 +168,8 @@ def update_messages(
         if confidence is not None:
             steps = np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 255)
             arrays["prediction.confidence"] = steps.astype(np.uint8)
-    submap = foxglove.frame_transform("submap", update.submap.T_w_s, stamp_ns)
-    return [
-        LogMessage(SUBMAP, t_ns, record.encode("Submap", header, arrays)),
-        _message(POSE_KEYFRAMES, t_ns, foxglove.trajectory(update.trajectory, stamp_ns)),
-        _message(TF, t_ns, submap),
-        *calibration_messages(update, t_ns, origin_ns),
-    ]
-
-
-def calibration_messages(
-    update: LocalizerUpdate, t_ns: int, origin_ns: int = 0
-) -> list[LogMessage]:
-    """Encode the estimated cameras for Foxglove; none of an eye whose focal is not observed."""
-    return [
-        _message(
-            CALIBRATION_TOPICS[eye],
-            t_ns,
-            foxglove.camera_calibration(eye, camera, t_ns - origin_ns),
-        )
-        for eye, camera in estimated.cameras(update).items()
-    ]
+    t_ns = int(update.submap.t_ns.max())
+    return LogMessage(SUBMAP, t_ns, record.encode("Submap", header, arrays))
 
 
 def read_update(data: bytes, size_of: Callable[[Eye], tuple[int, int]]) -> LocalizerUpdate:
@@ -248,10 +222,19 @@ def clock_message(t_ns: int, realtime_ns: int, monotonic_ns: int) -> LogMessage:
 
 
 def json_message(topic: str, t_ns: int, value: Mapping[str, Any]) -> LogMessage:
-    """Encode a JSON object for /clock, /status or /health; other types as text."""
-    return LogMessage(topic, t_ns, json.dumps(value, default=str).encode())
+    """Encode a JSON object; other types as text, numbers that JSON does not have as null."""
+    text = json.dumps(_finite(value), default=str, allow_nan=False)
+    return LogMessage(topic, t_ns, text.encode())
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def log_message(t_ns: int, level: int, message: str, name: str, origin_ns: int = 0) -> LogMessage:
     """Encode a log line; level as in Python's logging. origin_ns: as of the TimeBase."""
-    return _message(LOG, t_ns, foxglove.log(t_ns - origin_ns, level, message, name))
+    return protobuf_message(LOG, t_ns, foxglove.log(t_ns - origin_ns, level, message, name))

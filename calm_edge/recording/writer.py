@@ -19,6 +19,7 @@ import calm_edge
 from calm_edge.config import Config
 from calm_edge.recording import RecordingError, schema
 from calm_edge.recording.chain import SegmentChain
+from calm_edge.recording.display import Display
 from calm_edge.recording.health import WriterHealth, boot_id
 from calm_edge.recording.mailbox import Mailbox
 from calm_edge.recording.record import array_bytes
@@ -26,7 +27,7 @@ from calm_edge.recording.schema import LogMessage
 from calm_edge.recording.segment import Write, segment_files
 from calm_edge.recording.time_base import TimeBase
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import LocalizerUpdate, PoseSample
+from calm_edge.types import Float, LocalizerUpdate, PoseSample
 from device.frame import Frame
 
 RETRY_S = 1.0
@@ -64,6 +65,7 @@ class RecordingWriter:
         self._config, self._now_ns = config, now_ns
         time_base = time_base or TimeBase()
         self._origin_ns = time_base.origin_ns
+        self._display = Display(config.pose_output, self._origin_ns)
         session = {
             schema.CONFIG_METADATA: {"json": json.dumps(config.to_dict())},
             schema.SESSION_METADATA: {
@@ -130,7 +132,7 @@ class RecordingWriter:
 
     def write_pose(self, sample: PoseSample) -> None:
         """Record a live pose."""
-        self._put(lambda: schema.pose_messages(sample, self._origin_ns), 1024)
+        self._put(lambda: [schema.pose_message(sample), *self._display.pose(sample)], 1024)
 
     def write_update(self, update: LocalizerUpdate) -> None:
         """Record the update of a sub-map and the poses it changed.
@@ -139,7 +141,20 @@ class RecordingWriter:
         """
         log_depth = self._config.recording.log_depth
         size = array_bytes(update)
-        self._put(lambda: schema.update_messages(update, log_depth, self._origin_ns), size)
+
+        def encode() -> list[LogMessage]:
+            return [schema.update_message(update, log_depth), *self._display.update(update)]
+
+        self._put(encode, size)
+
+    def write_odometry_frame(self, T_map_odom: Float) -> None:
+        """Take the pose (4, 4) of the tracker's odometry frame for the poses that follow."""
+
+        def encode() -> list[LogMessage]:
+            self._display.T_map_odom = T_map_odom
+            return []
+
+        self._put(encode, 1024)
 
     def write_window(self, record: WindowRecord) -> None:
         """Record the frames of a window; a later record of the same sub-map replaces it."""

@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from calm_edge.geometry import se3
-from calm_edge.geometry.se3 import compose, so3_exp
-from calm_edge.pose_output.body_frame import (
+from calm_edge.geometry.body_frame import (
     body_covariance,
     body_pose,
     body_twist,
     local_covariance,
     mounting,
 )
+from calm_edge.geometry.se3 import compose, so3_exp
 
 RIGHT, DOWN, FORWARD = np.eye(3)
 angles = st.floats(-3.1, 3.1)

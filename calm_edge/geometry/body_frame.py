@@ -9,11 +9,14 @@ are in world units.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calm_edge.geometry import se3
-from calm_edge.types import Float
+
+Float = NDArray[np.float64]
 
 # body x is camera z, body y is camera x, body z is camera y
+FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0, 1.0])
 FRD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -45,13 +48,18 @@ def body_twist(T_b_c: Float, velocity_c: Float, turn_rate_c: Float) -> tuple[Flo
     return velocity, turn_rate
 
 
+def local_jacobian(T_b_c: Float, T_l_b: Float) -> Float:
+    """Jacobian (6, 6) of a small motion in local axes by that in camera axes, both (t, r)."""
+    return np.asarray(np.kron(np.eye(2), T_l_b[:3, :3]) @ se3.adjoint(T_b_c))
+
+
 def local_covariance(T_b_c: Float, T_l_b: Float, covariance: Float) -> tuple[float, ...]:
     """Transform a pose covariance (6, 6) in camera axes to local axes; upper triangle by rows (21).
 
     Order (translation, rotation). The rotation is about the fixed local axes: approximately roll,
     pitch and yaw while the car is nearly level.
     """
-    J = np.kron(np.eye(2), T_l_b[:3, :3]) @ se3.adjoint(T_b_c)
+    J = local_jacobian(T_b_c, T_l_b)
     return _upper_rows(J @ covariance @ J.T)
 
 
