@@ -1,7 +1,7 @@
 # make demo: from nothing to a map. The other targets: setup test lint bench eval deb deb-test hil
-# vm-test interop faults readers.
+# vm-test browser interop faults readers.
 .DEFAULT_GOAL := demo
-.PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test interop faults readers
+.PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test browser interop faults readers
 
 CALM_EDGE := .venv/bin/python -m calm_edge.cli
 DEMO_DRIVE ?= demo/drive
@@ -53,6 +53,10 @@ readers: .venv/.stamp-dev
 
 faults: .venv/.stamp-dev
 	.venv/bin/python -m tests.faults.table $(FAULTS)
+
+# map.html used in headless Chromium with software rendering; skips without it
+browser: .venv/.stamp-dev
+	.venv/bin/python -m pytest -rs tests/browser/map_in_browser.py
 
 # what we send over the serial line, read by a Rust and a Node decoder; skips what is not here
 interop: .venv/.stamp-dev

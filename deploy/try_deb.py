@@ -199,7 +199,7 @@ def record() -> str:
 def make_map() -> str:
     """Map the recording; then no file of the package may have changed by all this use."""
     output = as_user(f"calm-edge map {DATA}/try --out {DATA}/map")
-    for name in ("map.ply", "trajectory.tum", "report.html"):
+    for name in ("map.ply", "trajectory.tum", "report.html", "map.html"):
         expect((TREE / DATA.lstrip("/") / "map" / name).exists(), f"no {name}: {output}")
     changed = inside("dpkg --verify calm-edge || true").strip()
     expect(not changed, f"files of the package were changed by use: {changed}")

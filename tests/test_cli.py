@@ -275,6 +275,8 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
     assert main(["eval", str(out), "--truth", str(drive)]) == 0
     assert "ate_sim3_m" in capsys.readouterr().out
     assert "The trajectory from above" in (out / "report.html").read_text()
+    walk = (out / "map.html").read_text()
+    assert "calmEdgeMap.points(" in walk and "calmEdgeMap.pictures([[0," in walk
     assert main(["map", str(recorded), "--out", str(out)]) == 1
     assert "already holds" in only_line(capsys)
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from calm_edge.offline.drive import Drive
     from calm_edge.offline.unfinished import Unfinished
     from calm_edge.recording.reader import Recording
+    from calm_edge.report.map_page import Written
     from calm_edge.types import Bytes
 
 
@@ -39,6 +40,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--truth", type=Path, metavar="FOLDER", help="report the error against this ground truth"
     )
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
+    parser.add_argument(
+        "--no-pictures", action="store_true", help="no pictures of the cameras in map.html"
+    )
     again = parser.add_mutually_exclusive_group()
     again.add_argument(
         "--force", action="store_true", help="replace the map that is in the output folder"
@@ -75,7 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
             if drive is None:
                 shutil.rmtree(leftover)
                 return LOSS
-            code = make_map(recording, config, work, drive, out, truth)
+            pictures = not arguments.no_pictures
+            code = make_map(recording, config, work, drive, out, truth, pictures=pictures)
             print(f"took        {time.monotonic() - started:.0f} s")
             return code
         except (KeyboardInterrupt, CalmEdgeError):
@@ -90,17 +95,24 @@ def make_map(
     drive: Drive,
     out: Path,
     truth: Truth | None,
+    *,
+    pictures: bool,
 ) -> int:
     """Compute the depth, write all files and print what was written; return the exit code.
 
-    Raises CalmEdgeError; what was computed is then in `work`.
+    pictures: whether map.html has pictures of the cameras. Raises CalmEdgeError; what was computed
+    is then in `work`.
     """
     from calm_edge.estimator.gaps import described
     from calm_edge.evaluation import EvaluationError
     from calm_edge.mapping.cloud_file import read_cloud
-    from calm_edge.offline.map_drive import MAP, make_cloud, write_trajectory
+    from calm_edge.offline.map_drive import MAP, PAGE, make_cloud, write_trajectory
+    from calm_edge.report.drive_view import map_view
+    from calm_edge.report.keyframe_pictures import keyframe_pictures
+    from calm_edge.report.map_page import write_map_page
 
-    n_points, seams = make_cloud(recording, config, drive, out, work.spool, say)
+    tiles, seams = make_cloud(recording, config, drive, out, work.spool, say)
+    n_points = int(tiles[:, 1].sum())
     estimate = write_trajectory(recording, config, drive, out, seams)
     points_w, color = read_cloud(out / MAP)
     estimate = replace(estimate, points_w=points_w)
@@ -117,8 +129,16 @@ def make_map(
     except EvaluationError as error:
         losses.append(f"not compared with the truth: {error}")
         write_report(title, estimate, color, drive, None, losses, out)
+    origin = recording.origin_ns
+    stamps = estimate.t_ns + origin
+    shown = keyframe_pictures(recording, drive.windows, stamps) if pictures else ()
+    submaps = [update.submap for update in drive.updates]
+    grain = config.mapping.cloud_voxel * config.scale.spacing
+    page = write_map_page(
+        out / PAGE, map_view(title, estimate, color, tiles, submaps, origin, grain, shown)
+    )
     work.remove()
-    print_files(out, n_points, seams, estimate)
+    print_files(out, n_points, seams, estimate, page)
     print_metre(drive.metre, config.scale.spacing_m)
     if drive.unsolved:
         losses.append(
@@ -197,9 +217,11 @@ def check_folder(out: Path, *, force: bool, resume: bool) -> Path:
     return unfinished
 
 
-def print_files(out: Path, n_points: int, seams: SeamSummary | None, estimate: Estimate) -> None:
+def print_files(
+    out: Path, n_points: int, seams: SeamSummary | None, estimate: Estimate, page: Written
+) -> None:
     """Print what was written."""
-    from calm_edge.offline.map_drive import KITTI, MAP, REPORT, TUM
+    from calm_edge.offline.map_drive import KITTI, MAP, PAGE, REPORT, TUM
 
     print(f"map         {out / MAP} ({n_points:,} points)")
     if seams is not None:
@@ -208,6 +230,7 @@ def print_files(out: Path, n_points: int, seams: SeamSummary | None, estimate: E
             f" {seams.median_after:.3g} after deformation (median of {seams.n_anchors:,} anchors)"
         )
     print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
+    print(f"walk        {out / PAGE} ({page})")
     print(f"report      {out / REPORT}")
 
 

@@ -72,6 +72,10 @@ class Mapper:
         for submap_id, rows in fresh.items():
             self._fusion.add(rows, self._placed[submap_id])
 
+    def submap_ids(self) -> list[int]:
+        """Ids of the sub-maps added, in the order of the tiles."""
+        return sorted(self._placed)
+
     def finish(self, submaps: Iterable[Submap] = ()) -> Iterator[MapTile]:
         """Yield one tile per sub-map, in order of ids; over all tiles one point per voxel.
 
@@ -81,7 +85,7 @@ class Mapper:
         self._move(submaps)
         active = self._active()
         thin = VoxelFilter(self._config.cloud_voxel * self._spacing, self._folder)
-        for submap_id in sorted(self._placed):
+        for submap_id in self.submap_ids():
             points, color = self.points(submap_id)
             deformation = self._fit(submap_id, active, points)
             self._deformations[submap_id] = deformation

@@ -23,16 +23,17 @@ from calm_edge.offline.drive import Drive
 from calm_edge.offline.progress import Progress
 from calm_edge.recording.reader import Recording
 from calm_edge.trajectories import write_kitti, write_tum
-from calm_edge.types import Float32
+from calm_edge.types import Float32, Int
 
-MAP, TUM, KITTI, SUMMARY, REPORT = (
+MAP, TUM, KITTI, SUMMARY, REPORT, PAGE = (
     "map.ply",
     "trajectory.tum",
     "trajectory.kitti",
     "summary.json",
     "report.html",
+    "map.html",
 )
-OUTPUTS = (MAP, TUM, KITTI, SUMMARY, REPORT)
+OUTPUTS = (MAP, TUM, KITTI, SUMMARY, REPORT, PAGE)
 
 
 def make_cloud(
@@ -42,11 +43,12 @@ def make_cloud(
     out: Path,
     spool: Path,
     say: Callable[[str], None],
-) -> tuple[int, SeamSummary | None]:
+) -> tuple[Int, SeamSummary | None]:
     """Compute depth and anchors of all sub-maps and write map.ply, over an existing one.
 
     spool: folder for scratch files, removed by the caller; depth found in it is not computed again.
-    Returns the number of points, and statistics of the distances between sub-maps' positions of
+    Returns the number of points of each sub-map that has depth, in the order of their ids as in
+    the file, as rows (id, points), and statistics of the distances between sub-maps' positions of
     common anchors.
     """
     mapper = Mapper(config.mapping, config.scale.spacing, spool, config.backbone.seed)
@@ -66,10 +68,13 @@ def make_cloud(
         mapper.add(update.submap, *depth, images)
         progress.step(free=done)
     say("fusing and deforming the sub-maps")
+    sizes = []
     with CloudWriter(out / MAP, replace=True) as cloud:
         for tile in mapper.finish():
             cloud.write(tile)
-    return cloud.count, seam_summary(mapper.seams())
+            sizes.append(len(tile.points_w))
+    rows = np.array([mapper.submap_ids(), sizes], np.int64).T
+    return rows, seam_summary(mapper.seams())
 
 
 def _spooled(spool: Spool, submap_id: int) -> tuple[Float32, Float32]:

@@ -97,6 +97,11 @@ def _headline(
     return cards
 
 
+def unit(estimate: Estimate) -> str:
+    """Unit of the world: m, spacings, or `units` where a given spacing did not give metres."""
+    return "m" if estimate.metric else "units" if estimate.spacing_m else "spacings"
+
+
 def report_data(
     title: str,
     estimate: Estimate,
@@ -111,7 +116,6 @@ def report_data(
     color: (P, 3) RGB of estimate.points_w. figures: from `results.compare`. notes: sentences to
     add to those of `unobserved`.
     """
-    unit = "m" if estimate.metric else "units" if estimate.spacing_m else "spacings"
     figures = dict(figures or {})
     truth_w = windows = None
     if truth is not None and len(truth.t_ns) and len(estimate.t_ns) >= MIN_POSES:
@@ -138,7 +142,7 @@ def report_data(
     return ReportData(
         title,
         estimate.T_w_c,
-        unit,
+        unit(estimate),
         estimate.points_w,
         color,
         truth_w,
@@ -149,7 +153,7 @@ def report_data(
         None if truth is None or truth.cameras is None else np.array([c.fx for c in truth.cameras]),
         windows,
         estimate.stage_ms,
-        tuple(_headline(estimate, unit, points, figures)),
+        tuple(_headline(estimate, unit(estimate), points, figures)),
         {label(name): measured(name, v) for name, v in table.items() if v is not None},
         (*unobserved(estimate), *notes),
     )
