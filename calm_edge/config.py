@@ -22,7 +22,9 @@ class CaptureConfig:
     white_balance_k, focus: a number, `auto`, `auto-then-lock` (after two seconds) or `lock` (at the
     current value), see device.camera.CameraControls. Autofocus only with `auto`. readout_ms: time
     from the exposure of the first row to that of the last, 0 for a global shutter, one value or one
-    per camera, a hint: it is learned from driving.
+    per camera, a hint: it is learned from driving. mask: image of each camera, black where its
+    picture shows no scene, e.g. the bonnet; "" to learn it. mask_cells: as read from these by
+    `record`, which are then not needed by `map`.
     """
 
     primary: str = "v4l2:"
@@ -37,6 +39,8 @@ class CaptureConfig:
     white_balance_k: int | str = "auto"
     focus: int | str = "lock"
     readout_ms: tuple[float, ...] = ()
+    mask: tuple[str, ...] = ()
+    mask_cells: tuple[str, ...] = ()
 
     @property
     def readout_s_of_eye(self) -> tuple[float | None, float | None]:

@@ -59,6 +59,18 @@ class SubmapWindow:
 
 
 @dataclass(frozen=True, slots=True)
+class Masks:
+    """What is left out of the pictures of each eye, `geometry/picture_mask`; None: nothing."""
+
+    primary: Bytes | None = None
+    assistant: Bytes | None = None
+
+    def of_eye(self, eye: int) -> Bytes | None:
+        """Mask of one eye."""
+        return self.assistant if eye else self.primary
+
+
+@dataclass(frozen=True, slots=True)
 class KitBelief:
     """Gaussian over the constants of a kit: optics of both cameras, rig, and time offset.
 
@@ -111,6 +123,7 @@ class Hints:
     estimate of them, or None. n_shared: number of last primary images of which the next
     batch wants an overlap; 0: none.
     travel: (3,) direction of travel of earlier batches, unit vector in the primary's axes, or None.
+    masks: parts of the images that show no scene, or None.
     """
 
     eyes: Int
@@ -127,6 +140,7 @@ class Hints:
     late_sigma_s: float = 0.0
     apart: bool = False
     travel: Float | None = None
+    masks: Masks | None = None
 
     def without_loop(self) -> Hints:
         """Hints of the window alone."""
@@ -485,7 +499,8 @@ class LocalizerUpdate:
     trajectory: keyframes that are new or have moved; all of them if the epoch has changed.
     stage_ms: stage name -> milliseconds. kit: belief after this window. notices: lines for the
     user. loop: loop closure found (IV-D). loop_keyframe: the earlier keyframe that was appended to
-    the batch, for the record of the window. metre: of the drive after this window.
+    the batch, for the record of the window. metre: of the drive after this window. masks: parts of
+    the pictures that show no scene, as known then.
     """
 
     submap: Submap
@@ -497,6 +512,7 @@ class LocalizerUpdate:
     loop: LoopClosure | None = None
     loop_keyframe: Keyframe | None = None
     metre: Metre = field(default_factory=Metre)
+    masks: Masks | None = None
 
     @property
     def scale_log_sigma(self) -> float:

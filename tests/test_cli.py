@@ -170,6 +170,10 @@ def test_unreadable_images_are_a_loss_and_not_the_end(
         (["--hfov-deg", "190"], "hfov_deg"),
         (["--set", "capture.readout_ms=[-1.0]"], "capture.readout_ms"),
         (["--set", "capture.readout_ms=[8.0, 9.0, 10.0]"], "capture.readout_ms"),
+        (["--set", 'capture.mask=["/nonexistent.png"]'], "/nonexistent.png: cannot be read"),
+        (["--set", 'capture.mask=["/dev/null"]'], "/dev/null: not an image"),
+        (["--set", 'capture.mask=["a", "b", "c"]'], "capture.mask"),
+        (["--set", 'capture.mask_cells=["2x2:00"]'], "capture.mask"),
         (["--spacing-m", "-1"], "spacing_m"),
     ],
 )

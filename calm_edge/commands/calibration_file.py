@@ -51,19 +51,25 @@ def with_calibration(config: Config, say: Callable[[str], None]) -> Config:
     return config
 
 
+def picture_size(
+    config: Config, eye: Eye, sequence: Path | None, recording: Recording | None
+) -> tuple[int, int]:
+    """Width and height [px] of what is replayed, otherwise as configured."""
+    if sequence is not None:
+        height, width = next(iter(SequenceFolder(sequence).frames(eye))).gray().shape
+        return width, height
+    if recording is not None:
+        return recording.picture_size(eye)
+    return config.capture.width_px, config.capture.height_px
+
+
 def refuse_other_sizes(config: Config, sequence: Path | None, recording: Recording | None) -> None:
     """Raise ConfigError if the calibration cannot be converted to the size of the pictures.
 
     sequence, recording: what is replayed; otherwise the size is the configured one.
     """
     for eye, entry in zip(Eye, config.calibration.cameras, strict=False):
-        if sequence is not None:
-            frame = next(iter(SequenceFolder(sequence).frames(eye)))
-            height, width = frame.gray().shape
-        elif recording is not None:
-            width, height = recording.picture_size(eye)
-        else:
-            width, height = config.capture.width_px, config.capture.height_px
+        width, height = picture_size(config, eye, sequence, recording)
         camera, reason = matched(camera_of(entry), width, height)
         if camera is None:
             files = ", ".join(config.calibration.file)

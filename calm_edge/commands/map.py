@@ -124,11 +124,12 @@ def make_map(
         losses.append("the map has no points: no depth was found in any sub-map")
     recorded = recording.path.resolve()
     title = f"{recorded.parent.name}/{recorded.name}"
+    late = last_pictures(recording, drive)
     try:
-        write_report(title, estimate, color, drive, truth, losses, out)
+        write_report(title, estimate, color, drive, truth, losses, out, late)
     except EvaluationError as error:
         losses.append(f"not compared with the truth: {error}")
-        write_report(title, estimate, color, drive, None, losses, out)
+        write_report(title, estimate, color, drive, None, losses, out, late)
     origin = recording.origin_ns
     stamps = estimate.t_ns + origin
     shown = keyframe_pictures(recording, drive.windows, stamps) if pictures else ()
@@ -150,6 +151,15 @@ def make_map(
     if no_metre:
         say_no_metre(drive.metre.reason)
     return LOSS if losses or no_metre else OK
+
+
+def last_pictures(recording: Recording, drive: Drive) -> list[Bytes]:
+    """A late picture (H, W, 3) of each eye of a drive that has masks; else none."""
+    if drive.updates[-1].masks is None:
+        return []
+    window = recording.window(drive.windows[-1])
+    eyes = (window.primary, window.assistant)
+    return [keyframes[-1].frame.bgr() for keyframes in eyes if keyframes]
 
 
 def placed_drive(recording: Recording, config: Config, work: Unfinished) -> Drive | None:
@@ -242,10 +252,11 @@ def write_report(
     truth: Truth | None,
     losses: Sequence[str],
     out: Path,
+    pictures: Sequence[Bytes],
 ) -> None:
     """Write report.html, including the trajectory error if truth is given.
 
-    color: (P, 3) RGB of the points.
+    color: (P, 3) RGB of the points. pictures: one of each eye.
     """
     from calm_edge.evaluation.results import compare
     from calm_edge.offline.map_drive import REPORT
@@ -253,5 +264,5 @@ def write_report(
     from calm_edge.report.report import write_report as write
 
     figures = compare(estimate, truth) if truth is not None else None
-    data = report_data(title, estimate, drive.updates, color, truth, figures, losses)
+    data = report_data(title, estimate, drive.updates, color, truth, figures, losses, pictures)
     write(out / REPORT, data)

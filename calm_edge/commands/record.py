@@ -85,7 +85,7 @@ def metres(text: str) -> float:
 def effective_config(arguments: argparse.Namespace, base: Config | None = None) -> Config:
     """Merge `base`, file, --set and the other options; later ones override earlier ones.
 
-    Calibration files are read into the configuration.
+    Calibration files and masks are read into the configuration.
 
     base: the defaults if None; its calibration is not read again. If precision or views per run of
     a model are `auto`, they are chosen for this computer. Raises ConfigError, BackboneError,
@@ -93,6 +93,7 @@ def effective_config(arguments: argparse.Namespace, base: Config | None = None) 
     """
     from calm_edge.backbones.onnx.precision import pinned
     from calm_edge.commands.calibration_file import with_calibration
+    from calm_edge.commands.mask_file import with_masks
     from calm_edge.config import ConfigError, load, merge
 
     config = load(arguments.config, arguments.set, base)
@@ -107,6 +108,9 @@ def effective_config(arguments: argparse.Namespace, base: Config | None = None) 
     recorded = base.calibration.file if base is not None else ()
     if config.calibration.file and (arguments.calibration or config.calibration.file != recorded):
         config = with_calibration(config, say)
+    masks = base.capture.mask if base is not None else ()
+    if config.capture.mask != masks:
+        config = with_masks(config)
     spacing_m = config.scale.spacing_m
     if spacing_m and not SPACING_M[0] <= spacing_m <= SPACING_M[1]:
         raise ConfigError(
@@ -171,6 +175,7 @@ def open_source(
 def run(arguments: argparse.Namespace) -> int:
     """Record until the frames end or until SIGINT or SIGTERM."""
     from calm_edge.commands.calibration_file import refuse_other_sizes
+    from calm_edge.commands.mask_file import refuse_other_shapes
     from calm_edge.daemon.run import Target, record
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
@@ -187,6 +192,7 @@ def run(arguments: argparse.Namespace) -> int:
         config = effective_config(arguments, base)
         source = open_source(arguments, config, recording)
         refuse_other_sizes(config, arguments.sequence, recording)
+        refuse_other_shapes(config, arguments.sequence, recording)
         target = Target(arguments.out or arguments.root, is_root=arguments.out is None)
         lockstep = arguments.pace == "lockstep"
         code = report(*record(config, source, target, notifier, lockstep=lockstep, say=say))

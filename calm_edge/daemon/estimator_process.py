@@ -95,6 +95,7 @@ class EstimatorWork:
                 localizer.solved_again,
                 localizer.gaps,
                 localizer.kit,
+                localizer.masks,
             )
         if isinstance(message, Expect) and isinstance(self._backbone, ExpectsPictures):
             self._received.add(message.keyframe)

@@ -49,4 +49,5 @@ def final_updates(finished: Finished) -> Iterator[LocalizerUpdate]:
             ),
             kit=finished.kit,
             metre=finished.metre,
+            masks=finished.masks,
         )

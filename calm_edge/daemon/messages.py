@@ -16,6 +16,7 @@ from calm_edge.types import (
     Float,
     KitBelief,
     LocalizerUpdate,
+    Masks,
     Metre,
     PoseSample,
     Prediction,
@@ -221,7 +222,7 @@ class Finished:
 
     trajectory: None without a sub-map. solved_again: by sub-map id, the solutions of windows that
     have been solved again from their pictures, or for the first time, since their Processed. gaps:
-    of the path, which nothing connects. kit: final belief.
+    of the path, which nothing connects. kit: final belief. masks: as in LocalizerUpdate.
     """
 
     submaps: tuple[Submap, ...]
@@ -230,6 +231,7 @@ class Finished:
     solved_again: dict[int, Prediction] = field(default_factory=dict)
     gaps: tuple[Gap, ...] = ()
     kit: KitBelief | None = None
+    masks: Masks | None = None
 
 
 @dataclass(frozen=True, slots=True)

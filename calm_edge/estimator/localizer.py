@@ -20,6 +20,7 @@ from calm_edge.config import Config
 from calm_edge.estimator import gaps, scale, window_submap
 from calm_edge.estimator.atlas import Atlas, SkippedWindow
 from calm_edge.estimator.direction_memory import DirectionMemory
+from calm_edge.estimator.ego_masks import EgoMasks
 from calm_edge.estimator.held_windows import HeldWindows, unsettled
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.estimator.kit_watch import KitWatch, Slip, Suspect
@@ -31,6 +32,7 @@ from calm_edge.estimator.stage_time import timed
 from calm_edge.estimator.stamp_correction import StampCorrection
 from calm_edge.estimator.window_solver import Reconstruction, WindowSolver
 from calm_edge.kit.belief import product
+from calm_edge.kit.given_mask import masks_of
 from calm_edge.kit.prior import KitPrior
 from calm_edge.loops.descriptor import descriptor_of
 from calm_edge.loops.finder import LoopFinder, PlaceLoops
@@ -42,6 +44,7 @@ from calm_edge.types import (
     Int,
     KitBelief,
     LocalizerUpdate,
+    Masks,
     Metre,
     Prediction,
     Submap,
@@ -103,6 +106,7 @@ class Localizer:
         self._told_epoch = 0
         self._watch = KitWatch()
         self._stamps = StampCorrection()
+        self._ego = EgoMasks(masks_of(config.capture))
         self._retimed = False
         self._solver = WindowSolver(
             config,
@@ -115,6 +119,7 @@ class Localizer:
             metre=self._metre,
             watch=self._watch,
             stamps=self._stamps,
+            ego=self._ego,
             retimed=self._retime,
         )
 
@@ -154,6 +159,11 @@ class Localizer:
         """Belief on the kit, of earlier drives and this one."""
         return self._memory.belief()
 
+    @property
+    def masks(self) -> Masks | None:
+        """Parts of the pictures that show no scene, as known now; None if there are none."""
+        return self._ego.masks
+
     def process(self, window: SubmapWindow) -> LocalizerUpdate | None:
         """Process a window; None if it could not be reconstructed (see `skipped`)."""
         atlas, stage_ms = self._atlas, dict[str, float]()
@@ -187,6 +197,7 @@ class Localizer:
                 self._held.hold(window, sigma)
             lines += self._kit_prior.contradicted(self._memory.evidence()) + self._unused
             lines += (self._stamps.notice,) if self._stamps.notice else ()
+            lines += self._ego.notices
             notices = self._new_notices(lines)
             self._memory.prior = self._kit_prior.belief
             self._replacements.stale |= solved.recalibrated
@@ -216,6 +227,7 @@ class Localizer:
             loop=closed,
             loop_keyframe=window.loop_keyframe if closed is not None else None,
             metre=self.metre,
+            masks=self.masks,
         )
 
     def leave_out(self, submap_id: int, t_ns: Int) -> None:
@@ -288,6 +300,7 @@ class Localizer:
         if update.submap.kit_epoch > self._memory.epoch(None):
             self._memory.begin_epoch(update.submap.id, None)
         self._atlas.add(self._rectifier.rectify(update.submap))
+        self._ego.restore(update.masks)
         self._memory.add(update.submap.id, update.prediction, hints)
         if update.loop is not None:
             self._atlas.add_loop(update.loop)
@@ -320,7 +333,7 @@ class Localizer:
         self._request()
         self._atlas.settle(self._optimiser)
         if self.metre.metric:
-            self._kit_prior.save(self._memory.evidence())
+            self._kit_prior.save(self._memory.evidence(), self._ego.log_odds)
         return self.trajectory()
 
     def kit_sigma(self, submap_id: int) -> Float | None:

@@ -12,6 +12,7 @@ from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
 from calm_edge.config import Config
 from calm_edge.estimator import scale, window_submap
 from calm_edge.estimator.direction_memory import DirectionMemory
+from calm_edge.estimator.ego_masks import EgoMasks
 from calm_edge.estimator.judgement import judge
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.estimator.kit_watch import KitWatch
@@ -72,12 +73,14 @@ class WindowSolver:
         metre: DriveMetre,
         watch: KitWatch,
         stamps: StampCorrection,
+        ego: EgoMasks,
         retimed: Callable[[], None],
     ) -> None:
         self._config, self._backbone = config, backbone
         self._memory, self._kit_prior, self._rectifier = memory, kit_prior, rectifier
         self._loops, self._direction, self._metre = loops, direction, metre
         self._watch, self._stamps, self._retimed = watch, stamps, retimed
+        self._ego = ego
 
     def solved(
         self, window: SubmapWindow, sources: Sequence[Submap], stage_ms: dict[str, float]
@@ -141,6 +144,9 @@ class WindowSolver:
         with timed(stage_ms, "rectify"):
             submap = self._rectifier.rectify(raw)
         judge(submap, self._config.scale.spacing)
+        if not known:
+            with timed(stage_ms, "mask"):
+                self._learn_masks(window, images, hints, prediction)
         closed = self._loops.closure(window, submap, prediction, candidate, sources)
         if window.loop_keyframe is not None and closed is None:
             if known:
@@ -157,6 +163,15 @@ class WindowSolver:
         self._metre.object_to("pictures", ALIKE if alike else None)
         if alike:
             raise scale.ScaleError(ALIKE)
+
+    def _learn_masks(
+        self, window: SubmapWindow, images: list[Bytes], hints: Hints, prediction: Prediction
+    ) -> None:
+        """Learn what is attached to the car."""
+        n = len(window.primary)
+        eyes = np.asarray(hints.eyes)[: n + len(window.assistant)]
+        cameras = [prediction.cameras[0], prediction.cameras[n if len(eyes) > n else 0]]
+        self._ego.add(window.submap_id, images, eyes, cameras, prediction.T_s_c)
 
     def _inferred(
         self, window: SubmapWindow, images: list[Bytes], kit: KitBelief | None
@@ -203,6 +218,7 @@ class WindowSolver:
             self._kit_prior.forget(lens=True)
             self._watch.acquit()
         self._kit_prior.open(self._memory.sizes)
+        self._ego.remember(self._kit_prior.ego)
         self._memory.prior = self._kit_prior.belief
         hints = Hints(
             eyes=np.array([frame.eye for frame in frames], np.int64),
@@ -217,5 +233,6 @@ class WindowSolver:
             n_shared=self._config.overlap_shared,
             apart=self._stamps.wanted(window.submap_id),
             travel=self._direction.direction,
+            masks=self._ego.masks,
         )
         return replace(hints, late_s=self._stamps.late_s(hints), late_sigma_s=self._stamps.sigma_s)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.geometry import se3
+from calm_edge.geometry import picture_mask, se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.flow import corners, follow
 from calm_edge.types import Bytes, Float, Float32
@@ -78,9 +78,21 @@ def step(
     return known.kept(~wide), p_m[fine], known.uv[fine]
 
 
-def replenish(known: Candidates, gray: Bytes, taken: Float32, T_m_c: Float, n: int) -> Candidates:
-    """Add corners of `gray`, up to `n` in all, not near known ones or pixels `taken` (Q, 2)."""
-    fresh = corners(gray, n, np.concatenate([known.uv, taken]))
+def replenish(
+    known: Candidates,
+    gray: Bytes,
+    taken: Float32,
+    T_m_c: Float,
+    n: int,
+    mask: Bytes | None = None,
+) -> Candidates:
+    """Add corners of `gray`, up to `n` in all, not near known ones or pixels `taken` (Q, 2).
+
+    mask: part of the picture that is left out, or None.
+    """
+    height, width = gray.shape
+    used = None if mask is None else picture_mask.kept(mask, (height, width))
+    fresh = corners(gray, n, np.concatenate([known.uv, taken]), used)
     fresh = fresh[: max(0, n - len(known.uv))]
     born = np.broadcast_to(T_m_c, (len(fresh), 4, 4))
     return Candidates(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.geometry import se3
+from calm_edge.geometry import picture_mask, se3
 from calm_edge.geometry.camera import back_project_each
 from calm_edge.geometry.flow import corners
 from calm_edge.types import Bytes, Float, Float32, Int, LocalizerUpdate
@@ -50,6 +50,10 @@ def of_update(update: LocalizerUpdate, count: int, gray: Bytes | None = None) ->
     else:
         view, uv, depth = _from_depth(update, gray)
     front = np.isfinite(depth) & (depth > 0)
+    mask = None if update.masks is None else update.masks.primary
+    if mask is not None:
+        camera = submap.cameras[0]
+        front &= ~picture_mask.inside(mask, uv, (camera.width, camera.height))
     view, uv, depth = view[front], np.asarray(uv[front], np.float32), depth[front]
     step = max(1, -(-len(view) // count))
     view, uv, depth = view[::step], uv[::step], depth[::step] * submap.scale

@@ -59,6 +59,7 @@ class Tracker:
         self._followed_ns = 0
         self._drift = Drift()
         self._replaced = 0.0
+        self._mask: Bytes | None = None
 
     def track(self, t_ns: int, gray: Bytes, *, own_stamp: bool = True) -> PoseSample:
         """Pose of the frame exposed at t_ns; LOST and NaN if it cannot be localised.
@@ -137,6 +138,7 @@ class Tracker:
         old points are used until then.
         """
         self._readout_s = readout_s(update)
+        self._mask = None if update.masks is None else update.masks.primary
         newest_id, errors = update.submap.primary_ids[-1], SubmapErrors.of_update(update)
         place = {p.keyframe_id: i for i, p in enumerate(self._past) if p.keyframe_id is not None}
         newest = self._past[place[newest_id]].gray if newest_id in place else None
@@ -181,6 +183,7 @@ class Tracker:
             return False
         self._follower = Tracker(self.config)
         self._follower._readout_s = self._readout_s
+        self._follower._mask = self._mask
         self._follower._tracks = replace(start, seen_in=first.gray)
         self._follower._path.add(first.t_ns, known[keyframe])
         self._followed_ns = first.t_ns
@@ -263,7 +266,7 @@ class Tracker:
         room = self.config.tracker_points - len(uv)
         if len(self._candidates.uv) < room / 2:
             self._candidates = candidates.replenish(
-                self._candidates, tracks.seen_in, uv, T_m_c, room
+                self._candidates, tracks.seen_in, uv, T_m_c, room, self._mask
             )
         own = tracks.own + self._replaced * (1 - tracks.own)
         return replace(tracks, p_m=p_m, uv=uv, own=own)

@@ -57,14 +57,19 @@ def away_from(shape: tuple[int, int], taken: Float32, radius_px: float) -> Gray:
     return mask
 
 
-def corners(gray: Gray, count: int, taken: Float32 | None = None) -> Float32:
+def corners(
+    gray: Gray, count: int, taken: Float32 | None = None, used: Gray | None = None
+) -> Float32:
     """Detect up to `count` Shi-Tomasi corners (M, 2) px, spread over the image, strongest first.
 
-    taken: (Q, 2) px points to keep a distance from. See cv2.goodFeaturesToTrack.
+    taken: (Q, 2) px points to keep a distance from. used: (H, W), 0 in parts left out. See
+    cv2.goodFeaturesToTrack.
     """
     spread = max(5.0, 0.5 * float(np.sqrt(gray.size / max(count, 1))))
     height, width = gray.shape
     mask = None if taken is None else away_from((height, width), taken, spread)
+    if used is not None:
+        mask = used if mask is None else mask & used
     found = cv2.goodFeaturesToTrack(gray, count, 0.005, spread, mask=mask)
     if found is None:
         return np.zeros((0, 2), np.float32)

@@ -20,15 +20,25 @@ VERSION = 1
 # Rounding allowed in the symmetry and definiteness of the information, scaled to unit diagonal.
 _ROUNDING = 1e-6
 
+# Log odds (2, rows, columns) of the mask of each eye, see `ego_mask.EgoMask`; None: none learned.
+EgoLogOdds = tuple[Float | None, Float | None]
+
 
 class KitFileError(CalmEdgeError):
     """A kit file that cannot be read, parsed or written."""
 
 
-def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) -> None:
+def save(
+    path: Path,
+    cameras: tuple[str, str],
+    sizes: Int,
+    belief: KitBelief,
+    ego: EgoLogOdds = (None, None),
+) -> None:
     """Write the belief atomically, safe against power cuts; raises KitFileError.
 
-    cameras: the capture address of each eye. sizes: (2, 2) width, height [px] of each eye.
+    cameras: the capture address of each eye. sizes: (2, 2) width, height [px] of each eye. ego: log
+    odds of each eye's mask, see `ego_mask.EgoMask`.
     """
     content = {
         "format": FORMAT,
@@ -37,6 +47,7 @@ def save(path: Path, cameras: tuple[str, str], sizes: Int, belief: KitBelief) ->
         "sizes": np.asarray(sizes).tolist(),
         "mean": belief.mean.tolist(),
         "information": belief.information.tolist(),
+        "ego_log_odds": [None if each is None else each.round(2).tolist() for each in ego],
     }
     try:
         text = json.dumps(content, indent=1, allow_nan=False)
@@ -54,13 +65,14 @@ class KitFile:
     """Content of a kit file. cameras, sizes: as in `save`, not validated.
 
     belief: as saved; None if another version of the program saved it in another layout, which
-    `unknown` then describes.
+    `unknown` then describes. ego: as in `save`.
     """
 
     cameras: Any = None
     sizes: Any = None
     belief: KitBelief | None = None
     unknown: str = ""
+    ego: EgoLogOdds = (None, None)
 
 
 def read(path: Path) -> KitFile | None:
@@ -95,7 +107,8 @@ def read(path: Path) -> KitFile | None:
     if not _is_information(information):
         raise _damaged(path, "its information matrix is not positive semidefinite")
     belief = KitBelief(mean=mean, information=information)
-    return KitFile(content.get("cameras"), content.get("sizes"), belief)
+    ego = _ego_log_odds(path, content)
+    return KitFile(content.get("cameras"), content.get("sizes"), belief, ego=ego)
 
 
 def remembered(
@@ -132,6 +145,20 @@ def _numbers(path: Path, content: dict[str, Any], key: str, dimensions: int) -> 
     if numbers.ndim != dimensions or not np.isfinite(numbers).all():
         raise _damaged(path, f"{key} is not an array of numbers")
     return numbers
+
+
+def _ego_log_odds(path: Path, content: dict[str, Any]) -> EgoLogOdds:
+    """Log odds of both eyes' masks; none of an eye that has none, as in files without masks."""
+    entries = content.get("ego_log_odds", [None, None])
+    if not isinstance(entries, list) or len(entries) != 2:
+        raise _damaged(path, "ego_log_odds does not name two cameras")
+    found = []
+    for each in entries:
+        name = {"ego_log_odds": each}
+        found.append(None if each is None else _numbers(path, name, "ego_log_odds", 3))
+    if any(each is not None and (len(each) != 2 or each.size == 0) for each in found):
+        raise _damaged(path, "ego_log_odds has another shape than a mask")
+    return found[0], found[1]
 
 
 def _is_information(information: Float) -> bool:

@@ -34,6 +34,8 @@ class KitPrior:
         self._sizes: Int | None = None
         self._remembered: KitBelief | None = None
         self._compared = 0
+        # log odds of the masks of an earlier drive
+        self.ego: file.EgoLogOdds = (None, None)
         self._calibrated = CalibratedKit(config.calibration)
 
     @property
@@ -60,6 +62,8 @@ class KitPrior:
         if self._path is None:
             return
         self._remembered, reason = file.remembered(self._path, self._kept, self._cameras, sizes)
+        if self._remembered is not None and self._kept is not None:
+            self.ego = self._kept.ego
         if reason:
             log.info("kit memory: %s", reason)
 
@@ -89,10 +93,10 @@ class KitPrior:
         self._remembered = None
         return self._calibrated.after_change(lens=lens)
 
-    def save(self, evidence: KitBelief | None) -> None:
+    def save(self, evidence: KitBelief | None, ego: file.EgoLogOdds = (None, None)) -> None:
         """Write what all drives have observed, for the next one; failures are logged.
 
-        A file that cannot be parsed is never overwritten.
+        ego: log odds of the masks. A file that cannot be parsed is never overwritten.
         """
         belief = product([self._remembered, evidence])
         if self._path is None or self._sizes is None or belief is None:
@@ -103,6 +107,6 @@ class KitPrior:
         try:
             # the file may have been replaced since the drive began
             file.read(self._path)
-            file.save(self._path, self._cameras, self._sizes, known)
+            file.save(self._path, self._cameras, self._sizes, known, ego)
         except file.KitFileError as error:
             log.error("%s", error)

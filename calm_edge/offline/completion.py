@@ -70,7 +70,7 @@ def completed(
     for submap in localizer.submaps:
         record, update = _result(submap, records, logged, solved, localizer, drive.trajectory)
         drive.windows.append(record)
-        drive.updates.append(replace(update, metre=drive.metre))
+        drive.updates.append(replace(update, metre=drive.metre, masks=localizer.masks))
     if drive.trajectory is not None:
         drive.updates[-1] = replace(drive.updates[-1], trajectory=drive.trajectory)
     drive.unsolved = sorted(set(records) - {submap.id for submap in localizer.submaps})

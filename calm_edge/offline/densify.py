@@ -17,10 +17,11 @@ import numpy as np
 from calm_edge.backbones.base import Backbone
 from calm_edge.backbones.registry import open_backbone
 from calm_edge.config import Config
+from calm_edge.geometry import picture_mask
 from calm_edge.processes import CHILD_ENVIRONMENT, environment, follow_parent, signals_held
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import WindowRecord, window_hints
-from calm_edge.types import CalmEdgeError, Float32, LocalizerUpdate
+from calm_edge.types import CalmEdgeError, Float32, Int, LocalizerUpdate, Masks
 
 WORKERS = 2
 # windows submitted ahead, which bounds the depth maps held in memory
@@ -97,4 +98,15 @@ def _densify(record: WindowRecord, update: LocalizerUpdate) -> tuple[Float32, Fl
     confidence = prediction.confidence
     if confidence is None:
         confidence = np.ones_like(prediction.depth)
-    return prediction.depth, confidence
+    return used_depth(prediction.depth, update.masks, record.eyes), confidence
+
+
+def used_depth(depth: Float32, masks: Masks | None, eyes: Int) -> Float32:
+    """Depth (N, h, w), unknown (0) in the parts of the pictures that are left out."""
+    used = depth.copy()
+    for eye in (0, 1):
+        mask = None if masks is None else masks.of_eye(eye)
+        if mask is not None:
+            left_out = picture_mask.stretched(mask, (depth.shape[1], depth.shape[2]))
+            used[(eyes == eye)[:, None, None] & left_out] = 0
+    return used

@@ -55,7 +55,10 @@ def make_cloud(
     earlier = Spool(spool)
     known = [earlier.holds(update.submap.id) for update in drive.updates]
     windows = list(compress(drive.windows, np.logical_not(known)))
-    updates = list(compress(drive.updates, np.logical_not(known)))
+    # what the drive knew at its end of the bonnet holds for all windows
+    masks = drive.updates[-1].masks if drive.updates else None
+    unknown = compress(drive.updates, np.logical_not(known))
+    updates = [replace(update, masks=masks) for update in unknown]
     depths = densified(recording.path, config, windows, updates)
     progress = Progress("depth and anchors of sub-maps", len(known), say)
     for record, update, done in zip(drive.windows, drive.updates, known, strict=True):

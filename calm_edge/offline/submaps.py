@@ -152,7 +152,13 @@ def _recompute(
         record, update = found[submap.id]
         prediction = with_poses(update.prediction, submap.cameras_raw, submap.T_s_c_raw)
         drive.windows.append(record)
-        update = replace(update, submap=submap, prediction=prediction, metre=drive.metre)
+        update = replace(
+            update,
+            submap=submap,
+            prediction=prediction,
+            metre=drive.metre,
+            masks=localizer.masks,
+        )
         drive.updates.append(update)
     if drive.updates and drive.trajectory is not None:
         drive.updates[-1] = replace(drive.updates[-1], trajectory=drive.trajectory)

@@ -93,4 +93,5 @@ def window_hints(record: WindowRecord, update: LocalizerUpdate, config: Config) 
         loop=record.has_loop,
         n_overlap=record.n_overlap,
         n_shared=config.overlap_shared,
+        masks=update.masks,
     )

@@ -19,6 +19,7 @@ from calm_edge.evaluation.results import (
 from calm_edge.evaluation.table import label, measured
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry.similarity import align
+from calm_edge.report.mask_image import shaded
 from calm_edge.report.report import ReportData
 from calm_edge.types import Bytes, Float, Int, LocalizerUpdate
 
@@ -110,11 +111,12 @@ def report_data(
     truth: Truth | None = None,
     figures: Mapping[str, Any] | None = None,
     notes: Sequence[str] = (),
+    pictures: Sequence[Bytes] = (),
 ) -> ReportData:
     """Assemble the data of the report page.
 
     color: (P, 3) RGB of estimate.points_w. figures: from `results.compare`. notes: sentences to
-    add to those of `unobserved`.
+    add to those of `unobserved`. pictures: one (H, W, 3) BGR of each eye, to show its mask in.
     """
     figures = dict(figures or {})
     truth_w = windows = None
@@ -156,4 +158,5 @@ def report_data(
         tuple(_headline(estimate, unit(estimate), points, figures)),
         {label(name): measured(name, v) for name, v in table.items() if v is not None},
         (*unobserved(estimate), *notes),
+        shaded(pictures, updates[-1].masks if updates else None),
     )

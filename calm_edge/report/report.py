@@ -28,7 +28,8 @@ class ReportData:
     t_s: (S,) time of each sub-map. scale: (S,) relative to the first. focal_px,
     focal_log_sigma: (S, 2). truth_focal_px: (2,). scale_windows: (W, 2) of (t,
     scale against the truth). stage_ms: mean per sub-map. headline: pairs (number, caption).
-    figures: name -> value. notes: sentences on what could not be determined.
+    figures: name -> value. notes: sentences on what could not be determined. left_out: pictures
+    (h, w, 3) RGB of `mask_image`.
     """
 
     title: str
@@ -47,6 +48,7 @@ class ReportData:
     headline: tuple[tuple[str, str], ...] = ()
     figures: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    left_out: tuple[Bytes, ...] = ()
 
 
 def _photo(image: Bytes) -> str:
@@ -141,6 +143,10 @@ def render(data: ReportData) -> str:
         drawn = curves.focal(data.t_s, data.focal_px, data.focal_log_sigma, data.truth_focal_px)
         note = "Bands: one and three sigma. Dashed: ground truth, if given."
         parts.append(page.section("Focal length over time", note, drawn))
+    if data.left_out:
+        photos = "".join(f'<img alt="picture" src="{_photo(v)}">' for v in data.left_out)
+        note = "Red: shows the car or nothing, not the scene; used for no pose and no depth."
+        parts.append(page.section("Left out of the pictures", note, photos))
     if data.stage_ms:
         parts.append(page.section("Time by stage", "Mean per sub-map.", _stages(data.stage_ms)))
     if data.figures:

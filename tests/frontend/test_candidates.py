@@ -36,3 +36,12 @@ def test_new_corners_keep_a_distance_from_taken_pixels() -> None:
     second = replenish(Candidates.none(), image, first.uv, T, 60)
     gaps = np.linalg.norm(first.uv[:, None] - second.uv[None], axis=-1)
     assert len(second.uv) and gaps.min() > 5
+
+
+def test_no_corners_are_taken_where_the_picture_is_left_out() -> None:
+    T = drive(1)[0]
+    image, nothing = WORLD.render(T), np.zeros((0, 2), np.float32)
+    mask = np.array([[0], [1]], np.uint8)
+    found = replenish(Candidates.none(), image, nothing, T, 100, mask)
+    assert len(found.uv) > 20 and found.uv[:, 1].max() < image.shape[0] / 2
+    assert replenish(Candidates.none(), image, nothing, T, 100).uv[:, 1].max() > image.shape[0] / 2

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from calm_edge.config import FrontendConfig
+from calm_edge.frontend import landmark_cloud
 from calm_edge.frontend.remembered import OWN_SCALE_SIGMA
 from calm_edge.frontend.tracker import Tracker
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
-from calm_edge.types import Bytes, Float, KitBelief, Metre, PoseSample, PoseStatus
+from calm_edge.types import Bytes, Float, KitBelief, Masks, Metre, PoseSample, PoseStatus
 from tests.frontend.plane_world import DEPTH, HEIGHT, WIDTH, PlaneWorld, drive
 
 PERIOD_NS = 100_000_000
@@ -343,3 +344,16 @@ def test_the_readout_of_a_rolling_shutter_is_corrected() -> None:
     kit = layout.prior((None, None), readout_s=(readout_s, readout_s))
     # the turn rate is that before the frame
     assert largest_error_deg(kit) < 0.75 * largest_error_deg(None)
+
+
+def test_points_on_the_bonnet_have_no_say() -> None:
+    poses = drive(3)
+    lower = Masks(np.array([[0], [1]], np.uint8), None)
+    for with_depth in (False, True):
+        update = WORLD.update(
+            0, [0, 1, 2], [stamp(i) for i in range(3)], poses, with_depth=with_depth
+        )
+        gray = WORLD.render(poses[-1])
+        uv = landmark_cloud.of_update(replace(update, masks=lower), 300, gray).uv
+        assert len(uv) > 20 and uv[:, 1].max() < HEIGHT / 2
+        assert landmark_cloud.of_update(update, 300, gray).uv[:, 1].max() > HEIGHT / 2

@@ -47,6 +47,24 @@ def test_a_saved_belief_is_read_back_faded(tmp_path_factory, seed, rank):
     assert np.array_equal(back.information, faded(kept).information)
 
 
+def test_the_masks_of_a_kit_are_kept(tmp_path):
+    ego = np.random.default_rng(0).uniform(-9, 9, (2, 18, 32)).round(2)
+    file.save(tmp_path / "kit.json", CAMERAS, SIZES, belief(), (None, ego))
+    kept = file.read(tmp_path / "kit.json")
+    assert kept.ego[0] is None and np.array_equal(kept.ego[1], ego)
+
+
+@pytest.mark.parametrize("wrong", [7, [None], [None, 3], [None, [[1.0]]], [[[["x"]]], None]])
+def test_damaged_masks_are_refused(tmp_path, wrong):
+    path = saved(tmp_path, ego_log_odds=wrong)
+    with pytest.raises(file.KitFileError, match="ego_log_odds"):
+        file.read(path)
+
+
+def test_a_kit_file_without_masks_is_read(tmp_path):
+    assert file.read(saved(tmp_path, ego_log_odds=None)).ego == (None, None)
+
+
 def test_the_same_belief_gives_the_same_bytes(tmp_path):
     for name in ("a.json", "b.json"):
         file.save(tmp_path / name, CAMERAS, SIZES, belief())

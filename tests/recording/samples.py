@@ -20,6 +20,7 @@ from calm_edge.types import (
     KitBelief,
     Landmarks,
     LocalizerUpdate,
+    Masks,
     PoseSample,
     PoseStatus,
     Prediction,
@@ -93,7 +94,8 @@ def update(i: int = 0, depth: bool = True) -> LocalizerUpdate:
     poses = exp(rng.normal(size=(9, 6)))
     trajectory = Trajectory(np.arange(9), T0_NS + np.arange(9), poses, exp(rng.normal(size=6)), i)
     stage_ms = {"infer": 1 / 7, "place": 0.1}
-    return LocalizerUpdate(submap, prediction, trajectory, stage_ms, kit)
+    masks = Masks(None, np.arange(6, dtype=np.uint8).reshape(2, 3) % 2)
+    return LocalizerUpdate(submap, prediction, trajectory, stage_ms, kit, masks=masks)
 
 
 def window(i: int = 0, loop: bool = True) -> SubmapWindow:

@@ -15,7 +15,7 @@ from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry.camera import Perspective
 from calm_edge.report.drive_report import report_data, unobserved
 from calm_edge.report.report import ReportData, render, write_report
-from calm_edge.types import LocalizerUpdate
+from calm_edge.types import LocalizerUpdate, Masks
 from tests.evaluation.worlds import curve, stamps, update
 
 N = 160
@@ -108,6 +108,19 @@ def test_curves_hold_the_truth_only_when_given() -> None:
     # the truth is aligned to the estimate's world, which here is the same
     assert np.allclose(data.truth_w, curve(N)[: len(data.truth_w), :3, 3], atol=1e-6)
     assert np.allclose(data.scale_windows[:, 1], 1, atol=1e-3)
+
+
+def test_the_parts_left_out_are_shown_in_the_pictures() -> None:
+    masks = Masks(None, np.array([[0], [1]], np.uint8))
+    updates = [*_updates()[:-1], replace(_updates()[-1], masks=masks)]
+    grey = np.full((360, 640, 3), 90, np.uint8)
+    data = report_data("t", from_updates("r", updates, N), updates, pictures=[grey, grey])
+    (picture,) = data.left_out
+    assert picture.shape == (270, 480, 3)
+    assert (picture[:130] == 90).all() and (picture[140:, :, 0] > 120).all()
+    assert "Left out of the pictures" in render(data)
+    without = report_data("t", from_updates("r", updates, N), _updates(), pictures=[grey, grey])
+    assert "Left out" not in render(without)
 
 
 def test_a_revised_sub_map_is_drawn_once_as_first_placed() -> None:

@@ -68,14 +68,18 @@ class Tracks:
 Rows = tuple[Int, Int, Float32, Float32, Float32]
 
 
-def detect_corners(gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW) -> Float32:
+def detect_corners(
+    gray: Gray, known: Float32, count: int = CORNERS_PER_VIEW, used: Gray | None = None
+) -> Float32:
     """New Shi-Tomasi corners (N, 2) px, spread over a grid, away from `known` (M, 2) px.
 
-    count: number of corners wanted, the known ones included.
+    count: number of corners wanted, the known ones included. used: (H, W), 0 in parts left out.
     """
     height, width = gray.shape
     distance = max(5.0, max(width, height) / 110)
     mask = away_from((height, width), known, distance)
+    if used is not None:
+        mask &= used
     columns, rows = GRID if width >= height else GRID[::-1]
     per_cell = -(-count // (columns * rows))
     found = []
@@ -187,14 +191,17 @@ def _apply(H: Float, uv: Float32) -> Float32:
 
 
 def temporal_tracks(
-    pictures: list[Gray], matching: Matching | None = None, lenses: Sequence[Camera] = ()
+    pictures: list[Gray],
+    matching: Matching | None = None,
+    lenses: Sequence[Camera] = (),
+    used: Gray | None = None,
 ) -> Iterator[tuple[Int, Float32, Float32]]:
-    """Corner tracks through consecutive pictures. lenses: that may be right.
+    """Corner tracks through consecutive pictures. lenses: that may be right. used: 0 if left out.
 
     Yields for each picture the track ids (n,), uv (n, 2) px and sigma (n,) px.
     """
     pairs = [(lens, lens) for lens in lenses]
-    uv = detect_corners(pictures[0], np.zeros((0, 2), np.float32))
+    uv = detect_corners(pictures[0], np.zeros((0, 2), np.float32), used=used)
     ids, sights = np.arange(len(uv)), FirstSights()
     sights.add(pictures[0], uv)
     born = np.zeros(len(uv), np.int64)
@@ -216,10 +223,11 @@ def temporal_tracks(
         at, registered = sights.corrected(target, moved[inlier])
         # while young a track has not drifted yet, and its last step may be blurred
         kept = registered | (view - born[ids[inlier]] <= YOUNG_VIEWS)
+        kept &= _in_used(used, at)
         inlier = inlier[kept]
         sights.keep(np.flatnonzero(kept))
         flow, uv, ids = at[kept] - uv[inlier], at[kept], ids[inlier]
-        new = detect_corners(target, uv)
+        new = detect_corners(target, uv, used=used)
         ids = np.concatenate([ids, n_tracks + np.arange(len(new))])
         n_tracks += len(new)
         born = np.concatenate([born, np.full(len(new), view)])
@@ -229,6 +237,15 @@ def temporal_tracks(
         uv = np.concatenate([uv, new])
         sigma = np.concatenate([sigma[inlier], np.full(len(new), FOLLOWED_PX, np.float32)])
         yield ids, uv, sigma
+
+
+def _in_used(used: Gray | None, uv: Float32) -> NDArray[np.bool_]:
+    """Whether uv (N, 2) px, inside the picture, are in a part that is not left out."""
+    if used is None:
+        return np.ones(len(uv), bool)
+    height, width = used.shape
+    column, row = np.clip(np.round(uv).astype(int), 0, [width - 1, height - 1]).T
+    return np.asarray(used[row, column] > 0)
 
 
 def _followed(
@@ -290,11 +307,13 @@ def window_tracks(
     H_a_p: Float | None,
     matching: Matching | None = None,
     lenses: Sequence[tuple[Camera, Camera]] = (),
+    used: tuple[Gray | None, Gray | None] = (None, None),
 ) -> Tracks:
     """All tracks of a window. partner: for each assistant view the primary index nearest in time.
 
     H_a_p: the infinite homography of a known kit (Hartley and Zisserman, "Multiple View Geometry",
     13.4); None to estimate it from matches. lenses: of primary and assistant, that may be right.
+    used: (H, W) of either, 0 where the picture is left out; None: all of it is used.
     """
     if matching is not None:
         matching.expect(primary, assistant, H_a_p)
@@ -314,6 +333,8 @@ def window_tracks(
             index = np.flatnonzero(ok)
             kept = on_epipolar_lines(points[index], there[index], EPIPOLAR_PX, lenses)
             ok[index[~kept]] = False
+        index = np.flatnonzero(ok)
+        ok[index[~_in_used(used[1], there[index])]] = False
         view = np.full(int(ok.sum()), len(primary) + j)
         return ids[ok], view, there[ok], sigma[ok], edges(assistant[j], there[ok])
 
@@ -321,7 +342,8 @@ def window_tracks(
     # a view's points are matched across the eyes while they are tracked to the next view
     with ThreadPoolExecutor(1, "across") as beside:
         found_across, n_before = [], 0
-        for i, (ids, uv, sigma) in enumerate(temporal_tracks(primary, matching, own_lenses)):
+        followed = temporal_tracks(primary, matching, own_lenses, used[0])
+        for i, (ids, uv, sigma) in enumerate(followed):
             edge = edges(primary[i], uv)
             edge[ids >= n_before] = 0
             n_before = max(n_before, int(ids.max(initial=-1)) + 1)

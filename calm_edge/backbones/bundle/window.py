@@ -13,11 +13,11 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Matching
 from calm_edge.backbones.bundle.problem import Measurements, State, project
 from calm_edge.backbones.bundle.tracks import Tracks, window_tracks
-from calm_edge.geometry import se3
+from calm_edge.geometry import picture_mask, se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.fisheye import FieldTooWide
 from calm_edge.kit import layout
-from calm_edge.types import Float, Hints, Int, Landmarks, Prediction
+from calm_edge.types import Bytes, Float, Hints, Int, Landmarks, Masks, Prediction
 
 MIN_VIEWS_OF_A_POINT = 3
 MIN_POINTS = 40
@@ -75,8 +75,15 @@ def measure(
     lenses = [layout.cameras(theta, size) for theta in kits]
     H_a_p = _infinite_homography(lenses[0], layout.rig(kits[0])) if rig_known else None
     eyes = [[gray[i] for i in views] for views in (primary, assistant)]
-    tracks = window_tracks(eyes[0], eyes[1], partner, H_a_p, matching, lenses)
+    masks = hints.masks or Masks()
+    used = _used(masks.primary, size[0]), _used(masks.assistant, size[1])
+    tracks = window_tracks(eyes[0], eyes[1], partner, H_a_p, matching, lenses, used)
     return _measurements(tracks, hints, size)
+
+
+def _used(mask: Bytes | None, size: Int) -> Bytes | None:
+    """(H, W), 0 where a picture of size width, height is left out; None: all of it is used."""
+    return None if mask is None else picture_mask.kept(mask, (int(size[1]), int(size[0])))
 
 
 def _infinite_homography(lenses: tuple[Camera, Camera], T_p_a: Float) -> Float:

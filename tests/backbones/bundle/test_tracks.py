@@ -231,3 +231,24 @@ def test_an_upright_picture_has_the_corners_of_the_lying_one():
     assert abs(len(upright) - len(lying)) <= 0.05 * len(lying)
     nearest = np.linalg.norm(lying[:, None] - upright[None, :, ::-1], axis=2).min(1)
     assert (nearest < 1.0).mean() > 0.95
+
+
+def test_nothing_is_tracked_in_parts_that_are_left_out():
+    pictures = [texture((320, 128), 3)]
+    for step in (4, 8, 12):
+        pictures.append(np.roll(pictures[0], step, axis=0))
+    used = np.full((128, 320), 255, np.uint8)
+    used[88:] = 0
+    seen = list(tracks.temporal_tracks(pictures, used=used))
+    assert all(len(uv) > 20 and uv[:, 1].max() < 88 for _, uv, _ in seen)
+    # points move down, into the part that is left out, and end there
+    assert any(uv[:, 1].max() > 88 for _, uv, _ in tracks.temporal_tracks(pictures))
+
+
+def test_no_match_ends_in_a_part_of_the_other_camera_that_is_left_out():
+    picture = texture((320, 128), 4)
+    used = np.full((128, 320), 255, np.uint8)
+    used[:, :100] = 0
+    found = tracks.window_tracks([picture] * 3, [picture], [1], np.eye(3), used=(None, used))
+    across = found.uv[found.view == 3]
+    assert len(across) > 20 and across[:, 0].min() > 99
