@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.interchange.calibration.calibration import Calibration, CalibrationError
 from calm_edge.interchange.calibration.fields import is_yaml_with, numbers, parsed_yaml
@@ -93,12 +94,8 @@ def write(folder: Path, calibration: Calibration, notes: tuple[str, ...]) -> lis
     comment = "".join(f"# {note}\n" for note in notes)
     files = []
     for name, each, rotation, projection in zip(NAMES, calibration.cameras, R, P, strict=False):
-        lens, k = each.camera, coefficients(each.camera)
-        model = "plumb_bob" if len(k) < 8 else "rational_polynomial"
-        if isinstance(lens, Fisheye):
-            model = "equidistant"
-        elif len(k) == 4:
-            k.append(0.0)  # camera_info has 5 coefficients
+        lens = each.camera
+        model, k = distortion_of(lens)
         content = {
             "image_width": lens.width,
             "image_height": lens.height,
@@ -113,6 +110,16 @@ def write(folder: Path, calibration: Calibration, notes: tuple[str, ...]) -> lis
         path.write_text(comment + yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
         files.append(path)
     return files
+
+
+def distortion_of(camera: Camera) -> tuple[str, list[float]]:
+    """Name of a camera's distortion model and its coefficients, as in camera_info."""
+    k = coefficients(camera)
+    if isinstance(camera, Fisheye):
+        return "equidistant", k
+    if len(k) == 4:
+        k.append(0.0)  # camera_info has 5 coefficients
+    return ("plumb_bob" if len(k) < 8 else "rational_polynomial"), k
 
 
 def _rectified(calibration: Calibration) -> tuple[list[Float], list[Float]]:

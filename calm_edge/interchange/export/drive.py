@@ -86,6 +86,7 @@ class ExportedDrive:
             np.array([s.t_ns for s in tracked], np.int64),
             np.array([s.T_w_c for s in tracked]).reshape(-1, 4, 4),
             np.array([s.epoch for s in tracked], np.int64),
+            np.array([s.covariance[:3, :3] for s in tracked]).reshape(-1, 3, 3),
         )
         poses: dict[Eye, FramePoses] = {}
         for eye in self.eyes:
@@ -121,11 +122,13 @@ def read_drive(path: Path, recording: Path | None = None) -> ExportedDrive:
 def _of_recording(path: Path) -> ExportedDrive:
     recording = Recording(path)
     trajectories: list[Trajectory] = []
-    lateness: list[tuple[int, int]] = []
+    lateness: dict[int, tuple[int, int]] = {}
     last: LocalizerUpdate | None = None
     for update in recording.updates():
         trajectories.append(update.trajectory)
-        lateness.append((int(np.median(update.submap.t_ns)), update.submap.late_ns))
+        submap = update.submap
+        # the last of several updates of a sub-map counts
+        lateness[submap.id] = int(np.median(submap.t_ns)), submap.late_ns
         last = update
     keyframes = folded(trajectories)
     if last is None or keyframes is None or not len(keyframes.t_ns):
@@ -145,7 +148,7 @@ def _of_recording(path: Path) -> ExportedDrive:
         recording,
         keyframes,
         last,
-        np.array(lateness, np.int64),
+        np.array(list(lateness.values()), np.int64),
         stamp_ns,
         stamps,
         recording.config.scale.spacing_m or 0.0,
@@ -200,7 +203,9 @@ def _clock(recording: Recording) -> tuple[int, str]:
     metadata = recording.metadata
     if metadata.get(CLOCK_KEY) in (WallClock.SYNCHRONISED, WallClock.UNSYNCHRONISED):
         return -recording.origin_ns, f"of the host's wall clock, {metadata[CLOCK_KEY]}"
-    if recording.origin_ns or ORIGIN_KEY not in metadata:
+    if ORIGIN_KEY not in metadata:
+        return 0, "as recorded by an earlier version, which added up to a second to the source's"
+    if recording.origin_ns:
         return -recording.origin_ns, "as in the source"
     pairs = list(recording.json_messages(schema.CLOCK))
     if not pairs:

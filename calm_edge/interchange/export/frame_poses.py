@@ -2,7 +2,9 @@
 
 A frame between two keyframes takes the relative motion of the live tracker, which is tied to both:
 it is composed with the pose of the keyframe before and with that of the one after, and the two
-results are interpolated. The drift of the live pose, that of its scale too, is thereby removed.
+results are interpolated. The drift of the live pose, that of its scale too, is thereby removed. Its
+position is noisy where the scene is far: it is weighted with that interpolated between the
+keyframes, by the covariances of both.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ MAX_BEYOND_NS = 60_000_000
 MAX_MISMATCH, MAX_TURN_RAD = 0.5, 0.1
 # spacings: shorter motion is a standstill
 STANDS = 0.2
+# spacings/s²: sigma of the acceleration that interpolation neglects, 3 m/s² at a spacing of 0.5 m
+ACCELERATION = 6.0
 
 
 class PoseSource(StrEnum):
@@ -62,11 +66,15 @@ class FramePoses:
 
 @dataclass(frozen=True, slots=True)
 class LivePoses:
-    """Live poses: t_ns (L,) sorted, T_w_c (L, 4, 4), epoch (L,) within which they do not jump."""
+    """Live poses: t_ns (L,) sorted, T_w_c (L, 4, 4), epoch (L,) within which they do not jump.
+
+    covariance: (L, 3, 3) of the position in camera axes, NaN if unknown.
+    """
 
     t_ns: Int
     T_w_c: Float
     epoch: Int
+    covariance: Float
 
 
 def of_primary(
@@ -101,7 +109,14 @@ def of_primary(
         )
         forward = T_w_k[first] @ se3.inverse(L_first) @ L
         backward = T_w_k[second] @ se3.inverse(L_second) @ L
-        T[followed] = se3.interpolate(forward, backward, alpha[followed])
+        tied = se3.interpolate(forward, backward, alpha[followed])
+        between = se3.interpolate(T_w_k[first], T_w_k[second], alpha[followed])
+        # what tying corrected: of a random walk, alpha (1 - alpha) of its variance is left between
+        missed = (backward - forward)[:, :3, 3] * np.sqrt(alpha * (1 - alpha))[followed, None]
+        R = tied[:, :3, :3]
+        C = R @ live.covariance[row] @ np.swapaxes(R, 1, 2)
+        C += missed[:, :, None] * missed[:, None, :]
+        T[followed] = _weighted(tied, between, C, alpha[followed], span[followed] / 1e9, spacing)
         source[followed] = PoseSource.TRACKED
     rest = ~followed & inside & (span > 0) & ((span <= MAX_GAP_NS) | stands)
     T[rest] = se3.interpolate(T_w_k[before[rest]], T_w_k[after[rest]], alpha[rest])
@@ -134,6 +149,25 @@ def _tied(
     length = np.linalg.norm(step[:, :3, 3], axis=1)
     agree = (apart <= MAX_MISMATCH * length + STANDS * spacing) & (turned <= MAX_TURN_RAD)
     return np.where(found & has_a & has_b & same & agree, row, -1)
+
+
+def _weighted(
+    tied: Float, between: Float, covariance: Float, alpha: Float, span_s: Float, spacing: float
+) -> Float:
+    """Poses (M, 4, 4) with the rotation of `tied` and the weighted mean of both positions.
+
+    covariance: (M, 3, 3) of the position of `tied`; if unknown, `tied` counts alone.
+    alpha, span_s: (M,) place between the keyframes, and their distance in time. Beyond the last
+    keyframe (span 0) there is no other position.
+    """
+    sigma = ACCELERATION * spacing * alpha * (1 - alpha) * span_s**2 / 2
+    used = np.isfinite(covariance).all((1, 2)) & (sigma > 0)
+    other = np.eye(3) * sigma[used, None, None] ** 2
+    apart = (tied - between)[used, :3, 3]
+    T = tied.copy()
+    kept = other @ np.linalg.solve(covariance[used] + other, apart[..., None])
+    T[used, :3, 3] = between[used, :3, 3] + kept[..., 0]
+    return T
 
 
 def _rows(t: Int, wanted: Int) -> tuple[Int, NDArray[np.bool_]]:

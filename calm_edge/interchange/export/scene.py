@@ -63,9 +63,9 @@ def read_scene(drive: ExportedDrive, options: ExportOptions) -> Scene:
     """
     assumed: list[str] = []
     left_out: list[str] = []
-    lenses = _lenses(drive.last, assumed)
-    maps = {eye: undistortion(lens) for eye, lens in lenses.items()}
-    cameras: dict[Eye, Camera] = dict(lenses)
+    learned = lenses(drive.last, assumed)
+    maps = {eye: undistortion(lens) for eye, lens in learned.items()}
+    cameras: dict[Eye, Camera] = dict(learned)
     if not options.distorted:
         cameras = {eye: found.camera for eye, found in maps.items()}
         left_out += [
@@ -74,17 +74,22 @@ def read_scene(drive: ExportedDrive, options: ExportOptions) -> Scene:
             for eye in cameras
             if maps[eye].cut > 1e-3
         ]
-    pictures = _pictures(drive, set(lenses), left_out)
+    pictures = _pictures(drive, set(learned), left_out)
     index = {(each.eye, each.t_ns): i for i, each in enumerate(pictures)}
     poses = np.array([each.T_w_c for each in pictures])
     parts: list[tuple[Float, Int, Int, Float]] = []
-    offset = seen = empty = 0
+    offset = seen = 0
+    missing: set[int] = set()
+    done: set[int] = set()
     for update in drive.recording.updates():
-        if update.prediction.landmarks is None:
-            empty += 1
+        # updates at the end of a drive repeat sub-maps, without their landmarks
+        number = update.submap.id
+        if number in done or update.prediction.landmarks is None:
+            missing.add(number)
             continue
+        done.add(number)
         seen += len(update.prediction.landmarks.points_s)
-        part = _landmarks(update, index, poses, lenses, drive.spacing)
+        part = _landmarks(update, index, poses, learned, drive.spacing)
         parts.append((part[0], part[1] + offset, part[2], part[3]))
         offset += len(part[0])
     points = np.concatenate([part[0] for part in parts]) if parts else np.zeros((0, 3))
@@ -95,15 +100,15 @@ def read_scene(drive: ExportedDrive, options: ExportOptions) -> Scene:
     uv = np.concatenate([part[3] for part in parts]) if parts else np.zeros((0, 2))
     eyes = np.array([each.eye for each in pictures], np.int64)
     if not options.distorted:
-        for eye, lens in lenses.items():
+        for eye, lens in learned.items():
             own = eyes[picture] == eye
             uv[own] = cameras[eye].project(lens.back_project(uv[own], np.ones(own.sum())))
     scene = Scene(
-        lenses, cameras, pictures, points, np.zeros(len(points)), point, picture, uv, (), ()
+        learned, cameras, pictures, points, np.zeros(len(points)), point, picture, uv, (), ()
     )
     kept = _consistent(scene, poses, eyes)
-    if empty:
-        left_out.append(f"landmarks of {empty} windows: not in the recording")
+    if missing - done:
+        left_out.append(f"landmarks of {len(missing - done)} windows: not in the recording")
     if seen > len(kept.points_w):
         left_out.append(
             f"{seen - len(kept.points_w)} of {seen} landmarks: too far away, or more than "
@@ -149,7 +154,7 @@ def _write(path: Path, frame: Frame, warp: Undistortion | None, options: ExportO
     return shown
 
 
-def _lenses(last: LocalizerUpdate, assumed: list[str]) -> dict[Eye, Camera]:
+def lenses(last: LocalizerUpdate, assumed: list[str]) -> dict[Eye, Camera]:
     """Cameras at the end of the drive."""
     submap, observed = last.submap, estimated.cameras(last)
     views = {Eye.PRIMARY: 0}

@@ -24,7 +24,14 @@ from tests.interchange.export.drives import (
 )
 
 KEYFRAMES = slice(None, None, EVERY)
-NO_LIVE = LivePoses(np.zeros(0, np.int64), np.zeros((0, 4, 4)), np.zeros(0, np.int64))
+NO_LIVE = LivePoses(
+    np.zeros(0, np.int64), np.zeros((0, 4, 4)), np.zeros(0, np.int64), np.zeros((0, 3, 3))
+)
+
+
+def certain(n: int) -> np.ndarray:
+    """Covariances (n, 3, 3) of nearly exact positions."""
+    return np.tile(1e-12 * np.eye(3), (n, 1, 1))
 
 
 def live(scale: float = 0.8, epoch: int | None = None) -> LivePoses:
@@ -32,7 +39,9 @@ def live(scale: float = 0.8, epoch: int | None = None) -> LivePoses:
     samples = [s for s in live_poses(scale) if np.isfinite(s.T_w_c).all()]
     t = np.array([s.t_ns for s in samples])
     later = t >= true_times()[epoch] if epoch is not None else np.zeros(len(t), bool)
-    return LivePoses(t, np.array([s.T_w_c for s in samples]), later.astype(np.int64))
+    return LivePoses(
+        t, np.array([s.T_w_c for s in samples]), later.astype(np.int64), certain(len(t))
+    )
 
 
 def at(poses: LivePoses) -> FramePoses:
@@ -60,11 +69,29 @@ def test_the_tracker_sees_what_interpolation_misses() -> None:
     T = true_poses()
     T[6, :3, 3] += [0.3, 0, 0]  # a bump between two keyframes
     t, key = true_times(), true_poses()[KEYFRAMES]
-    exact = LivePoses(t, T, np.zeros(FRAMES, np.int64))
+    exact = LivePoses(t, T, np.zeros(FRAMES, np.int64), certain(FRAMES))
     tied = of_primary(t, t[KEYFRAMES], key, exact, 0.5).T_w_c[6]
     between = of_primary(t, t[KEYFRAMES], key, NO_LIVE, 0.5).T_w_c[6]
     assert np.linalg.norm((tied - T[6])[:3, 3]) < 1e-9
     assert np.linalg.norm((between - T[6])[:3, 3]) > 0.25
+
+
+def test_a_noisy_position_is_weighted_with_the_interpolated_one() -> None:
+    rng = np.random.default_rng(2)
+    t, T, key = true_times(), true_poses(), true_poses()[KEYFRAMES]
+    noisy = T.copy()
+    noise = rng.normal(0, 0.3, (FRAMES, 3)) * [0.01, 0.01, 1]
+    noisy[:, :3, 3] += (T[:, :3, :3] @ noise[..., None])[..., 0]
+    errors = []
+    inner = (np.arange(FRAMES) % EVERY > 0) & (np.arange(FRAMES) < FRAMES - 3)
+    for sigma in ([0.003, 0.003, 0.3], [np.nan] * 3):
+        covariance = np.tile(np.diag(np.square(sigma)), (FRAMES, 1, 1))
+        live_poses = LivePoses(t, noisy, np.zeros(FRAMES, np.int64), covariance)
+        poses = of_primary(t, t[KEYFRAMES], key, live_poses, 0.5)
+        assert set(poses.source[inner].tolist()) <= {"tracked", "interpolated"}
+        errors.append(error(poses, inner))
+    # an unknown covariance leaves the tracker alone
+    assert errors[0] < 0.1 < 0.2 < errors[1]
 
 
 def test_a_new_epoch_or_a_wrong_tracker_is_not_used() -> None:

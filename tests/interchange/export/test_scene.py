@@ -98,7 +98,7 @@ def test_poses_rig_and_landmarks_are_those_of_the_drive(recording: Path, tmp_pat
         images = [i for i in model.images.values() if i.camera_id == camera_id]
         images.sort(key=lambda image: image.name)
         made = np.array([image.cam_from_world().matrix() for image in images])
-        assert made == pytest.approx(se3.inverse(poses)[:, :3], abs=1e-5)
+        assert made == pytest.approx(se3.inverse(poses)[:, :3], abs=1e-3)
     (rig,) = model.rigs.values()
     a = next(s for s in model.cameras if not rig.is_ref_sensor(model.cameras[s].sensor_id))
     T_a_p = rig.sensor_from_rig(model.cameras[a].sensor_id).matrix()
