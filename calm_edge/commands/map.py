@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from calm_edge.evaluation.truth import Truth
     from calm_edge.mapping.seams import SeamSummary
     from calm_edge.offline.drive import Drive
+    from calm_edge.offline.gps_fixes import GpsFixes
     from calm_edge.offline.unfinished import Unfinished
     from calm_edge.recording.reader import Recording
     from calm_edge.report.map_page import Written
@@ -38,6 +39,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
     parser.add_argument(
         "--truth", type=Path, metavar="FOLDER", help="report the error against this ground truth"
+    )
+    parser.add_argument(
+        "--gps",
+        type=Path,
+        metavar="FILE",
+        help="GPS fixes (.gpx, or gps.csv of import) to align the trajectory to",
     )
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     parser.add_argument(
@@ -57,6 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from calm_edge.config import merge, parse_assignment
     from calm_edge.evaluation.truth import read_truth
+    from calm_edge.offline.gps_fixes import read_fixes
     from calm_edge.offline.unfinished import Unfinished, plan
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
@@ -65,6 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
     unfinished = check_folder(out, force=arguments.force, resume=arguments.resume)
     truth = read_truth(arguments.truth) if arguments.truth is not None else None
     recording = Recording(arguments.recording)
+    gps = gps_source(recording, arguments.gps)
+    fixes = None if gps is None else read_fixes(gps)
     config = recording.config
     for text in arguments.set:
         config = merge(config, parse_assignment(text))
@@ -80,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
                 shutil.rmtree(leftover)
                 return LOSS
             pictures = not arguments.no_pictures
-            code = make_map(recording, config, work, drive, out, truth, pictures=pictures)
+            code = make_map(recording, config, work, drive, out, truth, fixes, pictures=pictures)
             print(f"took        {time.monotonic() - started:.0f} s")
             return code
         except (KeyboardInterrupt, CalmEdgeError):
@@ -95,6 +105,7 @@ def make_map(
     drive: Drive,
     out: Path,
     truth: Truth | None,
+    fixes: GpsFixes | None,
     *,
     pictures: bool,
 ) -> int:
@@ -106,6 +117,7 @@ def make_map(
     from calm_edge.estimator.gaps import described
     from calm_edge.evaluation import EvaluationError
     from calm_edge.mapping.cloud_file import read_cloud
+    from calm_edge.offline.georeference import ENU_TUM, GPS_SUMMARY, georeference
     from calm_edge.offline.map_drive import MAP, PAGE, make_cloud, write_trajectory
     from calm_edge.report.drive_view import map_view
     from calm_edge.report.keyframe_pictures import keyframe_pictures
@@ -114,6 +126,11 @@ def make_map(
     tiles, seams = make_cloud(recording, config, drive, out, work.spool, say)
     n_points = int(tiles[:, 1].sum())
     estimate = write_trajectory(recording, config, drive, out, seams)
+    for name in (ENU_TUM, GPS_SUMMARY):
+        # of a map that is replaced
+        (out / name).unlink(missing_ok=True)
+    if fixes is not None and georeference(estimate, fixes, out, say):
+        print(f"GPS         {out / ENU_TUM}, {out / GPS_SUMMARY}")
     points_w, color = read_cloud(out / MAP)
     estimate = replace(estimate, points_w=points_w)
     losses = [*recording.losses, *drive.losses]
@@ -195,6 +212,14 @@ def pictures_say(recording: Recording) -> str:
         for frame in islice(recording.frames(eye), EXAMINED):
             samples.add(frame)
     return "; ".join(cause.text for cause in samples.causes())
+
+
+def gps_source(recording: Recording, gps: Path | None) -> Path | None:
+    """File of GPS fixes: the one that was given, else that of an imported recording, if any."""
+    from calm_edge.offline.gps_fixes import GPS_FILE
+
+    imported = recording.path / GPS_FILE
+    return gps or (imported if imported.is_file() else None)
 
 
 def check_folder(out: Path, *, force: bool, resume: bool) -> Path:
