@@ -343,7 +343,9 @@ def test_a_finished_map_is_replaced_only_if_asked(
     assert (out / "map.ply").read_text() == "mine"
     # a truth of another drive costs only the comparison
     arguments = ["map", str(recorded), "--out", str(out), "--force", "--truth", str(truth)]
-    assert main(arguments) == 3
+    assert main([*arguments, "--no-pictures"]) == 3
+    walk = (out / "map.html").read_text()
+    assert "calmEdgeMap.points(" in walk and "calmEdgeMap.pictures(" not in walk
     assert "loss: not compared with the truth: " in capsys.readouterr().err
     assert (out / "map.ply").stat().st_size > 1000 and (out / "report.html").exists()
     assert not (out / "unfinished").exists()

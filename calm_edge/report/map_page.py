@@ -80,8 +80,10 @@ def write_map_page(path: Path, view: MapView) -> Written:
     inside = len(records) if len(records) <= LIMIT else EMBEDDED
     outside = _outside(beside, records[inside:]) if inside < len(records) else []
     drive = _drive(view, R, points, box, group) | {"count": len(records), "files": outside}
-    with path.open("w", encoding="utf-8") as page:
+    part = path.with_name(path.name + ".part")
+    with part.open("w", encoding="utf-8") as page:
         _write(page, view, drive, records[:inside])
+    part.rename(path)
     size = sum((path.parent / name).stat().st_size for name in outside)
     return Written(path.stat().st_size, size, len(records))
 

@@ -4,7 +4,9 @@ const COARSE = matchMedia("(pointer: coarse)").matches;
 // points in memory, 24 bytes each on both sides; a phone has less of it
 const MOST = COARSE ? 2_000_000 : 12_000_000;
 const COLORS = ["picture", "height", "sub-map", "age"];
-const EXTENT = DRIVE.path.reduce((most, p) => Math.max(most, distance(p, DRIVE.path[0])), 0) || 1;
+// lower and upper corner of the path
+const CORNERS = [Math.min, Math.max].map((edge) => DRIVE.path.reduce((c, p) => c.map((v, a) => edge(v, p[a]))));
+const EXTENT = distance(...CORNERS) || 1;
 
 function start() {
   const points = new Points(gl, DRIVE, MOST);
@@ -16,10 +18,7 @@ function start() {
   let last = 0, measuring = null, keyframe = 0, waiting = 0, complaint = "", hashTimer = 0;
 
   function overview() {
-    const [low, high] = [0, 1, 2].map((a) => DRIVE.path.map((p) => p[a])).reduce(
-      ([l, h], v) => [[...l, v.reduce((a, b) => Math.min(a, b))], [...h, v.reduce((a, b) => Math.max(a, b))]],
-      [[], []]);
-    const middle = low.map((v, a) => (v + high[a]) / 2);
+    const middle = CORNERS[0].map((v, a) => (v + CORNERS[1][a]) / 2);
     const wide = Math.tan(View.FOV / 2) * Math.min(1.6, canvas.clientWidth / canvas.clientHeight);
     return new View(middle, -Math.PI / 2, 0.75, 0.6 * EXTENT / wide + 20 * DRIVE.grain);
   }
@@ -93,7 +92,7 @@ function start() {
       drawn = 0;
       path.draw(matrix, [width, height], ink("--estimate"), 2 * scale);
       stops.draw(matrix, [width, height], ink("--estimate"), 4.5 * scale);
-      here.draw(matrix, [width, height], ink("--truth"), 8 * scale);
+      here.draw(matrix, [width, height], ink("--truth"), 11 * scale);
       ruler.draw(matrix, [width, height], ink("--bad"), 3 * scale);
       label(matrix);
       moved = false;
@@ -197,7 +196,11 @@ function start() {
   canvas.addEventListener("webglcontextrestored", () => location.reload());
   window.calmEdgeMap = {
     stats,
-    points: (text) => { if (points.loaded < points.room) points.add(text); redraw(); },
+    points: (text) => {
+      if (points.loaded < points.room) points.add(text);
+      last = -Infinity; // reading is not what a frame takes
+      redraw();
+    },
     pictures: (rows) => {
       for (const [k, ...rest] of rows) panel.pictures.set(k, rest);
     },
