@@ -2,7 +2,8 @@
 
 Every schema `calm_edge.<name>` has the same two fields: `header` (JSON text: every scalar field by
 its dotted name; null for None) and `arrays` (name, numpy dtype string with byte order, shape,
-C-ordered bytes). Each file holds the schemas as FileDescriptorSet, so any protobuf tool reads it.
+C-ordered bytes, compression: if `zstd`, the bytes are a Zstandard frame). Each file holds the
+schemas as FileDescriptorSet, so any protobuf tool reads it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from enum import Enum
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError, Message
 from numpy.typing import NDArray
@@ -22,6 +24,8 @@ from numpy.typing import NDArray
 from calm_edge.geometry.camera import Camera
 from calm_edge.recording import RecordingError, camera_record
 
+# smaller arrays are not compressed
+COMPRESSED_BYTES = 256
 RECORDS = ("Submap", "Window", "PoseSample")
 
 T = TypeVar("T")
@@ -39,6 +43,7 @@ def _descriptor() -> descriptor_pb2.FileDescriptorProto:
     array.field.add(name="dtype", number=2, type=field.TYPE_STRING, label=one)
     array.field.add(name="shape", number=3, type=field.TYPE_INT64, label=many)
     array.field.add(name="data", number=4, type=field.TYPE_BYTES, label=one)
+    array.field.add(name="compression", number=5, type=field.TYPE_STRING, label=one)
     for name in RECORDS:
         record = file.message_type.add(name=name)
         record.field.add(name="header", number=1, type=field.TYPE_STRING, label=one)
@@ -139,8 +144,23 @@ def encode(name: str, header: dict[str, Any], arrays: Arrays) -> bytes:
     message: Any = message_class(name)()
     message.header = json.dumps(header)
     for key, value in arrays.items():
-        message.arrays.add(name=key, dtype=value.dtype.str, shape=value.shape, data=value.tobytes())
+        data, compression = value.tobytes(), ""
+        if len(data) >= COMPRESSED_BYTES:
+            data, compression = zstandard.ZstdCompressor(level=3).compress(data), "zstd"
+        message.arrays.add(
+            name=key, dtype=value.dtype.str, shape=value.shape, data=data, compression=compression
+        )
     return bytes(message.SerializeToString())
+
+
+def _data(array: Any) -> bytes:
+    """Bytes of an array of a message; raises ValueError or ZstdError."""
+    if not array.compression:
+        return bytes(array.data)
+    size = math.prod(array.shape) * np.dtype(array.dtype).itemsize
+    if array.compression != "zstd" or zstandard.frame_content_size(array.data) != size:
+        raise ValueError(f"{array.name}: not compressed as it says")
+    return zstandard.ZstdDecompressor().decompress(array.data)
 
 
 def decode(name: str, data: bytes) -> tuple[dict[str, Any], Arrays]:
@@ -150,9 +170,9 @@ def decode(name: str, data: bytes) -> tuple[dict[str, Any], Arrays]:
         message.ParseFromString(data)
         header = json.loads(message.header)
         arrays = {
-            a.name: np.frombuffer(a.data, np.dtype(a.dtype)).reshape(tuple(a.shape)).copy()
+            a.name: np.frombuffer(_data(a), np.dtype(a.dtype)).reshape(tuple(a.shape)).copy()
             for a in message.arrays
         }
-    except (DecodeError, ValueError, TypeError) as error:
+    except (DecodeError, zstandard.ZstdError, ValueError, TypeError) as error:
         raise RecordingError(f"calm_edge.{name}: not a valid record ({error})") from None
     return header, arrays

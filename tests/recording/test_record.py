@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,4 +84,36 @@ def test_python_objects_are_not_decoded() -> None:
     message.header = "{}"  # type: ignore[attr-defined]
     message.arrays.add(name="a", dtype="|O", shape=[1], data=bytes(8))  # type: ignore[attr-defined]
     with pytest.raises(RecordingError):
+        record.decode("Submap", message.SerializeToString())
+
+
+def test_large_arrays_are_compressed_and_read_back_to_the_bit() -> None:
+    index = np.repeat(np.arange(500), 9)
+    arrays = {"index": index, "noise": np.random.default_rng(0).normal(size=99), "few": index[:4]}
+    data = record.encode("Submap", {}, arrays)
+    assert len(data) < index.nbytes / 8 + 99 * 8 + 200
+    _, again = record.decode("Submap", data)
+    for name, array in arrays.items():
+        assert again[name].dtype == array.dtype and (again[name] == array).all()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"compression": "lz4"},
+        {"data": b"no frame"},
+        # a frame that says it holds more than the array
+        {"shape": [1]},
+    ],
+)
+def test_a_damaged_compressed_array_is_a_damaged_record(change: dict[str, Any]) -> None:
+    message: Any = record.message_class("Submap")()
+    message.ParseFromString(record.encode("Submap", {}, {"index": np.arange(500)}))
+    for name, value in change.items():
+        if name == "shape":
+            del message.arrays[0].shape[:]
+            message.arrays[0].shape.extend(value)
+        else:
+            setattr(message.arrays[0], name, value)
+    with pytest.raises(RecordingError, match="not a valid record"):
         record.decode("Submap", message.SerializeToString())
