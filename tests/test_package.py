@@ -24,6 +24,11 @@ CALM_GEO = {
     f"calm_edge/models/calm-geo/{name}"
     for name in ("LICENSE", "encoder.int8.onnx", "encoder.onnx", "golden.npz", "manifest.toml")
 } | {"calm_edge/models/calm-geo/refine.onnx"}
+VIEWER = {
+    f"calm_edge/report/viewer/{path.name}"
+    for path in (ROOT / "calm_edge" / "report" / "viewer").iterdir()
+    if path.suffix in (".css", ".html", ".js")
+}
 
 
 @pytest.fixture(scope="module")
@@ -52,15 +57,17 @@ def pins() -> dict[str, str]:
     return {canonicalize_name(name): version for name, version in pairs}
 
 
-def test_the_wheel_holds_both_packages_and_the_network_alone(wheel: zipfile.ZipFile) -> None:
+def test_the_wheel_holds_both_packages_the_network_and_the_viewer_alone(
+    wheel: zipfile.ZipFile,
+) -> None:
     modules = {
         str(path.relative_to(ROOT))
         for package in ("calm_edge", "device")
         for path in (ROOT / package).rglob("*.py")
     }
     held = {name for name in wheel.namelist() if ".dist-info/" not in name}
-    assert held == modules | CALM_GEO
-    for name in CALM_GEO:
+    assert held == modules | CALM_GEO | VIEWER
+    for name in CALM_GEO | VIEWER:
         assert wheel.read(name) == (ROOT / name).read_bytes()
 
 

@@ -21,6 +21,7 @@ from bench.tables import Check, Table
 from calm_edge.config import Config, merge
 from calm_edge.estimator import localizer as localizer_module
 from calm_edge.estimator.localizer import Localizer
+from calm_edge.kit.layout import SIZE
 from calm_edge.report import chart
 from calm_edge.types import CalmEdgeError, Float, Hints, KitBelief, Prediction, Submap
 
@@ -32,8 +33,6 @@ ENDS = 200
 # backbone's counts as constant.
 FLAT_SHARE = 0.1
 MOST_MB = 600
-# Length of the kit vector: four terms per eye, six of the rig, one time offset.
-_KIT = 15
 # Landmarks per sub-map. Nothing is occluded in the convex room, so nearly all views see each of
 # them: about 7,000 observations.
 _LANDMARKS = 350
@@ -64,7 +63,7 @@ class TeachingBackbone:
             view=marks.view[kept],
             uv=marks.uv[kept],
         )
-        return replace(prediction, landmarks=thinned, kit=KitBelief(np.zeros(_KIT), np.eye(_KIT)))
+        return replace(prediction, landmarks=thinned, kit=KitBelief(np.zeros(SIZE), np.eye(SIZE)))
 
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction

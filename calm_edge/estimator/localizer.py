@@ -25,12 +25,13 @@ from calm_edge.estimator.held_windows import HeldWindows, unsettled
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.estimator.kit_watch import KitWatch, Slip, Suspect
 from calm_edge.estimator.loop_closing import LoopClosing
-from calm_edge.estimator.metre import DriveMetre
+from calm_edge.estimator.metre import ALONE, DriveMetre
 from calm_edge.estimator.rectifier import Rectifier
 from calm_edge.estimator.replacement import Replacements
 from calm_edge.estimator.stage_time import timed
 from calm_edge.estimator.stamp_correction import StampCorrection
 from calm_edge.estimator.window_solver import Reconstruction, WindowSolver
+from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.kit.given_mask import masks_of
 from calm_edge.kit.prior import KitPrior
@@ -226,7 +227,7 @@ class Localizer:
             notices=notices,
             loop=closed,
             loop_keyframe=window.loop_keyframe if closed is not None else None,
-            metre=self.metre,
+            metre=self._confirmed(self.metre, sigma),
             masks=self.masks,
         )
 
@@ -343,6 +344,14 @@ class Localizer:
     def trajectory(self) -> Trajectory:
         """All primary keyframes that have a pose, sorted by id."""
         return self._atlas.trajectory()
+
+    def _confirmed(self, metre: Metre, sigma: Float | None) -> Metre:
+        """Withhold the live metre of a first window whose kit was not known, `kit_sigma` before it.
+
+        Nothing tests such a window yet; the second one contradicts it if it is wrong.
+        """
+        known = sigma is None or bool(np.all(sigma < layout.KIT_KNOWN))
+        return metre if known or len(self._atlas) > 1 else Metre(np.inf, ALONE)
 
     def _retime(self) -> None:
         """The time offset was corrected: windows solved before had wrong stamps."""

@@ -17,6 +17,7 @@ UNKNOWN = 1.0
 
 NO_WINDOW = "no window was solved"
 STOOD = "the car stood still"
+ALONE = "one window alone shows it so far: the next one has to agree"
 NO_FOCAL = "the drive was too straight to show the focal lengths: drive a turn or give --hfov-deg"
 NO_PARALLAX = "the cameras show too little parallax: nothing is near enough, or both see the same"
 

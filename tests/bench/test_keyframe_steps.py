@@ -43,7 +43,7 @@ def _window(submap_id, ids):
 
 def _update(T, t_ns, submap_id, ids):
     whole = update(T[ids], t_ns[ids], submap_id=submap_id)
-    submap = replace(whole.submap, primary_ids=tuple(ids))
+    submap = replace(whole.submap, primary_ids=tuple(ids), assistant_ids=())
     trajectory = replace(whole.trajectory, keyframe_ids=np.array(ids))
     return replace(whole, submap=submap, trajectory=trajectory)
 

@@ -7,8 +7,10 @@ from bench.scripted import ScriptedBackbone, ScriptedErrors
 from calm_edge.backbones.base import BackboneError
 from calm_edge.config import Config, merge
 from calm_edge.estimator import localizer as localizer_module
+from calm_edge.estimator import metre
 from calm_edge.estimator.localizer import UNUSED, Localizer
 from calm_edge.geometry import se3
+from calm_edge.kit import layout
 from calm_edge.trajectories import folded
 from calm_edge.types import Keyframe, KitBelief
 from device.frame import Frame
@@ -296,8 +298,10 @@ class Converging(ScriptedBackbone):
         cameras = tuple(camera.with_focal(factor * camera.fx) for camera in prediction.cameras)
         T[:, 2, 3] *= np.exp(log_error)
         sigma = np.full(len(hints.t_ns), 0.002 if log_error == 0 else 0.3)
-        information = np.array([[sigma[0] ** -2]])
-        kit = KitBelief(mean=np.array([log_error]), information=information)
+        mean, information = np.zeros(layout.SIZE), np.zeros((layout.SIZE, layout.SIZE))
+        focals = layout.LOG_FOCAL
+        mean[focals], information[focals, focals] = log_error, sigma[0] ** -2
+        kit = KitBelief(mean, information)
         return dataclasses.replace(
             prediction, cameras=cameras, T_s_c=T, focal_log_sigma=sigma, kit=kit, landmarks=None
         )
@@ -314,7 +318,7 @@ class Converging(ScriptedBackbone):
         assert prediction.depth is None
         assert hints.kit is not None
         self.resolved.append(int(hints.t_ns[0] - START_NS) // PERIOD_NS)
-        if abs(hints.kit.mean[0]) > 0.01:
+        if abs(hints.kit.mean[layout.LOG_FOCAL[0]]) > 0.01:
             raise BackboneError("unknown focal")
         return self._seen(ScriptedBackbone.infer(self, [], hints), hints, 0.0)
 
@@ -325,7 +329,7 @@ def test_windows_are_solved_again_once_the_focal_is_known():
     localizer = Localizer(METRES, backbone)
     updates = [localizer.process(window) for window in windows(70)]
     assert backbone.inferred[0] is None
-    assert backbone.inferred[1].mean == pytest.approx([0.2])
+    assert backbone.inferred[1].mean[layout.LOG_FOCAL] == pytest.approx([0.2, 0.2])
     # the third window, from keyframe 24 on, knows the focal: the two before are solved again
     assert backbone.resolved == [0, 12]
     assert [update.trajectory.epoch for update in updates] == [0, 0, 1, 1, 1, 1][: len(updates)]
@@ -336,6 +340,18 @@ def test_windows_are_solved_again_once_the_focal_is_known():
     assert backbone.resolved[2:] == [0, 12, 24, 36, 48, 60]
     assert position_error(final.T_w_c, T).max() < 1e-9
     assert final.epoch == 3
+
+
+def test_the_live_metre_of_a_first_window_waits_for_the_second_unless_the_kit_is_known():
+    def metres(kit_sigma):
+        backbone = Converging(scene(straight(70)))
+        backbone.kit_sigma = lambda hints: np.array(kit_sigma)
+        localizer = Localizer(METRES, backbone)
+        updates = [localizer.process(window) for window in windows(40)[:2]]
+        return [update.metre.reason == metre.ALONE for update in updates], localizer.metre.reason
+
+    assert metres((0.5, 0.3)) == ([True, False], metres((0.001, 0.001))[1])
+    assert metres((0.001, 0.001))[0] == [False, False]
 
 
 def test_a_limited_number_of_windows_is_solved_again():

@@ -12,6 +12,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.config import Config, merge
 from calm_edge.estimator.atlas import Atlas
 from calm_edge.estimator.direction_memory import DirectionMemory
+from calm_edge.estimator.ego_masks import EgoMasks
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.estimator.kit_watch import KitWatch
 from calm_edge.estimator.loop_closing import LoopClosing
@@ -21,7 +22,7 @@ from calm_edge.estimator.scale import ScaleError
 from calm_edge.estimator.stamp_correction import StampCorrection
 from calm_edge.estimator.window_solver import ALIKE, WindowSolver
 from calm_edge.kit.prior import KitPrior
-from calm_edge.types import Hints, Keyframe, LoopClosure, Prediction, SubmapWindow
+from calm_edge.types import Hints, Keyframe, LoopClosure, Masks, Prediction, SubmapWindow
 from tests.drives import T_P_A, curved, position_error, scene, windows
 
 SPACING_M = float(np.linalg.norm(T_P_A[:3, 3]))
@@ -69,6 +70,7 @@ def solver(loops: LoopClosing | None = None) -> tuple[WindowSolver, Counting, Dr
         metre=metre,
         watch=KitWatch(),
         stamps=StampCorrection(),
+        ego=EgoMasks(Masks()),
         retimed=lambda: None,
     )
     return made, backbone, metre
