@@ -59,7 +59,8 @@ def test_too_little_disk_space_is_an_error_and_leaves_nothing(
 def test_recover_writes_to_a_default_target(
     drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert start(drive, "--out", str(tmp_path / "rec")) == 0
+    small = "--set", "recording.chunk_bytes=65536"
+    assert start(drive, *small, "--out", str(tmp_path / "rec")) == 0
     segment = tmp_path / "rec" / "0000.mcap"
     before = segment.read_bytes()
     segment.write_bytes(before[: len(before) // 2])
