@@ -36,7 +36,7 @@ START_NS = 10**9
 SAMPLE_S = 0.5
 # size of two older drives: the first has to be removed, the second is marked to keep; large enough
 # that two minutes of recording need its space, even if a busy computer drops frames
-OLD_BYTES = 12 << 20
+OLD_BYTES = 15 << 20
 
 
 class FastClock(TimelineClock):
