@@ -67,8 +67,9 @@ def pictures() -> list[tuple[bytes, bytes]]:
     made = []
     for x in range(PX_A_FRAME * TURN_FRAMES + 1):
         pair = []
-        for start in (x, x + baseline):
-            crop = wall[900 : 900 + HEIGHT, 600 + start : 600 + start + WIDTH]
+        # the assistant looks lower: pictures that equal earlier ones are those of one camera
+        for start, top in ((x, 900), (x + baseline, 900 + HEIGHT // 4)):
+            crop = wall[top : top + HEIGHT, 600 + start : 600 + start + WIDTH]
             pair.append(cv2.imencode(".jpg", crop, [cv2.IMWRITE_JPEG_QUALITY, 60])[1].tobytes())
         made.append((pair[0], pair[1]))
     return made
