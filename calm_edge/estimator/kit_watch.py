@@ -1,8 +1,9 @@
 """Detect that the kit changes during a drive, e.g. that a mount slips.
 
 Windows after it do not fit the belief: most are refused, or give no evidence. So such a window is
-solved with the rig free. If several in a row so contradict the belief, and none fits it, the kit
-has changed; one alone may be a bad window.
+solved with the rig free. If several in a row so contradict the belief on the rig, and none fits it,
+the kit has changed; one alone may be a bad window. Focal lengths are not compared: a lens does not
+change while driving, and several straight windows err alike in the focal.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ class Suspect:
 class Slip:
     """A change of the kit before the first of the suspects.
 
-    text: what has changed. carried: belief of before on what has not changed, or None.
+    text: what has changed. carried: belief of before on what has not changed.
     """
 
     suspects: tuple[Suspect, ...]
     text: str
-    carried: KitBelief | None
+    carried: KitBelief
 
 
 class KitWatch:
@@ -54,7 +55,7 @@ class KitWatch:
             return False
         if belief is None:
             return True
-        return min(part.p_value for part in change.changes(belief, prediction.kit)) > CONTRADICTS
+        return min(part.p_value for part in _of_rig(belief, prediction.kit)) > CONTRADICTS
 
     def acquit(self) -> None:
         """A window fits the belief: those before it were bad windows."""
@@ -66,10 +67,14 @@ class KitWatch:
         evidence = product([each.prediction.kit for each in self._suspects])
         if len(self._suspects) < FEWEST or evidence is None:
             return None
-        text = ", ".join(change.described(belief, evidence))
+        text = ", ".join(part.text for part in _of_rig(belief, evidence) if part.noticed)
         if not text:
             return None
-        lens = any(part.noticed for part in change.changes(belief, evidence)[:2])
-        slip = Slip(tuple(self._suspects), text, None if lens else change.without_rig(belief))
+        slip = Slip(tuple(self._suspects), text, change.without_rig(belief))
         self._suspects = []
         return slip
+
+
+def _of_rig(belief: KitBelief, evidence: KitBelief) -> tuple[change.Change, ...]:
+    """Changes of the assistant's rotation and of its direction beyond their usual drift."""
+    return change.changes(change.faded(belief), evidence)[2:]

@@ -361,7 +361,7 @@ class Localizer:
     def _slipped(self, slip: Slip) -> tuple[str, ...]:
         """Begin a new epoch of the kit; return the line for the user."""
         first = slip.suspects[0]
-        known = self._kit_prior.forget(lens=slip.carried is None)
+        known = self._kit_prior.forget(lens=False)
         self._memory.begin_epoch(first.submap_id, product([slip.carried, known]))
         for suspect in slip.suspects:
             self._memory.add(suspect.submap_id, suspect.prediction, suspect.hints)

@@ -40,12 +40,12 @@ from calm_edge.types import Float, Int, KitBelief
 # Cells a picture's width: tracks that start in one cell share their errors.
 CELLS_ACROSS = 16
 # Root mean square of that part, in sigmas of the matches; fitted to drives whose focal is known.
-COMMON = 0.006
+COMMON = 0.01
 # Common part of the sigma of log focal above which a window has hardly a say.
-SHOWN = 0.015
+SHOWN = 0.05
 # Only a turn moves far points by a length that is known in angles; on a straight road a bend of the
 # picture of this size, such as of a lens or of biased matches, looks like another focal.
-BIAS_PX = 0.15
+BIAS_PX = 0.3
 # Least ratio of the errors' variance to the matches' sigmas squared: 0.02 px.
 LEAST_EXCESS = 1e-3
 # Keeps the information regular where a pose is all but free [1 / spacings^2, 1 / rad^2].
