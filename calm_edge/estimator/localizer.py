@@ -183,6 +183,9 @@ class Localizer:
             path = solved.submap.T_s_c[: solved.submap.n_primary]
             self._direction.add(path, self._config.scale.spacing)
             self._loops.remember(window)
+            # nothing has tested a first window of an unknown kit until a second one agrees
+            tested = len(atlas) > 1 or sigma is None or bool(np.all(sigma < layout.KIT_KNOWN))
+            self._metre.object_to("first window", None if tested else ALONE)
         with timed(stage_ms, "resolve"):
             lines = prediction.notices
             if suspected and evidence is not None:
@@ -227,7 +230,7 @@ class Localizer:
             notices=notices,
             loop=closed,
             loop_keyframe=window.loop_keyframe if closed is not None else None,
-            metre=self._confirmed(self.metre, sigma),
+            metre=self.metre,
             masks=self.masks,
         )
 
@@ -322,6 +325,7 @@ class Localizer:
         self._optimiser = Immediate()
         if not len(self._atlas):
             return None
+        self._metre.object_to("first window", None)
         if self._rectifier.finish() or self._replacements.stale:
             self._replacements.begin(self._replacements.sources)
         while perf_counter() < end_s and self.solve_again(final=True):
@@ -344,14 +348,6 @@ class Localizer:
     def trajectory(self) -> Trajectory:
         """All primary keyframes that have a pose, sorted by id."""
         return self._atlas.trajectory()
-
-    def _confirmed(self, metre: Metre, sigma: Float | None) -> Metre:
-        """Withhold the live metre of a first window whose kit was not known, `kit_sigma` before it.
-
-        Nothing tests such a window yet; the second one contradicts it if it is wrong.
-        """
-        known = sigma is None or bool(np.all(sigma < layout.KIT_KNOWN))
-        return metre if known or len(self._atlas) > 1 else Metre(np.inf, ALONE)
 
     def _retime(self) -> None:
         """The time offset was corrected: windows solved before had wrong stamps."""

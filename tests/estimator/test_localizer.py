@@ -354,6 +354,14 @@ def test_the_live_metre_of_a_first_window_waits_for_the_second_unless_the_kit_is
     assert metres((0.001, 0.001))[0] == [False, False]
 
 
+def test_a_first_window_alone_has_no_metre_until_the_end_of_the_drive():
+    localizer = Localizer(METRES, Converging(scene(straight(70))))
+    localizer.process(windows(40)[0])
+    assert localizer.metre.reason == metre.ALONE
+    localizer.finish()
+    assert localizer.metre.reason != metre.ALONE
+
+
 def test_a_limited_number_of_windows_is_solved_again():
     backbone = Converging(scene(straight(70)))
     config = merge(METRES, {"backbone": {"resolve_windows": 2}})
