@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from calm_edge.commands.console import say
 from calm_edge.commands.exit_codes import OK
-from calm_edge.commands.record import metres
+from calm_edge.commands.record import add_configuration
 
 if TYPE_CHECKING:
     from calm_edge.config import Config
@@ -49,23 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="Q",
         help="JPEG quality of decoded video, 1 to 100; default: recording.jpeg_quality",
     )
-    parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file of the kit")
-    parser.add_argument(
-        "--spacing-m", type=metres, metavar="X", help="distance between the cameras [m]"
-    )
-    parser.add_argument(
-        "--hfov-deg", type=float, nargs="+", metavar="A", help="horizontal field of view, a hint"
-    )
-    parser.add_argument(
-        "--calibration", type=Path, nargs="+", metavar="FILE", help="as of record, for `map`"
-    )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="override the configuration",
-    )
+    add_configuration(parser)
     # nothing waits for an import
     parser.set_defaults(pace="lockstep")
 

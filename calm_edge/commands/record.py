@@ -24,7 +24,6 @@ MIN_HFOV_DEG = 4.0
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file of the kit")
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
         "--sequence", type=Path, metavar="FOLDER", help="replay cam0/ cam1/ (png, jpg) of a folder"
@@ -46,6 +45,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default="realtime",
         help="realtime: never wait; lockstep: wait for every window, deterministic",
     )
+    add_configuration(parser)
+
+
+def add_configuration(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that `effective_config` reads."""
+    parser.add_argument("--config", type=Path, metavar="TOML", help="configuration file of the kit")
     parser.add_argument(
         "--spacing-m", type=metres, metavar="X", help="distance between the cameras [m]"
     )

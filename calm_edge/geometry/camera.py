@@ -122,6 +122,11 @@ class Camera(ABC):
             return uv
         return np.asarray(self.normalized(uv) * [self.fx, self.fy] + [self.cx, self.cy])
 
+    def pixel_grid(self, columns: int, rows: int) -> Float:
+        """Pixels (columns * rows, 2) that cover the picture from corner to corner, row by row."""
+        x, y = np.linspace(0, self.width - 1.0, columns), np.linspace(0, self.height - 1.0, rows)
+        return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+
     def with_focal(self, focal: float) -> Self:
         """The camera with another focal length fx [px] and the same aspect ratio."""
         return replace(self, fx=focal, fy=focal * self.fy / self.fx)

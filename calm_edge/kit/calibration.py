@@ -81,7 +81,7 @@ def lens_prior(camera: Camera, eye: int, sigma_px: float) -> LensPrior:
     sigma_px: rms over the picture, of the camera. The covariance is that of a fit to pixels: terms
     that replace each other are known together only.
     """
-    rays, uv = pixel_grid(camera)
+    rays, uv = sampled(camera)
     theta, terms = layout.prior((None, None)).mean.copy(), layout.OPTICS[eye]
     theta[layout.FAMILY[eye]] = family_of(camera)
     theta[layout.LOG_FOCAL[eye]] = np.log(np.sqrt(camera.fx * camera.fy) / camera.width)
@@ -105,10 +105,9 @@ def family_of(camera: Camera) -> Family:
     return Family.FISHEYE if isinstance(camera, Fisheye) else Family.PERSPECTIVE
 
 
-def pixel_grid(camera: Camera) -> tuple[Float, Float]:
+def sampled(camera: Camera) -> tuple[Float, Float]:
     """Rays (N, 3) and pixels (N, 2) that cover the picture from corner to corner."""
-    columns, rows = (np.linspace(0, n - 1.0, k) for n, k in zip(_size(camera), _GRID, strict=True))
-    uv = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
+    uv = camera.pixel_grid(*_GRID)
     rays = camera.rays(uv)
     seen = rays[:, 2] > _LEAST_Z
     return rays[seen], uv[seen]

@@ -8,7 +8,7 @@ from calm_edge.geometry.camera import Camera
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.kit.observed import MAX_LOG_FOCAL_SIGMA
-from calm_edge.types import Int, LocalizerUpdate, Submap
+from calm_edge.types import Float, Int, LocalizerUpdate, Submap
 from device.frame import Eye
 
 
@@ -18,23 +18,27 @@ def cameras(update: LocalizerUpdate) -> dict[Eye, Camera]:
     found: dict[Eye, Camera] = {Eye.PRIMARY: submap.cameras[0]}
     if submap.assistant_ids:
         found[Eye.ASSISTANT] = submap.cameras[submap.n_primary]
-    if update.kit is not None and update.kit.mean.shape == (layout.SIZE,) and len(found) == 2:
-        sizes = picture_sizes(submap)
-        families = layout.families(update.kit.mean)
-        belief = product([layout.prior((None, None), sizes, families=families), update.kit])
-        assert belief is not None
-        found = dict(zip(Eye, layout.cameras(belief.mean, sizes), strict=True))
+    sizes = picture_sizes(submap) if len(found) == 2 else None
+    if sizes is not None and (theta := _kit(update, sizes)) is not None:
+        found = dict(zip(Eye, layout.cameras(theta, sizes), strict=True))
     sigma = submap.focal_log_sigma
     return {eye: camera for eye, camera in found.items() if sigma[eye] <= MAX_LOG_FOCAL_SIGMA}
 
 
 def readout_s(update: LocalizerUpdate) -> float:
     """Readout time [s] of the primary camera's rolling shutter; 0 from a backbone without a kit."""
+    theta = _kit(update)
+    return 0.0 if theta is None else float(theta[layout.READOUT[0]])
+
+
+def _kit(update: LocalizerUpdate, sizes: Int | None = None) -> Float | None:
+    """Kit (layout.SIZE,) of an update's belief and the prior for its lenses; None without one."""
     if update.kit is None or update.kit.mean.shape != (layout.SIZE,):
-        return 0.0
-    belief = product([layout.prior((None, None)), update.kit])
+        return None
+    families = layout.families(update.kit.mean)
+    belief = product([layout.prior((None, None), sizes, families=families), update.kit])
     assert belief is not None
-    return float(belief.mean[layout.READOUT[0]])
+    return belief.mean
 
 
 def picture_sizes(submap: Submap) -> Int:

@@ -12,8 +12,8 @@ from calm_edge.kit.calibration import (
     lens_prior,
     matched,
     optics_belief,
-    pixel_grid,
     rig_belief,
+    sampled,
 )
 
 SIZES = np.array([[1280, 720], [640, 480]])
@@ -41,7 +41,7 @@ def test_a_cropped_picture_is_refused_with_the_reason(size):
 
 
 def rms_px(theta, eye, camera):
-    rays, uv = pixel_grid(camera)
+    rays, uv = sampled(camera)
     off = layout.camera(theta, eye, camera.width, camera.height).project(rays) - uv
     return np.sqrt((off**2).sum(1).mean())
 

@@ -33,7 +33,7 @@ def find(
 ) -> Matches:
     """Match points uv (N, 2) px of a's picture to b's; raises BackboneError.
 
-    corner: (N,) points of which no ambiguous match is sure; None for none.
+    corner: (N,) points whose ambiguous matches are rejected; None: no point.
     """
     if len(uv) == 0:
         none = np.zeros(0, bool)

@@ -18,8 +18,8 @@ from calm_edge.types import Float32
 RADIUS_PX = 8
 # sigma of the Gaussian weights of the window, as a share of its radius
 WINDOW_SHARE = 0.5
-# Root of the ratio of the eigenvalues below which matches slide by more than it says: measured
-# errors along the edge grow like its inverse, and below this like its inverse square.
+# Square root of the ratio of the eigenvalues. Measured errors along the edge are proportional to
+# its inverse; below this value to its inverse square.
 SLIPPERY = 0.2
 # largest ratio of the sigma along an edge to that across it
 MOST = 100.0

@@ -45,8 +45,8 @@ TRACKS_ALIKE = 2.0
 # It is in full at a parallax of NEAR_PX.
 COMMON_SHARE = 0.4
 NEAR_PX = 1.0
-# Observations of less weight are wrong matches. One near a camera moves it by any length, however
-# little it counts, and says nothing of the errors of the others.
+# Observations of less weight are outliers. One of a point near a camera has leverage whatever its
+# weight, and its residual is no sample of the errors of the others.
 LEAST_WEIGHT = 0.01
 # Keeps the information regular where a pose is all but free [1 / spacings^2, 1 / rad^2].
 _FLOOR = 1e-9

@@ -25,7 +25,7 @@ FARTHEST = 1e6  # distance [spacings] stored for points at infinity
 RESCALED = 0.3  # log of the spacing beyond which a window's start is brought to the right scale
 # Pixels across and down at which lenses are compared; largest angle off the axis, for a homography
 # between them; least share of these pixels that a lens must show.
-GRID_COLUMNS, MAX_GUIDED_DEG, LEAST_SEEN = 9, 80.0, 0.9
+GRID, MAX_GUIDED_DEG, LEAST_SEEN = (9, 9), 80.0, 0.9
 KEPT_PX = 5.0  # observations with a larger reprojection error are dropped
 
 
@@ -95,20 +95,13 @@ def _infinite_homography(lenses: tuple[Camera, Camera], T_p_a: Float) -> Float:
     R_a_p = T_p_a[:3, :3].T
     if primary.is_pinhole and assistant.is_pinhole:
         return np.asarray(assistant.matrix @ R_a_p @ np.linalg.inv(primary.matrix))
-    uv = _grid(primary)
+    uv = primary.pixel_grid(*GRID)
     rays = primary.rays(uv) @ R_a_p.T
     seen = rays[:, 2] > np.cos(min(assistant.max_angle, np.radians(MAX_GUIDED_DEG)))
     H, _ = cv2.findHomography(uv[seen], assistant.project(rays[seen]))
     if H is None:
         raise BackboneError("bundle: the cameras look in different directions")
     return np.asarray(H, np.float64)
-
-
-def _grid(camera: Camera) -> Float:
-    """Pixels (GRID_COLUMNS^2, 2) from corner to corner of a picture."""
-    across = np.linspace(0, camera.width - 1, GRID_COLUMNS)
-    down = np.linspace(0, camera.height - 1, GRID_COLUMNS)
-    return np.stack(np.meshgrid(across, down), -1).reshape(-1, 2)
 
 
 def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
@@ -149,7 +142,7 @@ def lenses(state: State, m: Measurements) -> tuple[Camera, Camera]:
     except FieldTooWide as error:
         raise BackboneError(f"bundle: {error}") from None
     for camera in cameras:
-        seen = np.isfinite(camera.rays(_grid(camera))[:, 0])
+        seen = np.isfinite(camera.rays(camera.pixel_grid(*GRID))[:, 0])
         if seen.mean() < LEAST_SEEN:
             raise BackboneError("bundle: the lens that fits best does not show the whole picture")
     return cameras

@@ -13,6 +13,8 @@ from calm_edge.types import CalmEdgeError, Float
 
 # Largest share of the picture's pixels at which a lens model may have no inverse.
 MAX_FOLDED = 0.05
+# Columns and rows of pixels at which that is tested.
+GRID = 33, 25
 
 
 class CalibrationError(CalmEdgeError):
@@ -84,19 +86,13 @@ def checked(where: str, each: CalibratedCamera) -> CalibratedCamera:
             f"{where}: principal point ({camera.cx:.0f}, {camera.cy:.0f}) outside of its picture "
             f"of {camera.width} x {camera.height} px; give the size at which it was calibrated"
         )
-    folded = float(np.isnan(camera.rays(pixel_grid(camera))).any(-1).mean())
+    folded = float(np.isnan(camera.rays(camera.pixel_grid(*GRID))).any(-1).mean())
     if folded > MAX_FOLDED:
         raise CalibrationError(
             f"{where}: the lens model has no inverse in {100 * folded:.0f} % of the picture; "
             "calibrate with fewer terms or as a fisheye lens"
         )
     return each
-
-
-def pixel_grid(camera: Camera, columns: int = 33, rows: int = 25) -> Float:
-    """Pixels (columns * rows, 2) that cover the picture from corner to corner."""
-    x, y = (np.linspace(0, n - 1.0, k) for n, k in ((camera.width, columns), (camera.height, rows)))
-    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
 
 
 def joined(parts: list[tuple[Path, Calibration]]) -> Calibration:
