@@ -355,7 +355,9 @@ def test_the_live_metre_of_a_first_window_waits_for_the_second_unless_the_kit_is
 
 
 def test_a_first_window_alone_has_no_metre_until_the_end_of_the_drive():
-    localizer = Localizer(METRES, Converging(scene(straight(70))))
+    backbone = Converging(scene(straight(70)))
+    backbone.resolve = lambda prediction, hints: prediction
+    localizer = Localizer(METRES, backbone)
     localizer.process(windows(40)[0])
     assert localizer.metre.reason == metre.ALONE
     localizer.finish()
