@@ -27,6 +27,7 @@ COMMANDS = {
     "keep": "mark a recording so that it is not removed when the disk is full",
     "cameras": "list the cameras of this machine",
     "model": "list the models, or check one on this machine",
+    "config": "print the configuration with comments, as TOML that record --config reads",
     "doctor": "list what is missing on this machine, and the consequences",
 }
 # where it is not the command's name

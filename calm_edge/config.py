@@ -1,4 +1,8 @@
-"""Configuration: a typed section for each part; defaults are the paper's values where given."""
+"""Configuration: a typed section for each part; defaults are the paper's values where given.
+
+Users read the docstrings of the sections (`commands/config_text`): what the section is about, then
+lines `key: what it does.` or `key, key: what both do.`
+"""
 
 from __future__ import annotations
 
@@ -15,16 +19,23 @@ from device.frame import JPEG_QUALITY
 
 @dataclass(frozen=True, slots=True)
 class CaptureConfig:
-    """[capture]: cameras and capture loop. primary, assistant: `driver:address`.
+    """[capture]: cameras and capture loop.
 
-    stale_after_ms: time without a frame after which a camera is stale. realtime_priority:
-    SCHED_FIFO priority of the capture threads, 1 to 99; 0: normal scheduling. exposure_us, gain,
-    white_balance_k, focus: a number, `auto`, `auto-then-lock` (after two seconds) or `lock` (at the
-    current value), see device.camera.CameraControls. Autofocus only with `auto`. readout_ms: time
-    from the exposure of the first row to that of the last, 0 for a global shutter, one value or one
-    per camera, a hint: it is learned from driving. mask: image of each camera, black where its
-    picture shows no scene, e.g. the bonnet; "" to learn it. mask_cells: as read from these by
-    `record`, which are then not needed by `map`.
+    primary, assistant: `driver:address` of the camera whose path is the trajectory, and of the
+    second one, as listed by `calm-edge cameras`; `v4l2:` takes the first and the second by USB
+    port.
+    rate_hz: frames a second, requested of the cameras.
+    width_px, height_px: size of the pictures, requested; a camera may choose its nearest mode.
+    stale_after_ms: time without a frame after which a camera is stale.
+    realtime_priority: SCHED_FIFO priority of the capture threads, 1 to 99; 0: normal scheduling.
+    exposure_us, gain, white_balance_k, focus: a number, `auto`, `auto-then-lock` (after two
+    seconds) or `lock` (at the current value); microseconds, kelvin, otherwise the unit of the
+    driver. A camera focuses by itself only with focus `auto`.
+    readout_ms: time from the exposure of the first row to that of the last, 0 for a global shutter,
+    one value or one per camera: a hint, it is learned from driving.
+    mask: image file of each camera, black where its picture shows no scene, such as the bonnet; ""
+    to learn it.
+    mask_cells: the masks as `record` read them from these files; not for writing by hand.
     """
 
     primary: str = "v4l2:"
@@ -51,11 +62,17 @@ class CaptureConfig:
 
 @dataclass(frozen=True, slots=True)
 class RecordingConfig:
-    """[recording]: files of a recording. segment_s: length of a file. flush_s: time between writes.
+    """[recording]: files of a recording.
 
-    log_depth: record the depth of sub-maps. keep_free_gib, keep_free_percent: disk space to leave
-    free, the larger of the two. remove_old: with `record --root`, remove the oldest drives not
-    marked to keep before recording stops.
+    segment_s: length of a file in seconds. A power cut loses at most two seconds of it.
+    chunk_bytes: size of the parts of a file that can be read by themselves.
+    flush_s: time between writes to the disk.
+    jpeg_quality: of pictures that a camera does not send as JPEG, 1 to 100.
+    log_depth: compute and record the depth of sub-maps while driving.
+    keep_free_gib, keep_free_percent: disk space to leave free, the larger of the two. Then the
+    oldest drives are removed, or recording stops and poses continue.
+    remove_old: with `record --root`, remove the oldest drives that are not marked by `calm-edge
+    keep` before recording stops.
     """
 
     segment_s: float = 300.0
@@ -70,12 +87,17 @@ class RecordingConfig:
 
 @dataclass(frozen=True, slots=True)
 class DegradeConfig:
-    """[degrade]: reduction of work when hot or behind.
+    """[degrade]: reduction of work when the computer is hot or behind.
 
-    The steps are: no depth, half the keyframes, no windows. One step is added every step_s while
-    the temperature is above hot_c, more than behind_windows windows wait, or windows are dropped;
-    one is taken back after a longer time below cool_c with at most one window waiting. Frames are
-    always recorded. thermal_root: folder of the kernel's thermal zones.
+    The steps are: no depth, half the keyframes, no windows. A step is added when the temperature is
+    too high, too many windows wait, or windows are dropped; it is taken back after a longer time
+    below cool_c with at most one window waiting. Frames are always recorded.
+
+    hot_c: temperature in degrees Celsius above which a step is added.
+    cool_c: temperature below which a step is taken back.
+    behind_windows: number of waiting windows above which a step is added.
+    step_s: seconds from one step to the next.
+    thermal_root: folder of the kernel's thermal zones.
     """
 
     hot_c: float = 85.0
@@ -87,17 +109,20 @@ class DegradeConfig:
 
 @dataclass(frozen=True, slots=True)
 class FrontendConfig:
-    """[frontend]: keyframes, windows and the live tracker (paper IV-A and Implementation Details).
+    """[frontend]: keyframes, windows and the live tracker (paper IV-A, Implementation Details).
 
     flow_px: mean optical flow from one keyframe to the next, in px of an image whose long side has
     flow_reference_width_px.
-    max_keyframe_gap_s: longest time between keyframes while moving. first_window: number of
-    keyframes in the first window, at most n_max; small, for an early first pose. The second window
-    contains them again. n_max: number of primary keyframes in the other windows, of which the first
-    n_overlap are the last ones of the previous window. max_pair_gap_s: largest
-    time between a primary keyframe and the assistant frame chosen for it. tracker_points: most
-    points tracked for the live pose. standstill_px: median flow between frames below which the car
-    counts as standing. lost_after_ms: time without a new pose after which the live pose is lost.
+    flow_reference_width_px: the width that flow_px is given for.
+    max_keyframe_gap_s: longest time between keyframes while moving.
+    n_max: number of primary keyframes in a window, except in the first.
+    n_overlap: number of these that are the last ones of the previous window.
+    first_window: number of keyframes in the first window, at most n_max; small, for an early first
+    pose. The second window contains them again.
+    max_pair_gap_s: largest time between a primary keyframe and the assistant frame chosen for it.
+    tracker_points: most points tracked for the live pose.
+    standstill_px: median flow between frames below which the car counts as standing.
+    lost_after_ms: time without a new pose after which the live pose is lost.
     """
 
     flow_px: float = 25.0
@@ -117,13 +142,16 @@ class BackboneConfig:
     """[backbone]: reconstruction of windows (paper III).
 
     name: `bundle:NAME_OR_FOLDER` (bundle adjustment with matches of that model), `bundle` (without
-    a model), `scripted:FOLDER`, or a model alone: `feedforward:NAME_OR_FOLDER` or NAME. precision:
-    of the model's graphs; auto: the best found by `model check`, fp32 in lockstep. max_views: views
-    per run of a feedforward model, at least 2; 0: as found by `model check`. hfov_deg: horizontal
-    field of view, one for both cameras or one each; empty: unknown. resolve_windows: number of
-    recent windows that are solved again once the kit is better known. overlap_prior: a window takes
-    over what the previous one says of their common keyframes; if off, each is solved alone as in
-    the paper. kit_file: stores the calibration of these cameras for the next drive; empty: none.
+    a model), `scripted:FOLDER`, or a model alone: `feedforward:NAME_OR_FOLDER` or NAME.
+    precision: of the model's graphs; auto: the best found by `calm-edge model check`, fp32 in
+    lockstep.
+    max_views: views per run of a feedforward model, at least 2; 0: as found by `model check`.
+    hfov_deg: horizontal field of view, one for both cameras or one each; empty: unknown.
+    seed: of the random draws, such as those of RANSAC.
+    resolve_windows: number of recent windows that are solved again once the kit is better known.
+    overlap_prior: a window takes over what the previous one says of their common keyframes; if off,
+    each is solved alone as in the paper.
+    kit_file: stores the calibration of these cameras for the next drive; empty: none.
     """
 
     name: str = "bundle:calm-geo"
@@ -163,10 +191,12 @@ class CalibratedCameraConfig:
 class CalibrationConfig:
     """[calibration]: a known calibration, a prior on the kit.
 
-    file: of OpenCV, ROS, Kalibr or COLMAP, with both cameras, the primary first, or one file each.
-    sigma_px: sigma of the calibration, rms over the picture. cameras, rig: as read from the files
-    by `record`, which are then not needed by `map`. rig: rotation vector [rad] and centre
-    [spacings] of the assistant in the primary camera; empty if the files have none.
+    file: calibration of OpenCV, ROS, Kalibr or COLMAP, with both cameras, the primary first, or one
+    file each.
+    sigma_px: sigma of the calibration, rms over the picture.
+    cameras: the cameras as `record` read them from the files; not for writing by hand.
+    rig: rotation vector [rad] and centre [spacings] of the assistant in the primary camera, as read
+    from the files; empty if they have none.
     """
 
     file: tuple[str, ...] = ()
@@ -181,7 +211,8 @@ class ScaleConfig:
 
     spacing_m: metres between the optical centres; 0: the world unit is the spacing.
     average_placement: place a sub-map by all common frames; if off, by the first alone as in the
-    paper. rectify: if off, every sub-map takes the scale factor of the first one (ablation).
+    paper.
+    rectify: if off, every sub-map takes the scale factor of the first one (ablation).
     """
 
     spacing_m: float = 0.0
@@ -201,16 +232,21 @@ class CorrectionConfig:
     Focal lengths are searched that fit the fundamental matrices F of many image pairs. Pairs of one
     sub-map form a group, and the groups of a camera its bank.
 
-    apply: `auto` (if the backbone does not estimate the kit itself), always, never. matches: `auto`
-    (the backbone's if it provides them, else SIFT) or `sift`. weighted (extension): weight each F
-    by its information. refine (extension): minimise the score over the bank; if off, search among
-    the backbone's guesses by the unweighted mean. rotation, translation: correct the rotations, the
-    translations of the poses. general_translation: correct translations for any rotation between
-    two views; if off, by the paper's simpler formula for small ones. rigid_rig (extension): remove
-    a constant rotation rate of the assistant relative to the primary. adaptive_damping: correct a
-    focal by a share that grows with the bank; if off, in full from the first estimate on.
-    group_every: sub-maps from one group of image pairs to the next. n_pair: least number of F in a
-    group. n_feature: least number of inliers of an F. n_group: most groups in the bank of a camera.
+    apply: `auto` (if the backbone does not estimate the kit itself), always, never.
+    matches: `auto` (the backbone's if it provides them, else SIFT) or `sift`.
+    weighted: (extension) weight each F by its information.
+    refine: (extension) minimise the score over the bank; if off, search among the backbone's
+    guesses by the unweighted mean.
+    rotation, translation: correct the rotations, the translations of the poses.
+    general_translation: correct translations for any rotation between two views; if off, by the
+    paper's simpler formula for small ones.
+    rigid_rig: (extension) remove a constant rotation rate of the assistant relative to the primary.
+    adaptive_damping: correct a focal by a share that grows with the bank; if off, in full from the
+    first estimate on.
+    group_every: sub-maps from one group of image pairs to the next.
+    n_pair: least number of F in a group.
+    n_feature: least number of inliers of an F.
+    n_group: most groups in the bank of a camera.
     max_features: most SIFT features per image.
     """
 
@@ -234,10 +270,13 @@ class CorrectionConfig:
 class LoopConfig:
     """[loops]: loop closure (paper IV-D).
 
-    min_gap: least number of keyframes between two visits to a place. top_k: candidates per query.
-    max_places: most places kept to search in. min_matches: epipolar inliers that two images of one
-    place must have. descriptor: `learned` (by the
-    backbone's network), `gradients`, or `auto` (learned if there is a network).
+    enabled: if off, places are not recognised and no loop is closed.
+    min_gap: least number of keyframes between two visits to a place.
+    top_k: candidates per query.
+    max_places: most places kept to search in.
+    min_matches: epipolar inliers that two images of one place must have.
+    descriptor: of places: `learned` (by the backbone's network), `gradients`, or `auto` (learned if
+    there is a network).
     """
 
     enabled: bool = True
@@ -252,10 +291,11 @@ class LoopConfig:
 class PoseGraphConfig:
     """[posegraph]: joint pose graph optimisation (paper IV-C).
 
-    optimise: if off, poses are not optimised. window: each keyframe has edges to this many earlier
-    ones of its sub-map. rotation_variance, translation_variance: of such an edge, rad² and map
-    units². rig_prior_variance: of the prior on the rig T_p_a, whose mean is the rig of the first
-    sub-map; of rotation and translation alike, in the same units.
+    optimise: if off, poses are not optimised.
+    window: each keyframe has edges to this many earlier ones of its sub-map.
+    rotation_variance, translation_variance: of such an edge, in rad² and map units².
+    rig_prior_variance: of the prior on the rig T_p_a, whose mean is the rig of the first sub-map;
+    of rotation and translation alike, in the same units.
     """
 
     optimise: bool = True
@@ -267,20 +307,27 @@ class PoseGraphConfig:
 
 @dataclass(frozen=True, slots=True)
 class MappingConfig:
-    """[mapping]: dense map (paper VI). suppression_radius, max_range, cloud_voxel: map units.
+    """[mapping]: dense map (paper VI).
 
-    Anchors, points seen in several views, join the sub-maps. For ablations these can be switched
-    off: suppress, use only anchors without a neighbour within suppression_radius that more sub-maps
-    observe; distance_weight, average an anchor's positions of several sub-maps with the weight
-    1 / distance² to the sub-map's central camera; deform, bend each sub-map so that its anchors
-    meet these averages.
+    Anchors, points seen in several views, join the sub-maps. suppress, distance_weight and deform
+    can be switched off for ablations. suppression_radius, max_range and cloud_voxel are in map
+    units, that is in spacings.
 
+    suppress: use only anchors without a neighbour within suppression_radius that more sub-maps
+    observe.
+    distance_weight: average an anchor's positions of several sub-maps with the weight 1 / distance²
+    to the sub-map's central camera.
+    deform: bend each sub-map so that its anchors meet these averages.
     grid: at most one new anchor is taken from each of grid x grid cells of an image.
     depth_tolerance: a view sees an anchor if the view's depth there differs from the anchor's by at
-    most this share. min_confidence, max_range: pixels with a lower confidence or larger z-depth are
-    not used. stiffness: resistance of a sub-map to bending, 0: none. max_control_points: most
-    anchors that bend one sub-map. cloud_voxel: edge of a voxel, in which one point is kept (0.1 m
-    for cameras half a metre apart).
+    most this share.
+    min_confidence: pixels with a lower confidence are not used.
+    suppression_radius: distance within which anchors are neighbours.
+    stiffness: resistance of a sub-map to bending, 0: none.
+    max_control_points: most anchors that bend one sub-map.
+    max_points_per_submap: most points that one sub-map adds to the cloud.
+    max_range: pixels with a larger z-depth are not used.
+    cloud_voxel: edge of a voxel, in which one point is kept (0.1 m for cameras half a metre apart).
     """
 
     suppress: bool = True
@@ -300,10 +347,14 @@ class MappingConfig:
 
 @dataclass(frozen=True, slots=True)
 class PoseOutputConfig:
-    """[pose_output]: MAVLink output. port: a serial device or `udp:HOST:PORT`; empty: none.
+    """[pose_output]: output of poses as MAVLink 2 ODOMETRY.
 
-    rate_hz: highest rate of poses. system_id: MAVLink system id of the autopilot. mounting_rpy_deg,
-    mounting_xyz_m: mounting T_b_c of the primary camera in the body (FRD).
+    port: a serial device or `udp:HOST:PORT`; empty: none.
+    baud: rate of the serial port, bits a second.
+    rate_hz: highest rate of poses; there is one pose per frame.
+    system_id: MAVLink system id of the autopilot.
+    mounting_rpy_deg, mounting_xyz_m: mounting T_b_c of the primary camera in the body (forward,
+    right, down): roll, pitch, yaw, and position.
     """
 
     port: str = ""

@@ -101,5 +101,5 @@ def _first_two(found: list[FoundCamera]) -> tuple[str, str]:
 def _write(path: Path, pair: tuple[str, str]) -> None:
     from calm_edge.commands.config_file import write_keys
 
-    write_keys(path, "capture", {"primary": pair[0], "assistant": pair[1]})
+    write_keys(path, {"capture": {"primary": pair[0], "assistant": pair[1]}})
     say(f"{path}: wrote primary and assistant to [capture]")

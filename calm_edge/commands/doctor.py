@@ -32,6 +32,7 @@ OPTIONAL = {
     "rosbags": "no import of ROS bags (pip install rosbags)",
     "laspy": "no export of LAZ clouds (pip install 'laspy[lazrs]')",
     "yaml": "no calibrations of ROS and Kalibr (pip install pyyaml)",
+    "tomlkit": "no `calm-edge config`, no changes to config files (pip install tomlkit)",
     "serial": "no pose on a serial port (pip install pyserial)",
     "systemd": "no watchdog and no readiness under systemd (pip install systemd-python, "
     "after apt-get install gcc pkg-config libsystemd-dev python3-dev)",

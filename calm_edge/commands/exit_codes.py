@@ -51,6 +51,7 @@ OF_COMMAND: dict[str, dict[int, str]] = {
     "keep": {},
     "cameras": {OK: "cameras were found", ERROR: "no camera was found"},
     "model": {ERROR: "the model was refused"},
+    "config": {ERROR: "the configuration is invalid"},
     "doctor": {
         OK: "a default run works; notes may follow",
         ERROR: "a default run does not work",

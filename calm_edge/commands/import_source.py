@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calm_edge.commands.configuration import add_configuration, effective_config
 from calm_edge.commands.console import say
 from calm_edge.commands.exit_codes import OK
-from calm_edge.commands.record import add_configuration
 
 if TYPE_CHECKING:
     from calm_edge.config import Config
@@ -56,7 +56,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Import the sources; print what was taken, dropped and assumed."""
-    from calm_edge.commands.record import effective_config
     from calm_edge.interchange import recorded
     from calm_edge.interchange.calibration.opencv import FILE as OPENCV
     from calm_edge.interchange.registry import importer

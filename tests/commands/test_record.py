@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from calm_edge.cli import build_parser
-from calm_edge.commands.record import effective_config, recorded_config
+from calm_edge.commands.configuration import effective_config
+from calm_edge.commands.record import recorded_config
 from calm_edge.config import Config, ConfigError, merge
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
