@@ -38,8 +38,10 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def recorded(drive: Path) -> Path:
     out = drive.parent / "rec"
     arguments = ["record", "--sequence", str(drive), "--out", str(out), "--pace", "lockstep"]
+    arguments += ["--no-report"]
     arguments += ["--set", f"backbone.name=scripted:{drive}", "--set", "frontend.n_max=4"]
     assert main([*arguments, "--set", "frontend.n_overlap=2", "--spacing-m", "0.5"]) == 0
+    assert not (out / "report.html").exists()
     return out
 
 

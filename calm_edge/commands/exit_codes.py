@@ -32,6 +32,11 @@ OF_COMMAND: dict[str, dict[int, str]] = {
         "no points; windows could not be solved; parts of the recording are damaged; the spacing "
         "was given and no metre found; the truth could not be compared",
     },
+    "report": {
+        OK: "written",
+        ERROR: "nothing was written",
+        LOSS: "written, of a recording that is damaged",
+    },
     "eval": {
         OK: "compared",
         LOSS: "there are no poses to compare; the spacing was given and no metre found",

@@ -6,7 +6,6 @@ import argparse
 import os
 import shutil
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -23,10 +22,10 @@ if TYPE_CHECKING:
     from calm_edge.mapping.seams import SeamSummary
     from calm_edge.offline.drive import Drive
     from calm_edge.offline.gps_fixes import GpsFixes
+    from calm_edge.offline.map_times import MapTimes
     from calm_edge.offline.unfinished import Unfinished
     from calm_edge.recording.reader import Recording
     from calm_edge.report.map_page import Written
-    from calm_edge.types import Bytes
 
 
 # frames of each camera that are looked at when nothing can be mapped
@@ -65,6 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     from calm_edge.config import merge, parse_assignment
     from calm_edge.evaluation.truth import read_truth
     from calm_edge.offline.gps_fixes import read_fixes
+    from calm_edge.offline.map_times import MapTimes
     from calm_edge.offline.unfinished import Unfinished, plan
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
@@ -85,12 +85,16 @@ def run(arguments: argparse.Namespace) -> int:
     with interrupted_by_sigterm(), Unfinished(unfinished, config, made_of) as work:
         try:
             started = time.monotonic()
-            drive = placed_drive(recording, config, work)
+            times = MapTimes()
+            with times.stage("solving and placing windows"):
+                drive = placed_drive(recording, config, work)
             if drive is None:
                 shutil.rmtree(leftover)
                 return LOSS
             pictures = not arguments.no_pictures
-            code = make_map(recording, config, work, drive, out, truth, fixes, pictures=pictures)
+            code = make_map(
+                recording, config, work, drive, out, truth, fixes, times, pictures=pictures
+            )
             print(f"took        {time.monotonic() - started:.0f} s")
             return code
         except (KeyboardInterrupt, CalmEdgeError):
@@ -106,6 +110,7 @@ def make_map(
     out: Path,
     truth: Truth | None,
     fixes: GpsFixes | None,
+    times: MapTimes,
     *,
     pictures: bool,
 ) -> int:
@@ -114,18 +119,15 @@ def make_map(
     pictures: whether map.html has pictures of the cameras. Raises CalmEdgeError; what was computed
     is then in `work`.
     """
+    from calm_edge.commands.map_pages import write_map_page, write_report
     from calm_edge.estimator.gaps import described
-    from calm_edge.evaluation import EvaluationError
     from calm_edge.mapping.cloud_file import read_cloud
     from calm_edge.offline.georeference import ENU_TUM, GPS_SUMMARY, georeference
-    from calm_edge.offline.map_drive import MAP, PAGE, make_cloud, write_trajectory
-    from calm_edge.report.drive_view import map_view
-    from calm_edge.report.keyframe_pictures import keyframe_pictures
-    from calm_edge.report.map_page import write_map_page
+    from calm_edge.offline.map_drive import MAP, make_cloud, write_trajectory
 
-    tiles, seams = make_cloud(recording, config, drive, out, work.spool, say)
+    tiles, seams = make_cloud(recording, config, drive, out, work.spool, say, times)
     n_points = int(tiles[:, 1].sum())
-    estimate = write_trajectory(recording, config, drive, out, seams)
+    estimate = write_trajectory(recording, config, drive, out, seams, times)
     for name in (ENU_TUM, GPS_SUMMARY):
         # of a map that is replaced
         (out / name).unlink(missing_ok=True)
@@ -139,44 +141,24 @@ def make_map(
         losses.append(described(gaps, int(drive.trajectory.t_ns[0]), metric=metric))
     if not n_points:
         losses.append("the map has no points: no depth was found in any sub-map")
-    recorded = recording.path.resolve()
-    title = f"{recorded.parent.name}/{recorded.name}"
-    late = last_pictures(recording, drive)
-    try:
-        write_report(title, estimate, color, drive, truth, losses, out, late)
-    except EvaluationError as error:
-        losses.append(f"not compared with the truth: {error}")
-        write_report(title, estimate, color, drive, None, losses, out, late)
-    origin = recording.origin_ns
-    stamps = estimate.t_ns + origin
-    shown = keyframe_pictures(recording, drive.windows, stamps) if pictures else ()
-    submaps = [update.submap for update in drive.updates]
-    grain = config.mapping.cloud_voxel * config.scale.spacing
-    page = write_map_page(
-        out / PAGE, map_view(title, estimate, color, tiles, submaps, origin, grain, shown)
-    )
-    work.remove()
-    print_files(out, n_points, seams, estimate, page)
-    print_metre(drive.metre, config.scale.spacing_m)
     if drive.unsolved:
         losses.append(
             f"windows {drive.unsolved} could not be solved; constant velocity is assumed there"
         )
+    with times.stage("map.html"):
+        page = write_map_page(
+            recording, config, drive, estimate, color, tiles, out, pictures=pictures
+        )
+    losses += write_report(recording, drive, estimate, color, truth, losses, out, times)
+    work.remove()
+    print_files(out, n_points, seams, estimate, page)
+    print_metre(drive.metre, config.scale.spacing_m)
     for line in losses:
         say(f"loss: {line}")
     no_metre = bool(config.scale.spacing_m) and not drive.metre.metric
     if no_metre:
         say_no_metre(drive.metre.reason)
     return LOSS if losses or no_metre else OK
-
-
-def last_pictures(recording: Recording, drive: Drive) -> list[Bytes]:
-    """A late picture (H, W, 3) of each eye of a drive that has masks; else none."""
-    if drive.updates[-1].masks is None:
-        return []
-    window = recording.window(drive.windows[-1])
-    eyes = (window.primary, window.assistant)
-    return [keyframes[-1].frame.bgr() for keyframes in eyes if keyframes]
 
 
 def placed_drive(recording: Recording, config: Config, work: Unfinished) -> Drive | None:
@@ -267,27 +249,3 @@ def print_files(
     print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
     print(f"walk        {out / PAGE} ({page})")
     print(f"report      {out / REPORT}")
-
-
-def write_report(
-    title: str,
-    estimate: Estimate,
-    color: Bytes,
-    drive: Drive,
-    truth: Truth | None,
-    losses: Sequence[str],
-    out: Path,
-    pictures: Sequence[Bytes],
-) -> None:
-    """Write report.html, including the trajectory error if truth is given.
-
-    color: (P, 3) RGB of the points. pictures: one of each eye.
-    """
-    from calm_edge.evaluation.results import compare
-    from calm_edge.offline.map_drive import REPORT
-    from calm_edge.report.drive_report import report_data
-    from calm_edge.report.report import write_report as write
-
-    figures = compare(estimate, truth) if truth is not None else None
-    data = report_data(title, estimate, drive.updates, color, truth, figures, losses, pictures)
-    write(out / REPORT, data)

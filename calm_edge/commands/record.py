@@ -41,6 +41,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default="realtime",
         help="realtime: never wait; lockstep: wait for every window, deterministic",
     )
+    parser.add_argument(
+        "--no-report",
+        action="store_true",
+        help="do not write report.html at the end; `calm-edge report` does it later. As a service: "
+        "never at the end",
+    )
     add_configuration(parser)
 
 
@@ -94,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
     from device.errors import DeviceError
-    from device.service import log_handler, open_notifier
+    from device.service import NullNotifier, log_handler, open_notifier
 
     logging.basicConfig(handlers=[log_handler()], level=logging.WARNING, format="%(message)s")
     notifier = open_notifier()
@@ -109,16 +115,35 @@ def run(arguments: argparse.Namespace) -> int:
         refuse_other_shapes(config, arguments.sequence, recording)
         target = Target(arguments.out or arguments.root, is_root=arguments.out is None)
         lockstep = arguments.pace == "lockstep"
-        code = report(*record(config, source, target, notifier, lockstep=lockstep, say=say))
+        folder, result = record(config, source, target, notifier, lockstep=lockstep, say=say)
+        code = report(folder, result)
     except (CalmEdgeError, DeviceError) as error:
         # shows the error in `systemctl status`
         notifier.status(f"FAILED: {error}", "FAILED")
         raise
+    # the car's computer may be switched off as soon as the recording is closed
+    if isinstance(notifier, NullNotifier) and not (arguments.no_report or result.error):
+        write_page(folder)
     if recording is not None and recording.losses:
         more = f", and {len(recording.losses) - 1} more" if len(recording.losses) > 1 else ""
         say(f"loss: the recording that was replayed lacks parts: {recording.losses[0]}{more}")
         return code or LOSS
     return code
+
+
+def write_page(folder: Path) -> None:
+    """Write report.html of the finished recording; a failure is said and changes nothing else."""
+    from calm_edge.commands.report import write_report
+    from calm_edge.recording.retention import REPORT_FILE
+
+    try:
+        write_report(folder, folder / REPORT_FILE)
+    except Exception as error:
+        # the recording is complete, whatever the page makes of it
+        logging.getLogger(__name__).debug("report", exc_info=True)
+        say(f"no report was written ({' '.join(str(error).split())}): calm-edge report {folder}")
+        return
+    print(f"report      {folder / REPORT_FILE}")
 
 
 def report(folder: Path, result: RecordResult) -> int:

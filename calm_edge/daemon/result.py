@@ -225,4 +225,5 @@ class RecordResult:
             "finished": self.finished,
             "unsolved_windows": list(self.unsolved_windows),
             "output_losses": dict(self.output_losses),
+            "losses": self.losses(),
         }

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from calm_edge.evaluation import EvaluationError
 from calm_edge.trajectories import folded, read_tum
 from calm_edge.types import Float, Float32, Int, LocalizerUpdate, Metre, PoseSample
 from device.frame import Eye
+
+if TYPE_CHECKING:
+    from calm_edge.recording.reader import Recording
 
 # A larger pose age means that publish time and exposure are on different clocks.
 MAX_AGE_MS = 60_000.0
@@ -230,20 +233,27 @@ def _published_ages(path: Path) -> dict[str, float] | None:
 
 
 def from_recording(path: Path) -> Estimate:
-    """Estimate from a recording folder or MCAP file. Raises RecordingError.
+    """Estimate from a recording folder or MCAP file. Raises RecordingError."""
+    from calm_edge.recording.reader import Recording
+
+    recording = Recording(path)
+    return recorded(recording, list(recording.updates()))
+
+
+def recorded(recording: Recording, updates: Sequence[LocalizerUpdate]) -> Estimate:
+    """Estimate from a recording and its updates. Raises RecordingError.
 
     The pose age is the last `pose_age_ms` on the topic /status, else computed from publish time
     and exposure of the logged poses.
     """
-    from calm_edge.recording.reader import Recording
     from calm_edge.recording.schema import IMAGE_TOPICS, STATUS
 
-    recording = Recording(path)
+    path = recording.path
     ages = [s["pose_age_ms"] for s in recording.json_messages(STATUS) if s.get("pose_age_ms")]
     first = next(recording.frames(Eye.PRIMARY), None)
     estimate = from_updates(
         str(path),
-        list(recording.updates()),
+        updates,
         recording.count(IMAGE_TOPICS[Eye.PRIMARY]),
         recording.config.scale.spacing_m,
         ages[-1] if ages else _published_ages(path),

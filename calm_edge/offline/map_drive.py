@@ -20,6 +20,7 @@ from calm_edge.mapping.seams import summary as seam_summary
 from calm_edge.mapping.spool import Spool
 from calm_edge.offline.densify import densified
 from calm_edge.offline.drive import Drive
+from calm_edge.offline.map_times import MapTimes
 from calm_edge.offline.progress import Progress
 from calm_edge.recording.reader import Recording
 from calm_edge.trajectories import write_kitti, write_tum
@@ -43,13 +44,14 @@ def make_cloud(
     out: Path,
     spool: Path,
     say: Callable[[str], None],
+    times: MapTimes,
 ) -> tuple[Int, SeamSummary | None]:
     """Compute depth and anchors of all sub-maps and write map.ply, over an existing one.
 
     spool: folder for scratch files, removed by the caller; depth found in it is not computed again.
-    Returns the number of points of each sub-map that has depth, in the order of their ids as in
-    the file, as rows (id, points), and statistics of the distances between sub-maps' positions of
-    common anchors.
+    times: takes those of the stages. Returns the number of points of each sub-map that has depth,
+    in the order of their ids as in the file, as rows (id, points), and statistics of the distances
+    between sub-maps' positions of common anchors.
     """
     mapper = Mapper(config.mapping, config.scale.spacing, spool, config.backbone.seed)
     earlier = Spool(spool)
@@ -62,17 +64,20 @@ def make_cloud(
     depths = densified(recording.path, config, windows, updates)
     progress = Progress("depth and anchors of sub-maps", len(known), say)
     for record, update, done in zip(drive.windows, drive.updates, known, strict=True):
-        depth = _spooled(earlier, update.submap.id) if done else next(depths)
+        # computed by workers meanwhile: what is waited for
+        with times.stage("depth"):
+            depth = _spooled(earlier, update.submap.id) if done else next(depths)
         if isinstance(depth, str):
             drive.losses.append(depth)
             continue
-        window = recording.window(record)
-        images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
-        mapper.add(update.submap, *depth, images)
+        with times.stage("anchors"):
+            window = recording.window(record)
+            images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
+            mapper.add(update.submap, *depth, images)
         progress.step(free=done)
     say("fusing and deforming the sub-maps")
     sizes = []
-    with CloudWriter(out / MAP, replace=True) as cloud:
+    with times.stage("fusion and deformation"), CloudWriter(out / MAP, replace=True) as cloud:
         for tile in mapper.finish():
             cloud.write(tile)
             sizes.append(len(tile.points_w))
@@ -87,7 +92,12 @@ def _spooled(spool: Spool, submap_id: int) -> tuple[Float32, Float32]:
 
 
 def write_trajectory(
-    recording: Recording, config: Config, drive: Drive, out: Path, seams: SeamSummary | None
+    recording: Recording,
+    config: Config,
+    drive: Drive,
+    out: Path,
+    seams: SeamSummary | None,
+    times: MapTimes,
 ) -> Estimate:
     """Write trajectory.tum, trajectory.kitti and summary.json, with the stamps of the source."""
     logged, origin_ns = from_recording(recording.path), recording.origin_ns
@@ -108,6 +118,7 @@ def write_trajectory(
         "T_p_a": None if drive.trajectory is None else drive.trajectory.T_p_a.tolist(),
         "seams": asdict(seams) if seams is not None else None,
         "gaps": [asdict(gap) for gap in drive.gaps(config)],
+        "map_s": times.seconds,
     }
     (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n")
     return estimate

@@ -192,8 +192,12 @@ class Recording:
 
     def json_messages(self, topic: str) -> Iterator[dict[str, Any]]:
         """Iterate over the JSON objects on /clock, /status or /health in the order written."""
-        for _, data in self._messages(topic):
-            yield json.loads(data)
+        return (value for _, value in self.timed_json_messages(topic))
+
+    def timed_json_messages(self, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Iterate over t_ns of writing and JSON object, as `json_messages`."""
+        for location, data in self._messages(topic):
+            yield location.t_ns, json.loads(data)
 
     def _metadata(self, name: str, *, last: bool = False) -> dict[str, str]:
         named = [m for index in self._segments for m in index.metadata if m.name == name]

@@ -18,8 +18,8 @@ from device.atomic_file import sync_folder
 
 # file that marks a drive which must not be removed
 KEEP_FLAG = "KEEP"
-# written by `record` beside the segments, and removed with the last of them
-TRAJECTORY_FILE = "record_trajectory.tum"
+# written by `record` and `report` beside the segments, and removed with the last of them
+TRAJECTORY_FILE, REPORT_FILE = "record_trajectory.tum", "report.html"
 _NAME = re.compile(r"(\d{6,})-[0-9a-z]+")
 
 
@@ -97,7 +97,8 @@ def remove_oldest(root: Path, present: Path) -> Removed | None:
             if drive == present:
                 segments = segments[:-1]
             elif len(segments) <= 1:
-                (drive / TRAJECTORY_FILE).unlink(missing_ok=True)
+                for name in (TRAJECTORY_FILE, REPORT_FILE):
+                    (drive / name).unlink(missing_ok=True)
             size = segments[0].stat().st_size if segments else 0
             if segments:
                 segments[0].unlink()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calm_edge.evaluation.estimate import Estimate
-from calm_edge.report.drive_report import unit
+from calm_edge.report.account import unit
 from calm_edge.report.keyframe_pictures import KeyframePictures
 from calm_edge.report.map_page import MapView
 from calm_edge.types import Bytes, Int, Submap

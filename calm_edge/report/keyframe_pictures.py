@@ -10,7 +10,7 @@ import numpy as np
 
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import FrameKey, WindowRecord
-from calm_edge.types import CalmEdgeError, Int
+from calm_edge.types import Bytes, CalmEdgeError, Int
 from device.frame import Eye, UnreadableImage, jpeg
 
 WIDTH_PX = 360
@@ -71,6 +71,20 @@ def keyframe_pictures(
         )
         for index, primary, assistant in chosen
     ]
+
+
+def late_pictures(recording: Recording, windows: Sequence[WindowRecord]) -> list[Bytes | None]:
+    """The last readable picture (H, W, 3) BGR of each eye among the windows' frames."""
+    keys = sorted({key for window in windows[-3:] for key in window.frame_keys}, key=lambda k: k[2])
+    found: list[Bytes | None] = [None, None]
+    for eye in Eye:
+        for key in reversed([key for key in keys if key[0] == eye]):
+            try:
+                found[eye] = recording.frame(eye, key[1], key[2]).bgr()
+                break
+            except (CalmEdgeError, UnreadableImage):
+                continue
+    return found
 
 
 def _small(recording: Recording, key: FrameKey) -> bytes | None:

@@ -15,15 +15,15 @@ WIDTH_PX = 480
 SHADE, SHARE = np.array([220, 40, 40]), 0.55
 
 
-def shaded(pictures: Sequence[Bytes], masks: Masks | None) -> tuple[Bytes, ...]:
+def shaded(pictures: Sequence[Bytes | None], masks: Masks | None) -> tuple[Bytes, ...]:
     """Small pictures (h, w, 3) RGB of the eyes that have a mask.
 
-    pictures: (H, W, 3) BGR of each eye.
+    pictures: (H, W, 3) BGR of each eye, or None.
     """
     out = []
     for eye, picture in enumerate(pictures):
         mask = None if masks is None else masks.of_eye(eye)
-        if mask is None:
+        if mask is None or picture is None:
             continue
         height = max(1, round(picture.shape[0] * WIDTH_PX / picture.shape[1]))
         small = cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)[..., ::-1]

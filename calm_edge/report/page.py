@@ -17,7 +17,14 @@ body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.55 system-ui,
 "Segoe UI",Roboto,sans-serif}
 main{max-width:1120px;margin:0 auto;padding:40px 24px 80px}
 h1{font-size:30px;margin:0 0 4px;letter-spacing:-.01em}h2{font-size:20px;margin:0 0 4px}
-p.lead,p.note{color:var(--muted);margin:0 0 18px}
+p.lead,p.note{color:var(--muted);margin:0 0 18px}p.account{font-size:19px;margin:0 0 6px}
+a{color:var(--estimate)}td,th{overflow-wrap:break-word}td a{overflow-wrap:anywhere}
+.narrow{display:none}
+svg+svg,div+.wide,div+.narrow{margin-top:12px}
+.scale{display:flex;align-items:flex-end;gap:10px;margin-top:10px;font-size:14px}
+.scale i{height:10px;border:2px solid var(--ink);border-top:0}
+.two{display:grid;grid-template-columns:1fr 1fr;gap:12px;margin-bottom:18px}
+.two img+img{margin-top:0}.two:last-child{margin-bottom:0}
 section{background:var(--card);border:1px solid var(--line);border-radius:12px;padding:22px 24px;
 margin:22px 0;overflow-x:auto}
 img,svg{display:block;width:100%;height:auto;border-radius:6px}img+img{margin-top:12px}
@@ -33,6 +40,10 @@ ul{margin:8px 0 0;padding-left:22px}.warn{background:var(--warn);border-color:va
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(170px,1fr));gap:14px;margin:22px 0}
 .card{background:var(--card);border:1px solid var(--line);border-radius:12px;padding:14px 18px}
 .card b{display:block;font-size:24px;font-weight:650}.card span{color:var(--muted);font-size:14px}
+@media (max-width:640px){main{padding:20px 12px 60px}section{padding:16px 12px;margin:14px 0}
+h1{font-size:24px;overflow-wrap:anywhere}p.account{font-size:17px}.wide{display:none}
+.narrow{display:block}.two{grid-template-columns:1fr}.cards{grid-template-columns:1fr 1fr;gap:10px}
+.card b{font-size:20px}td,th{padding:7px 5px}.stages td:first-child{width:34%}}
 """
 
 

@@ -22,6 +22,17 @@ READY = "window.calmEdgeMap && calmEdgeMap.stats && calmEdgeMap.stats.firstPictu
 WHOLE = "calmEdgeMap.stats.drawn >= Math.min(DRIVE.count, 2e6)"
 
 
+class Errors(list[str]):
+    """What a page reports as wrong, and every address that it asks for."""
+
+    def __init__(self, page: Any) -> None:
+        super().__init__()
+        self.asked: list[str] = []
+        page.on("pageerror", lambda e: self.append(str(e)))
+        page.on("console", lambda m: self.append(m.text) if m.type == "error" else None)
+        page.on("request", lambda r: self.asked.append(r.url))
+
+
 def program() -> str | None:
     """Path of Chromium, None without it."""
     return shutil.which("chromium") or shutil.which("chromium-browser")

@@ -12,7 +12,7 @@ import pytest
 
 from calm_edge.report import map_page
 from calm_edge.report.map_page import FOLDER, write_map_page
-from tests.browser.chromium import READY, WHOLE, chromium, program, stats, street
+from tests.browser.chromium import READY, WHOLE, Errors, chromium, program, stats, street
 
 pytestmark = pytest.mark.skipif(program() is None, reason="chromium not found: apt install it")
 
@@ -28,17 +28,6 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("map") / "map.html"
     write_map_page(path, street(150_000))
     return path
-
-
-class Errors(list[str]):
-    """What a page reports as wrong, and every address that it asks for."""
-
-    def __init__(self, page: Any) -> None:
-        super().__init__()
-        self.asked: list[str] = []
-        page.on("pageerror", lambda e: self.append(str(e)))
-        page.on("console", lambda m: self.append(m.text) if m.type == "error" else None)
-        page.on("request", lambda r: self.asked.append(r.url))
 
 
 def opened(browser: Any, path: Path, address: str = "", **options: Any) -> tuple[Any, Errors]:

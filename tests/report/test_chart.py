@@ -65,7 +65,7 @@ def test_both_axes_have_one_scale_if_asked() -> None:
 def test_what_is_outside_the_limits_is_clipped() -> None:
     figure = Chart((0, 1), (0, 1), ("x", "y"), 300)
     figure.band(np.array([0, 1.0]), np.full(2, -50.0), np.full(2, 50.0), "red", 0.1)
-    area = ElementTree.fromstring(figure.svg("band")).find(f"{SVG}svg")
+    area = ElementTree.fromstring(figure.svg("band")).find(f"{SVG}g/{SVG}svg")
     assert area is not None and area.find(f"{SVG}polygon") is not None
 
 
@@ -80,3 +80,33 @@ def test_charts_stack_and_follow_the_colours_of_the_page() -> None:
     assert re.search(r"viewBox=\"0 0 \d+ 300\"", svg)
     # a fallback for a file of its own, where the page's properties are not defined
     assert set(re.findall(r"var\((--[a-z]+),#[0-9a-f]{6}\)", svg)) >= {"--estimate", "--truth"}
+
+
+def test_a_narrow_chart_keeps_its_text_and_wraps_its_legend() -> None:
+    charts = [Chart((0, 130), (0, 1), ("x", "y"), 300, width=w, clock=True) for w in (960, 400)]
+    for figure in charts:
+        for name in ("the first of the curves", "the second of the curves", "the third one"):
+            figure.line(np.array([0, 130.0]), np.array([0, 1.0]), "red", name)
+    wide, narrow = (figure.svg("both") for figure in charts)
+    assert 'viewBox="0 0 960 300"' in wide and 'viewBox="0 0 400 328"' in narrow
+    assert 'font-size="13"' in wide and 'font-size="13"' in narrow
+    ends = [
+        float(e.attrib["x"]) + 7 * len(e.text or "")
+        for e in ElementTree.fromstring(narrow).iter(f"{SVG}text")
+        if "the " in (e.text or "")
+    ]
+    assert len(ends) == 3 and max(ends) <= 400
+
+
+def test_seconds_are_labelled_as_on_a_clock() -> None:
+    figure = Chart((0, 130), (0, 1), ("x", "y"), 300, width=400, clock=True)
+    labels = [e.text for e in ElementTree.fromstring(figure.svg("t")).iter(f"{SVG}text")]
+    assert labels[:5] == ["0:00", "0:30", "1:00", "1:30", "2:00"]
+    assert [chart.minutes(s) for s in (0, 59.9, 3600, 7325)] == [
+        "0:00",
+        "0:59",
+        "1:00:00",
+        "2:02:05",
+    ]
+    figure.span(10, 10.001, "red", "a short time")
+    assert float(re.findall(r'<rect x="[\d.]+" y="0" width="([\d.]+)"', figure.svg("t"))[0]) == 2

@@ -75,6 +75,7 @@ def test_a_full_page_has_no_external_links(tmp_path: Path) -> None:
     page.feed(text)
     assert page.open == []
     assert page.links and all(link.startswith("data:image/") for link in page.links)
+    assert all("://" not in link for link in page.links)
     assert "<script" not in text and "A drive &lt;1&gt;" in text and "<1>" not in text
     for heading in (
         "from above",
@@ -88,7 +89,7 @@ def test_a_full_page_has_no_external_links(tmp_path: Path) -> None:
     photos = [
         cv2.imdecode(np.frombuffer(base64.b64decode(link.split(",")[1]), np.uint8), 1)
         for link in page.links
-        if link.startswith("data:image/jpeg")
+        if link.startswith("data:image/webp")
     ]
     assert len(photos) == 3
     for photo in photos:

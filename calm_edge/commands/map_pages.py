@@ -1,0 +1,97 @@
+"""Write the two pages of a map: report.html and map.html."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calm_edge.config import Config
+    from calm_edge.evaluation.estimate import Estimate
+    from calm_edge.evaluation.truth import Truth
+    from calm_edge.offline.drive import Drive
+    from calm_edge.offline.map_times import MapTimes
+    from calm_edge.recording.reader import Recording
+    from calm_edge.report.map_page import Written
+    from calm_edge.types import Bytes, Int
+
+
+def title(recording: Recording) -> str:
+    """Name of the recording and of the folder that it is in."""
+    path = recording.path.resolve()
+    return f"{path.parent.name}/{path.name}"
+
+
+def write_map_page(
+    recording: Recording,
+    config: Config,
+    drive: Drive,
+    estimate: Estimate,
+    color: Bytes,
+    tiles: Int,
+    out: Path,
+    *,
+    pictures: bool,
+) -> Written:
+    """Write map.html.
+
+    color: (P, 3) RGB of the estimate's points. tiles: rows (sub-map id, points). pictures: with
+    those of the cameras.
+    """
+    from calm_edge.offline.map_drive import PAGE
+    from calm_edge.report import map_page
+    from calm_edge.report.drive_view import map_view
+    from calm_edge.report.keyframe_pictures import keyframe_pictures
+
+    origin = recording.origin_ns
+    stamps = estimate.t_ns + origin
+    shown = keyframe_pictures(recording, drive.windows, stamps) if pictures else ()
+    submaps = [update.submap for update in drive.updates]
+    grain = config.mapping.cloud_voxel * config.scale.spacing
+    view = map_view(title(recording), estimate, color, tiles, submaps, origin, grain, shown)
+    return map_page.write_map_page(out / PAGE, view)
+
+
+def write_report(
+    recording: Recording,
+    drive: Drive,
+    estimate: Estimate,
+    color: Bytes,
+    truth: Truth | None,
+    losses: Sequence[str],
+    out: Path,
+    times: MapTimes,
+) -> list[str]:
+    """Write report.html, including the trajectory error if truth is given; return what it lacks.
+
+    color: (P, 3) RGB of the estimate's points. losses: lines that the page names.
+    """
+    from calm_edge.offline.georeference import ENU_TUM, GPS_SUMMARY
+    from calm_edge.offline.map_drive import OUTPUTS, REPORT
+    from calm_edge.report.drive_log import read_log
+    from calm_edge.report.drive_report import compared, report_data
+    from calm_edge.report.keyframe_pictures import late_pictures
+    from calm_edge.report.report import write_report as write
+
+    figures, truth, missing = compared(estimate, truth)
+    origin = recording.origin_ns
+    poses = sorted(recording.poses(), key=lambda sample: sample.t_ns)
+    zero_ns = int(estimate.t_ns[0]) + origin if len(estimate.t_ns) else None
+    data = report_data(
+        title(recording),
+        estimate,
+        drive.updates,
+        color,
+        truth,
+        figures,
+        [*losses, *missing],
+        late_pictures(recording, drive.windows),
+        read_log(recording, zero_ns, poses),
+        origin,
+    )
+    written = [name for name in (*OUTPUTS, ENU_TUM, GPS_SUMMARY) if name != REPORT]
+    files = (*(out / name for name in written), recording.path)
+    write(out / REPORT, replace(data, map_s=times.seconds, files=files))
+    return missing
