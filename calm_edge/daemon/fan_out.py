@@ -9,12 +9,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from calm_edge.daemon.health import Health
-from calm_edge.daemon.messages import Attached
+from calm_edge.daemon.messages import Attached, Event, Keep
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.state import Standing
 from calm_edge.recording.mailbox import Mailbox
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import LocalizerUpdate, PoseSample
+from calm_edge.types import Float32, LocalizerUpdate, PoseSample
 from device.frame import Frame
 
 log = logging.getLogger(__name__)
@@ -63,6 +63,9 @@ class Output:
     def pose(self, sample: PoseSample, now_ns: int) -> None:
         """Take a live pose. now_ns: the present, on the clock of the pose's stamp."""
 
+    def moves(self, t_ns: int, moves: Float32) -> None:
+        """Take the points that gave the pose of t_ns, as in `Posed`; about twice a second."""
+
     def update(self, update: LocalizerUpdate) -> None:
         """Take a new or moved sub-map, and the poses that changed with it."""
 
@@ -80,6 +83,19 @@ class Output:
 
     def say(self, level: int, text: str, name: str) -> None:
         """Take a line of the log. level: as in Python's logging."""
+
+    def event(self, event: Event) -> None:
+        """Take a moment that somebody marked."""
+
+    def keep(self, kept: bool) -> None:
+        """Protect the drive from removal, or end that."""
+
+    def requests(self) -> Sequence[Event | Keep]:
+        """Take what people asked for through this output since the last call.
+
+        Called by the capture loop: it must not block.
+        """
+        return ()
 
     def tick(self, now_ns: int) -> None:
         """Act on a cycle of the capture loop without a pose; called for immediate outputs only."""
@@ -104,6 +120,11 @@ class FanOut:
         for guard in self._guards:
             if guard.output.immediate:
                 guard.give(lambda output: output.tick(now_ns), 0)
+
+    def requests(self) -> Iterator[Event | Keep]:
+        """Yield what people asked for through the outputs since the last call."""
+        for guard in self._guards:
+            yield from guard.output.requests()
 
     def lost(self) -> dict[str, int]:
         """Number of messages lost so far by each output that is not `required`, by name."""

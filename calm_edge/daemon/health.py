@@ -55,6 +55,7 @@ class Health:
                 "bytes_per_s": round(self.writer.space.bytes_per_s),
                 "left_s": self.writer.space.left_s,
                 "sync_ms": round(self.writer.sync_ms, 1),
+                "kept": self.writer.kept,
             },
             "celsius": self.thermal.celsius,
             "throttled": self.thermal.throttled,

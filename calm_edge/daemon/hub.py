@@ -17,7 +17,7 @@ from calm_edge.daemon.estimator_link import EstimatorLink
 from calm_edge.daemon.fan_out import FanOut, Output
 from calm_edge.daemon.hub_status import HubStatus, take_status
 from calm_edge.daemon.ladder import Shed
-from calm_edge.daemon.messages import Attached, Posed, Processed, Tracked
+from calm_edge.daemon.messages import Attached, Event, Keep, Posed, Processed, Tracked
 from calm_edge.daemon.outputs import RecordingOutput
 from calm_edge.daemon.picture_samples import PictureSamples
 from calm_edge.daemon.result import RecordResult
@@ -152,6 +152,8 @@ class Hub:
                 self._from_estimator(message)
             elif child is self.tracker.child:
                 poses += self._from_tracker(message)
+        for request in self.outputs.requests():
+            self._answer(request)
         silent_ms = (self.source.clock.now_ns() - self._pose_ns) / 1e6
         self.estimator.capturing = self.capturing
         self.estimator.pose_lost = silent_ms > self.config.frontend.lost_after_ms
@@ -237,8 +239,17 @@ class Hub:
                     self._unreadable(f"{name}: {message.problem}" if name else message.problem)
             case Posed():
                 self._pose(message.sample)
+                if (moves := message.moves) is not None:
+                    t_ns = message.sample.t_ns
+                    self.outputs.give(lambda output: output.moves(t_ns, moves), moves.nbytes)
                 return 1
         return 0
+
+    def _answer(self, request: Event | Keep) -> None:
+        if isinstance(request, Event):
+            self.outputs.give(lambda output: output.event(request))
+        else:
+            self.outputs.give(lambda output: output.keep(request.kept))
 
     def _pose(self, sample: PoseSample) -> None:
         sample = unscaled_without(self.result.metre, sample)

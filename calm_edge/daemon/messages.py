@@ -14,6 +14,7 @@ from calm_edge.estimator.gaps import Gap
 from calm_edge.recording.window_record import FrameKey, WindowRecord
 from calm_edge.types import (
     Float,
+    Float32,
     KitBelief,
     LocalizerUpdate,
     Masks,
@@ -85,9 +86,14 @@ class FrameIn:
 
 @dataclass(frozen=True, slots=True)
 class Posed:
-    """Pose of a primary frame; sent before the Tracked message of that frame."""
+    """Pose of a primary frame; sent before the Tracked message of that frame.
+
+    moves: now and then the points that gave the pose, (M, 4): their pixel in this frame, then that
+    in the frame they were tracked from; empty of a lost pose. None otherwise.
+    """
 
     sample: PoseSample
+    moves: Float32 | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +115,21 @@ class Tracked:
     late: bool = False
     resized: str = ""
     repeat: Eye | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A moment of the drive that somebody marked. t_ns: on the clock of the frames."""
+
+    t_ns: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """Request to protect the drive being recorded from removal, or to end that."""
+
+    kept: bool
 
 
 @dataclass(frozen=True, slots=True)

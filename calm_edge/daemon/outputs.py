@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from calm_edge.config import Config
 from calm_edge.daemon.fan_out import Output
 from calm_edge.daemon.health import Health
-from calm_edge.daemon.messages import Attached
+from calm_edge.daemon.messages import Attached, Event
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.state import Standing
 from calm_edge.pose_output.publisher import PosePublisher
@@ -78,6 +78,14 @@ class RecordingOutput(Output):
     def status(self, standing: Standing, health: Health | None) -> None:
         if health is not None:
             self.writer.write_status(health.message(), HEALTH)
+
+    def event(self, event: Event) -> None:
+        if self._writer is not None:
+            self._writer.write_event(event.t_ns, event.text)
+
+    def keep(self, kept: bool) -> None:
+        if self._writer is not None:
+            self._writer.keep(kept)
 
     def say(self, level: int, text: str, name: str) -> None:
         if self._writer is not None:

@@ -36,7 +36,7 @@ from calm_edge.frontend.repeats import RepeatCheck, eighth
 from calm_edge.frontend.tracker import CATCH_UP_NS, Tracker
 from calm_edge.processes import follow_parent
 from calm_edge.recording.window_record import FrameKey, frame_key, of_window
-from calm_edge.types import Bytes, SubmapWindow
+from calm_edge.types import Bytes, Float32, SubmapWindow
 from device.frame import Eye, Frame, UnreadableImage
 
 # A primary frame that is older than the newest one received by more than this gets no pose. It is
@@ -44,6 +44,8 @@ from device.frame import Eye, Frame, UnreadableImage
 LATE_NS = 80_000_000
 # Smaller time offsets of the assistant do not change which of its frames are chosen.
 LATE_STAMPS_NS = 20_000_000
+# How often the points of a pose are sent with it, for people to look at.
+MOVES_EVERY_NS = 450_000_000
 
 
 class TrackerWork:
@@ -66,7 +68,7 @@ class TrackerWork:
         self._tracker = Tracker(config, start.epoch)
         self._reduction = 1
         self._lost_after_ns = round(1e6 * config.lost_after_ms)
-        self._newest_ns = self._tracked_ns = 0
+        self._newest_ns = self._tracked_ns = self._moves_ns = 0
         self._held: set[FrameKey] = set()
         self._repeats = {eye: RepeatCheck() for eye in Eye}
         self._sizes = PictureSizes()
@@ -177,13 +179,21 @@ class TrackerWork:
         sample = self._tracker.track(frame.t_ns, gray, own_stamp=frame.own_stamp)
         if not late:
             # before keyframe selection, which takes time: latency of the pose matters
-            self._send(Posed(sample))
+            self._send(Posed(sample, self._moves(frame.t_ns)))
         keyframe = self._selector.consider(frame, gray)
         self._tracker.prepare(keyframe.id if keyframe else None, behind=late)
         windows = self._builder.advance(frame.t_ns)
         if keyframe is not None:
             windows += self._builder.add_keyframe(keyframe)
         return windows, keyframe is not None, False
+
+    def _moves(self, t_ns: int) -> Float32 | None:
+        """Points of the pose just computed, in pixels of the full picture; None if not yet due."""
+        if t_ns - self._moves_ns < MOVES_EVERY_NS:
+            return None
+        self._moves_ns = t_ns
+        # centres of pixels are whole numbers, also of the halved picture
+        return (self._tracker.moves + 0.5) * self._reduction - 0.5
 
 
 def run(

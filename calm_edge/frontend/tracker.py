@@ -60,6 +60,8 @@ class Tracker:
         self._drift = Drift()
         self._replaced = 0.0
         self._mask: Bytes | None = None
+        # of the last pose: pixels of its points now, and in the frame they were tracked from (M, 4)
+        self.moves = np.zeros((0, 4), np.float32)
 
     def track(self, t_ns: int, gray: Bytes, *, own_stamp: bool = True) -> PoseSample:
         """Pose of the frame exposed at t_ns; LOST and NaN if it cannot be localised.
@@ -67,6 +69,7 @@ class Tracker:
         own_stamp: False if t_ns is not measured: the sample has no velocity then, and later
         velocities do not use it.
         """
+        self.moves = self.moves[:0]
         guess = self._predict(t_ns)
         fit = self._follow(gray, guess)
         T_m_c = None if fit is None else fit.T_w_c
@@ -238,6 +241,7 @@ class Tracker:
         fit = self._locate(tracks.camera, p_m, uv, T_predicted, gray)
         if fit is None or fit.n_inliers < MIN_INLIERS:
             return None
+        self.moves = np.hstack([moved[good], tracks.uv[good]])[fit.inlier]
         # at standstill the image tracked from is kept, so that noise does not cause drift
         if np.median(step) >= self.config.standstill_px:
             seen = p_m[fit.inlier], uv[fit.inlier]

@@ -36,7 +36,7 @@ class WriterHealth:
 
     dropped_*: items lost because the queue was full. unwritable: items that could not be encoded or
     stored. queue_fill: 0 ... 1. sync_ms: duration of the last sync to disk. space: free space when
-    last checked.
+    last checked. kept: the drive is protected from removal.
     """
 
     error: str
@@ -46,6 +46,7 @@ class WriterHealth:
     queue_fill: float
     sync_ms: float
     space: Space = field(default_factory=Space)
+    kept: bool = False
 
 
 def boot_id() -> str:

@@ -20,6 +20,8 @@ CLOCK = _object(
     synchronised={"type": "boolean"},
 )
 STATUS = _object()
+# a moment that somebody marked
+EVENT = _object(text=_TEXT)
 HEALTH = _object(
     state=_TEXT,
     reasons={"type": "array", "items": _TEXT},
@@ -38,6 +40,7 @@ HEALTH = _object(
         bytes_per_s=_NUMBER,
         left_s=_OPTIONAL,
         sync_ms=_NUMBER,
+        kept={"type": "boolean"},
     ),
     celsius=_OPTIONAL,
     throttled={"type": ["boolean", "null"]},

@@ -199,6 +199,11 @@ class Recording:
         for location, data in self._messages(topic):
             yield location.t_ns, json.loads(data)
 
+    def events(self) -> Iterator[tuple[int, str]]:
+        """Iterate over the moments that somebody marked: t_ns and text, in the order written."""
+        for location, data in self._messages(schema.EVENT):
+            yield location.t_ns, str(json.loads(data).get("text", ""))
+
     def _metadata(self, name: str, *, last: bool = False) -> dict[str, str]:
         named = [m for index in self._segments for m in index.metadata if m.name == name]
         return dict(named[-1 if last else 0].metadata) if named else {}

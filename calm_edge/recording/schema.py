@@ -57,7 +57,7 @@ CALIBRATION_TOPICS = {
 IMAGE_TOPICS = {Eye.PRIMARY: "/primary/image", Eye.ASSISTANT: "/assistant/image"}
 POSE_LIVE, POSE_SAMPLE, PATH = "/pose/live", "/pose/sample", "/pose/path"
 TF, SUBMAP, WINDOW, CLOCK, STATUS, LOG = "/tf", "/submap", "/window", "/clock", "/status", "/log"
-HEALTH, KIT, CLOUD = "/health", "/kit", "/cloud"
+HEALTH, KIT, CLOUD, EVENT = "/health", "/kit", "/cloud", "/event"
 
 CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
@@ -81,6 +81,7 @@ _JSON = {
     STATUS: ("calm_edge.Status", json_schemas.STATUS),
     HEALTH: ("calm_edge.Health", json_schemas.HEALTH),
     KIT: ("calm_edge.Kit", json_schemas.KIT),
+    EVENT: ("calm_edge.Event", json_schemas.EVENT),
 }
 TOPICS = (*_PROTOBUF, *_JSON)
 

@@ -23,6 +23,7 @@ from calm_edge.recording.display import Display
 from calm_edge.recording.health import WriterHealth, boot_id
 from calm_edge.recording.mailbox import Mailbox
 from calm_edge.recording.record import array_bytes
+from calm_edge.recording.retention import is_kept, set_kept
 from calm_edge.recording.schema import LogMessage
 from calm_edge.recording.segment import Write, segment_files
 from calm_edge.recording.time_base import TimeBase
@@ -78,6 +79,7 @@ class RecordingWriter:
         }
         self._mailbox: Mailbox[_Item] = Mailbox(queue_bytes, lossless)
         self._lossless = lossless
+        self._folder, self._kept = folder, is_kept(folder)
         self._unwritable = self._reported_drops = 0
         self._chain = SegmentChain(
             folder,
@@ -123,6 +125,7 @@ class RecordingWriter:
             self._mailbox.fill,
             chain.sync_ms,
             chain.space,
+            self._kept,
         )
 
     def write_frame(self, frame: Frame) -> None:
@@ -169,6 +172,25 @@ class RecordingWriter:
         """Record a JSON object on /status or /health."""
         now, copy = self._now_ns(), dict(status)
         self._put(lambda: [schema.json_message(topic, now, copy)], 2048)
+
+    def write_event(self, t_ns: int, text: str) -> None:
+        """Record a moment that somebody marked."""
+        self._put(lambda: [schema.json_message(schema.EVENT, t_ns, {"text": text})], 512)
+
+    def keep(self, kept: bool) -> None:
+        """Protect the drive from removal, or end that, as `calm-edge keep` does; log it."""
+
+        def mark() -> list[LogMessage]:
+            text, level = "the drive is protected from removal", logging.INFO
+            try:
+                set_kept(self._folder, kept)
+                self._kept = kept
+                text = text if kept else "the drive is no longer protected from removal"
+            except RecordingError as error:
+                text, level = f"cannot be protected: {error}", logging.ERROR
+            return [self._log_message(self._now_ns(), level, text)]
+
+        self._put(mark, 512)
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Record texts about the session; a later call with the same name replaces them."""
@@ -256,6 +278,8 @@ class RecordingWriter:
             self._reported_drops = dropped
         self._chain.write(messages, now)
         self._chain.sync()
+        # by `calm-edge keep` too
+        self._kept = is_kept(self._folder)
 
     def _give_up(self) -> None:
         """On closing, discard and count the messages that could not be written."""

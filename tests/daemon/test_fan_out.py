@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import pytest
 
 from calm_edge.daemon import fan_out
 from calm_edge.daemon.fan_out import FanOut, Output
+from calm_edge.daemon.messages import Event, Keep
 from calm_edge.daemon.result import RecordResult
 
 
@@ -153,6 +154,26 @@ def test_an_exception_of_a_required_output_ends_the_run() -> None:
     with pytest.raises(ValueError, match="1"):
         say(outputs, 2)
     assert outputs.lost() == {}
+
+
+def test_what_people_ask_for_is_collected_from_every_output() -> None:
+    class Asking(Kept):
+        def __init__(self, *requests: Event | Keep) -> None:
+            super().__init__()
+            self.pending = requests
+
+        def requests(self) -> Sequence[Event | Keep]:
+            taken, self.pending = self.pending, ()
+            return taken
+
+    class AskingQueued(Asking):
+        name, immediate = "asking queued", False
+
+    event, keep = Event(7, "here"), Keep(True)
+    outputs = FanOut([Kept(), Asking(event), AskingQueued(keep)])
+    assert list(outputs.requests()) == [event, keep]
+    assert list(outputs.requests()) == []
+    outputs.close(RecordResult())
 
 
 def test_ticks_go_to_immediate_outputs_only() -> None:

@@ -11,7 +11,7 @@ import pytest
 from calm_edge.config import FrontendConfig
 from calm_edge.daemon.messages import Attach, Counters, Flush, FrameIn, Posed, Tracked
 from calm_edge.daemon.ring import FrameRing, RingReader
-from calm_edge.daemon.tracker_process import LATE_NS, TrackerWork
+from calm_edge.daemon.tracker_process import LATE_NS, MOVES_EVERY_NS, TrackerWork
 from calm_edge.types import PoseStatus
 from device.frame import Eye
 from tests.frontend.plane_world import PlaneWorld, drive
@@ -99,6 +99,22 @@ def test_without_delay_every_frame_gets_a_pose(bench: Bench) -> None:
     for _ in range(20):
         assert bench.handle(bench.arrive(1)) == [False]
     assert len(bench.posed) == 20
+
+
+def test_the_points_of_a_pose_come_with_it_twice_a_second(bench: Bench) -> None:
+    for _ in range(45):
+        bench.handle(bench.arrive(1))
+    assert len(bench.posed) == 45
+    with_points = [m for m in bench.posed if m.moves is not None]
+    stamps = [message.sample.t_ns for message in with_points]
+    assert len(stamps) in (3, 4) and min(np.diff(stamps)) >= MOVES_EVERY_NS
+    moves = with_points[-1].moves
+    assert moves is not None and moves.shape[1] == 4 and len(moves) > 50
+    # the wall moves by some pixels from frame to frame, all of it about alike
+    steps = moves[:, :2] - moves[:, 2:]
+    usual = np.median(steps, axis=0)
+    assert 0.1 < np.linalg.norm(usual) < 20
+    assert np.linalg.norm(steps - usual, axis=1).max() < 6
 
 
 def test_keyframes_are_reported_at_once(bench: Bench) -> None:

@@ -16,7 +16,7 @@ from calm_edge.daemon.state import Standing
 from calm_edge.recording import schema
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import WindowRecord
-from calm_edge.types import LocalizerUpdate, PoseSample
+from calm_edge.types import Float32, LocalizerUpdate, PoseSample
 from device.frame import Frame
 from tests.faults.row import Row, all_frames, health, loop_figures
 from tests.replay.daemon_run import record
@@ -41,6 +41,9 @@ class Counting(Output):
 
     def pose(self, sample: PoseSample, now_ns: int) -> None:
         self.take("pose")
+
+    def moves(self, t_ns: int, moves: Float32) -> None:
+        self.take("moves")
 
     def update(self, update: LocalizerUpdate) -> None:
         self.take("update")

@@ -23,6 +23,7 @@ JSON_TOPICS = {
     schema.CLOCK: json_schemas.CLOCK,
     schema.HEALTH: json_schemas.HEALTH,
     schema.KIT: json_schemas.KIT,
+    schema.EVENT: json_schemas.EVENT,
 }
 
 
@@ -47,6 +48,7 @@ def recorded(folder: Path) -> Path:
             writer.write_log(20, "line")
         writer.write_update(samples.update())
         writer.write_status({"pose_age_ms": math.nan, "tick": {"p50_ms": 1.0}}, schema.HEALTH)
+        writer.write_event(samples.T0_NS, "here")
     return folder / "0000.mcap"
 
 

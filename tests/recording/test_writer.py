@@ -14,7 +14,9 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from calm_edge.recording import RecordingError, schema
+from calm_edge.recording import writer as writer_module
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.retention import is_kept, set_kept
 from calm_edge.recording.writer import RecordingWriter
 from device.frame import Eye, Frame
 from tests.recording import samples
@@ -199,3 +201,44 @@ def test_lossless_mode_loses_nothing_with_a_slow_disk(tmp_path: Path) -> None:
     assert len(list(recording.poses())) == 30
     with pytest.raises(RecordingError, match="closed"):
         writer.write_pose(samples.pose())
+
+
+def test_marked_moments_are_read_back_with_their_times(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path, samples.config()) as writer:
+        writer.write_event(samples.T0_NS + 5, "tram crosses")
+        writer.write_event(samples.T0_NS + 9, "")
+    events = list(Recording(tmp_path).events())
+    assert events == [(samples.T0_NS + 5, "tram crosses"), (samples.T0_NS + 9, "")]
+
+
+def test_the_drive_being_recorded_can_be_protected_and_released(tmp_path: Path) -> None:
+    drive = tmp_path / "drive"
+    with RecordingWriter(drive, samples.config(flush_s=0.05)) as writer:
+        assert not writer.health.kept
+        writer.keep(True)
+        until(lambda: writer.health.kept)
+        assert is_kept(drive)
+        writer.keep(False)
+        until(lambda: not writer.health.kept)
+        assert not is_kept(drive)
+        # as `calm-edge keep` does, in another process
+        set_kept(drive, True)
+        until(lambda: writer.health.kept)
+    assert logged(drive) == [
+        "the drive is protected from removal",
+        "the drive is no longer protected from removal",
+    ]
+
+
+def test_a_drive_that_cannot_be_protected_says_so_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(drive: Path, kept: bool) -> None:
+        raise RecordingError(f"{drive}: cannot be written (Read-only file system)")
+
+    monkeypatch.setattr(writer_module, "set_kept", refuse)
+    with RecordingWriter(tmp_path, samples.config()) as writer:
+        writer.keep(True)
+    assert not writer.health.kept and writer.health.unwritable == 0
+    (line,) = logged(tmp_path)
+    assert line.startswith("cannot be protected: ") and "Read-only" in line
