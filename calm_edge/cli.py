@@ -20,6 +20,7 @@ COMMANDS = {
     "import": "make a recording of videos, data sets or bags",
     "map": "build a dense map, a trajectory and a report from a recording",
     "report": "write report.html of a recording",
+    "compare": "list what differs between two recordings or maps",
     "eval": "compare a recording, a map or a TUM file with ground truth",
     "export": "write trajectories, pictures or clouds in the formats of other programs",
     "calibration": "write the calibration that a drive has learned, for other programs",

@@ -37,6 +37,10 @@ OF_COMMAND: dict[str, dict[int, str]] = {
         ERROR: "nothing was written",
         LOSS: "written, of a recording that is damaged",
     },
+    "compare": {
+        OK: "compared",
+        LOSS: "compared; a recording is damaged, or the truth is not of it",
+    },
     "eval": {
         OK: "compared",
         LOSS: "there are no poses to compare; the spacing was given and no metre found",

@@ -31,8 +31,7 @@ def trajectory(
     x, y = limits(shown[:, 0]), limits(shown[:, 1])
 
     def draw(width: int) -> Chart:
-        height = int(np.clip(width * (y[1] - y[0]) / (x[1] - x[0]), 300, 0.9 * width))
-        chart = Chart(x, y, (unit, unit), height, width=width, equal=True)
+        chart = Chart(x, y, (unit, unit), plan_height(x, y, width), width=width, equal=True)
         if truth is not None and len(truth):
             chart.line(truth[:, 0], truth[:, 1], TRUTH, "ground truth", width=4.5, opacity=0.6)
         chart.line(path[:, 0], path[:, 1], ESTIMATE, "calm-edge", width=2)
@@ -46,6 +45,27 @@ def trajectory(
         return chart
 
     return both_widths(draw, "trajectory from above")
+
+
+def overlaid(first: Float, second: Float, unit: str) -> str:
+    """Top view of two paths (N, 3), (M, 3), in the level frame of the first."""
+    joined = np.concatenate([first, second])
+    x, y = limits(joined[:, 0]), limits(joined[:, 1])
+
+    def draw(width: int) -> Chart:
+        chart = Chart(x, y, (unit, unit), plan_height(x, y, width), width=width, equal=True)
+        chart.line(first[:, 0], first[:, 1], ESTIMATE, "A", width=4.5, opacity=0.5)
+        chart.line(second[:, 0], second[:, 1], TRUTH, "B", width=2)
+        for path, color in ((first, ESTIMATE), (second, TRUTH)):
+            chart.dot(float(path[0, 0]), float(path[0, 1]), color)
+        return chart
+
+    return both_widths(draw, "both paths from above")
+
+
+def plan_height(x: tuple[float, float], y: tuple[float, float], width: int) -> int:
+    """Height [px] of a top view of these limits."""
+    return int(np.clip(width * (y[1] - y[0]) / (x[1] - x[0]), 300, 0.9 * width))
 
 
 def height(path: Float, truth: Float | None, unit: str) -> str:
