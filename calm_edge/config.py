@@ -366,6 +366,19 @@ class PoseOutputConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class GpsConfig:
+    """[gps]: GPS fixes to record.
+
+    source: a serial device that sends NMEA at `baud`, `gpsd`, `gpsd:HOST:PORT`, or, of a replay, a
+    file (GPX, NMEA); empty: none.
+    baud: rate of the serial device, bits a second.
+    """
+
+    source: str = ""
+    baud: int = 9600
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     """All sections of the configuration."""
 
@@ -381,6 +394,7 @@ class Config:
     posegraph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
     mapping: MappingConfig = field(default_factory=MappingConfig)
     pose_output: PoseOutputConfig = field(default_factory=PoseOutputConfig)
+    gps: GpsConfig = field(default_factory=GpsConfig)
 
     @property
     def overlap_shared(self) -> int:

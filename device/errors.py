@@ -9,3 +9,7 @@ class DeviceError(Exception):
 
 class CameraError(DeviceError):
     """A camera cannot be found, opened or configured."""
+
+
+class GpsError(DeviceError):
+    """GPS fixes cannot be read."""

@@ -108,6 +108,8 @@ def check(config: Config) -> None:
             f"scale.spacing_m = {spacing_m:g}: the distance of two cameras of one car in metres, "
             f"{SPACING_M[0]:g} to {SPACING_M[1]:g}; 52 cm are 0.52"
         )
+    if config.gps.source and config.gps.source == config.pose_output.port:
+        raise ConfigError(f"gps.source = {config.gps.source}: is pose_output.port as well")
     readout_ms = config.capture.readout_ms
     if len(readout_ms) > 2 or any(not 0 <= ms < 200 for ms in readout_ms):
         raise ConfigError(

@@ -43,7 +43,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--gps",
         type=Path,
         metavar="FILE",
-        help="GPS fixes (.gpx, or gps.csv of import) to align the trajectory to",
+        help="GPS fixes (GPX, NMEA) to align the trajectory to, instead of the recorded ones",
     )
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     parser.add_argument(
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from calm_edge.config import merge, parse_assignment
     from calm_edge.evaluation.truth import read_truth
-    from calm_edge.offline.gps_fixes import read_fixes
+    from calm_edge.offline.gps_fixes import fixes_of
     from calm_edge.offline.map_times import MapTimes
     from calm_edge.offline.unfinished import Unfinished, plan
     from calm_edge.recording.reader import Recording
@@ -73,8 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     unfinished = check_folder(out, force=arguments.force, resume=arguments.resume)
     truth = read_truth(arguments.truth) if arguments.truth is not None else None
     recording = Recording(arguments.recording)
-    gps = gps_source(recording, arguments.gps)
-    fixes = None if gps is None else read_fixes(gps)
+    fixes = fixes_of(recording, arguments.gps)
     config = recording.config
     for text in arguments.set:
         config = merge(config, parse_assignment(text))
@@ -194,14 +193,6 @@ def pictures_say(recording: Recording) -> str:
         for frame in islice(recording.frames(eye), EXAMINED):
             samples.add(frame)
     return "; ".join(cause.text for cause in samples.causes())
-
-
-def gps_source(recording: Recording, gps: Path | None) -> Path | None:
-    """File of GPS fixes: the one that was given, else that of an imported recording, if any."""
-    from calm_edge.offline.gps_fixes import GPS_FILE
-
-    imported = recording.path / GPS_FILE
-    return gps or (imported if imported.is_file() else None)
 
 
 def check_folder(out: Path, *, force: bool, resume: bool) -> Path:

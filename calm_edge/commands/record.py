@@ -53,7 +53,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def recorded_config(recording: Recording) -> Config:
     """Configuration to replay a recording with: its own, but for what a replay must not touch.
 
-    That is the serial port, and the kit file, which may hold what this drive has shown.
+    That is the serial ports, and the kit file, which may hold what this drive has shown.
     """
     from calm_edge.config import Config, merge
     from calm_edge.types import CalmEdgeError
@@ -69,7 +69,8 @@ def recorded_config(recording: Recording) -> Config:
         f"configuration of {recording.path}: {config.backbone.name}, cameras {distance}; options "
         "override it"
     )
-    return merge(config, {"pose_output": {"port": ""}, "backbone": {"kit_file": ""}})
+    own = {"pose_output": {"port": ""}, "backbone": {"kit_file": ""}, "gps": {"source": ""}}
+    return merge(config, own)
 
 
 def open_source(
@@ -84,12 +85,14 @@ def open_source(
 
     paced = arguments.pace == "realtime"
     if arguments.sequence is not None:
-        return source.of_sequence(arguments.sequence, paced)
-    if recording is not None:
-        return source.of_recording(recording, paced)
-    if not paced:
+        found = source.of_sequence(arguments.sequence, paced)
+    elif recording is not None:
+        found = source.of_recording(recording, paced)
+    elif not paced:
         raise ConfigError("--pace lockstep: needs a replay; add --sequence or --replay")
-    return source.live(config)
+    else:
+        found = source.live(config)
+    return source.with_gps(found, config.gps)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -159,6 +162,8 @@ def report(folder: Path, result: RecordResult) -> int:
     if any(result.repeated):
         primary, assistant = result.repeated
         print(f"repeated    {primary} primary, {assistant} assistant pictures: no poses of these")
+    if result.gps_fixes:
+        print(f"GPS         {result.gps_fixes} fixes")
     print_metre(result.metre, result.spacing_m)
     moved, late = result.clamped_stamps, result.host_stamped
     if moved or late:

@@ -65,6 +65,8 @@ class Capture:
             else:
                 with low_latency():
                     self._run_realtime()
+            # a receiver that is read no more would count as silent
+            hub.result.sensor_faults = [s.fault for s in self._source.sensors if s.fault]
             self._monitor.stop(self._source.clock.now_ns())
             self._finish()
         except (CalmEdgeError, DeviceError) as error:
@@ -78,6 +80,8 @@ class Capture:
                 hub.result.unreadable += corrupt
             else:
                 hub.result.corrupt = corrupt
+            for sensor in self._source.sensors:
+                sensor.stop()
             hub.result.clamped_stamps = sum(each.clamped for each in stats)
             hub.result.host_stamped = sum(each.host_stamped for each in stats)
             hub.stop()
@@ -85,12 +89,15 @@ class Capture:
 
     def _run_lockstep(self) -> None:
         """Track every frame and solve every window before the next frame is read."""
+        for sensor in self._source.sensors:
+            sensor.start()
         for camera in self._cameras:
             camera.start()
         self._hub.recording.open()
         self._say_notes()
         self._notifier.ready()
         for frame in merged(self._cameras):
+            self._hub.take_samples()
             self._hub.frame(frame)
             self._hub.until(self._hub.quiet, math.inf)
             if self._stop_requests:
@@ -107,6 +114,8 @@ class Capture:
         refuse_same_device(self._cameras)
         # takes a while; frames that arrive meanwhile are queued by the camera threads
         hub.recording.open()
+        for sensor in self._source.sensors:
+            sensor.start()
         self._say_notes()
         monitor.watch(threads)
         notes = CameraNotes(
@@ -125,6 +134,7 @@ class Capture:
         while not self._stop_requests:
             # read before draining, so that the last frames of a thread that ends now are not missed
             running = [t.state is CameraState.RUNNING for t in threads]
+            hub.take_samples()
             with monitor.timed("frames"):
                 frames = self._drain(threads)
             with monitor.timed("poses"):

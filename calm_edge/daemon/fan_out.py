@@ -13,6 +13,7 @@ from calm_edge.daemon.messages import Attached, Event, Keep
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.state import Standing
 from calm_edge.recording.mailbox import Mailbox
+from calm_edge.recording.sensors import Sample
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import Float32, LocalizerUpdate, PoseSample
 from device.frame import Frame
@@ -56,6 +57,9 @@ class Output:
 
     def frame(self, frame: Frame) -> None:
         """Take a frame of either camera, as JPEG bytes."""
+
+    def sample(self, sample: Sample) -> None:
+        """Take a GPS fix or an IMU sample."""
 
     def window(self, window: WindowRecord) -> None:
         """Take the record of a completed window; replaces an earlier one of the same sub-map."""

@@ -7,6 +7,7 @@ import queue
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from calm_edge.daemon.source import Source
 from calm_edge.daemon.tracker_link import TrackerLink
 from calm_edge.frontend.association import is_thin
 from calm_edge.recording.record import array_bytes
+from calm_edge.recording.sensors import Sample
 from calm_edge.recording.window_record import of_window
 from calm_edge.types import (
     CalmEdgeError,
@@ -35,6 +37,7 @@ from calm_edge.types import (
     SubmapWindow,
 )
 from device.frame import Eye, Frame
+from device.gps.fix import Fix
 from device.seldom import Seldom
 
 # Loading all modules from a slow SD card takes long; systemd allows 120 s (TimeoutStartSec).
@@ -125,6 +128,14 @@ class Hub:
         if not self.tracker.offer(frame):
             self.result.untracked += 1
 
+    def take_samples(self) -> None:
+        """Pass on what the sensors beside the cameras have sent; never waits for them."""
+        now_ns = self.source.clock.now_ns()
+        for sensor in self.source.sensors:
+            for sample in sensor.take(now_ns):
+                self.outputs.give(partial(_give_sample, sample))
+                self.result.gps_fixes += isinstance(sample, Fix) and sample.has_position
+
     def leave_out(self, shed: Shed, why: str) -> None:
         """Leave out the work of a load-shedding step. why: the reason, for the user."""
         if shed is self._shed:
@@ -208,6 +219,7 @@ class Hub:
             self.estimator,
             self.outputs,
             self.recording.health,
+            self.source.sensors,
             now_ns=self.source.clock.now_ns(),
             frame_ns=(self._frame_ns[0], self._frame_ns[1]),
             pose_ns=self._pose_ns,
@@ -308,6 +320,10 @@ class Hub:
     def _unreadable(self, problem: str) -> None:
         self.result.unreadable += 1
         self._say_unreadable(f"{problem}; left out")
+
+
+def _give_sample(sample: Sample, output: Output) -> None:
+    output.sample(sample)
 
 
 def unscaled_without(metre: Metre, sample: PoseSample) -> PoseSample:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from calm_edge.daemon.estimator_link import EstimatorLink
 from calm_edge.daemon.fan_out import FanOut
 from calm_edge.daemon.result import RecordResult
+from calm_edge.daemon.sensor import Sensor
 from calm_edge.daemon.tracker_link import TrackerLink
 from calm_edge.recording.health import WriterHealth
 from calm_edge.types import PoseStatus
@@ -46,6 +48,7 @@ def take_status(
     estimator: EstimatorLink,
     outputs: FanOut,
     writer: WriterHealth,
+    sensors: Sequence[Sensor],
     *,
     now_ns: int,
     frame_ns: tuple[int, int],
@@ -54,6 +57,7 @@ def take_status(
 ) -> HubStatus:
     """Return the status at now_ns, and reset the largest pose age in `result`."""
     links = {"estimator": estimator.given_up, "tracker": tracker.given_up}
+    sensor_faults = filter(None, (sensor.fault for sensor in sensors))
     refused = [estimator.refused] if estimator.refused else []
     given_up = [f"{name} failed, not restarted" for name, gone in links.items() if gone]
     return HubStatus(
@@ -65,7 +69,7 @@ def take_status(
         result.take_worst_age_ms(),
         estimator.waiting,
         estimator.overtaken,
-        (*outputs.faults(), *given_up, *refused),
+        (*outputs.faults(), *sensor_faults, *given_up, *refused),
         result.counts(),
         {
             "images_not_recorded": writer.dropped_images,

@@ -13,6 +13,7 @@ from calm_edge.daemon.state import Standing
 from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.health import WriterHealth
 from calm_edge.recording.schema import CAMERAS_METADATA, HEALTH
+from calm_edge.recording.sensors import Sample
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import LocalizerUpdate, PoseSample
@@ -51,6 +52,9 @@ class RecordingOutput(Output):
 
     def frame(self, frame: Frame) -> None:
         self.writer.write_frame(frame)
+
+    def sample(self, sample: Sample) -> None:
+        self.writer.write_sample(sample)
 
     def window(self, window: WindowRecord) -> None:
         self.writer.write_window(window)

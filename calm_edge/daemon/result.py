@@ -36,7 +36,8 @@ class RecordResult:
     spacing_m: as configured, 0 if not. repeated: frames
     of each camera whose picture repeats the one before. gaps: of the path that nothing connects, as
     line of text, empty if there are none. camera_drops, corrupt: frames that the cameras left out,
-    and that could not be used. host_stamped: frames stamped on arrival. no_window: why the pictures
+    and that could not be used. gps_fixes: with a position. sensor_faults: of
+    GPS at the end. host_stamped: frames stamped on arrival. no_window: why the pictures
     gave no window.
     """
 
@@ -70,6 +71,8 @@ class RecordResult:
     output_faults: list[str] = field(default_factory=list)
     trajectory: Trajectory | None = None
     finished: bool = False
+    gps_fixes: int = 0
+    sensor_faults: list[str] = field(default_factory=list)
     spacing_m: float = 0.0
     metre: Metre = field(default_factory=Metre)
     gaps: str = ""
@@ -159,6 +162,7 @@ class RecordResult:
             "unscaled_poses": self.unscaled_poses,
             "lost_poses": self.lost_poses,
             "late_poses": self.late_poses,
+            "gps_fixes": self.gps_fixes,
         }
 
     def losses(self) -> list[str]:
@@ -198,6 +202,7 @@ class RecordResult:
         if self.gaps:
             lines.append(self.gaps)
         lines += [f"output: {fault}" for fault in self.output_faults]
+        lines += [f"fixes: {fault}" for fault in self.sensor_faults]
         if self.overflowed:
             lines.append(f"{self.overflowed} frames came faster than they could be read")
         return lines

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from calm_edge.config import Config
+from calm_edge.config import Config, ConfigError, GpsConfig
+from calm_edge.daemon.sensor import Sensor, StoredSamples
 from calm_edge.recording import RecordingError, time_base
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.schema import GPS, IMU
+from calm_edge.recording.sensors import Sample
 from calm_edge.recording.sequence_folder import ORIGIN_NS, SequenceFolder
 from calm_edge.recording.stamp_order import check_common_time
-from calm_edge.recording.time_base import TimeBase
+from calm_edge.recording.time_base import TimeBase, WallClock
 from calm_edge.types import CalmEdgeError
 from device.camera import (
     SAME_DEVICE,
@@ -24,6 +28,8 @@ from device.camera import (
 from device.clock import Clock, SystemClock
 from device.errors import CameraError
 from device.frame import Eye, Frame, Unusable
+from device.gps.gps import is_receiver, receiver
+from device.gps.gps_file import read_gps_file
 
 # delay of the first frame after the start of a replay, so that no frame is late from the start
 LEAD_NS = 50_000_000
@@ -78,6 +84,7 @@ class Source:
     open: returns the primary and the assistant camera, not yet started; called once, when both
     child processes are ready. clock: of the frames' stamps. is_replay: stored frames, which end.
     time_base: of the frames' stamps.
+    sensors: beside the cameras, not yet started.
     notes: lines for the user on how the frames are read. name_of: where a stored frame is, or "".
     """
 
@@ -88,6 +95,7 @@ class Source:
     time_base: TimeBase = field(default_factory=TimeBase)
     notes: Sequence[str] = ()
     name_of: Callable[[Frame], str] = lambda frame: ""
+    sensors: tuple[Sensor, ...] = ()
 
 
 def replayed(
@@ -161,7 +169,42 @@ def of_recording(recording: Recording, paced: bool) -> Source:
     check_common_time(path, [eye.name.lower() for eye in Eye], stamps)
     # damage that was found on opening
     notes = tuple(recording.losses)
-    return replayed(recording.frames, epoch_ns, paced, str(path), recording.origin_ns, notes)
+    found = replayed(recording.frames, epoch_ns, paced, str(path), recording.origin_ns, notes)
+    if not any(recording.count(topic) for topic in (GPS, IMU)):
+        return found
+    # opened again: the threads of the cameras read the other one
+    again = Recording(path)
+    kinds: tuple[Iterator[Sample], ...] = again.fixes(), again.imu()
+    samples = heapq.merge(*kinds, key=lambda sample: sample.t_ns)
+    return replace(found, sensors=(StoredSamples(samples),))
+
+
+def with_gps(source: Source, config: GpsConfig) -> Source:
+    """The source with the GPS fixes of gps.source, if there is one.
+
+    Fixes of a file replace those of a recording that is replayed. Raises ConfigError, GpsError.
+    """
+    name = config.source
+    if not name:
+        return source
+    if is_receiver(name):
+        if source.is_replay:
+            note = f"gps.source = {name}: not read in a replay; a file is (GPX, NMEA)"
+            return replace(source, notes=(*source.notes, note))
+        return replace(source, sensors=(receiver(name, config.baud, source.clock.now_ns),))
+    if not source.is_replay:
+        raise ConfigError(
+            f"gps.source = {name}: files are for replays; give a serial device (/dev/...) or gpsd"
+        )
+    if source.time_base.clock is not WallClock.SOURCE:
+        raise ConfigError(
+            f"gps.source = {name}: the fixes have dates, and the stamps of {source.description} "
+            "have none; give stamps in Unix time"
+        )
+    fixes = read_gps_file(Path(name))
+    stored = [fix.at(fix.t_ns - source.time_base.epoch_ns) for fix in fixes]
+    note = f"{name}: {len(fixes)} fixes"
+    return replace(source, sensors=(StoredSamples(stored),), notes=(*source.notes, note))
 
 
 def live(config: Config) -> Source:

@@ -95,12 +95,11 @@ class Bags:
                     sequence += 1
 
         published = calibration(notes, chosen, scratch, assumed)
-        beside = notes.write(scratch)
         took = [
             f"{eye.name.lower()} {t.name}: {int(kept[eye].sum())} pictures, {t.kind}"
             for eye, t in zip(eyes, chosen, strict=True)
         ]
-        took += [f"{name}: {n} rows in {path.name}" for name, n, path in beside]
+        samples = notes.samples(took, dropped)
         return Imported(
             eyes,
             frames,
@@ -108,7 +107,7 @@ class Bags:
             tuple(dropped),
             tuple(assumed),
             calibration=published,
-            beside=tuple(path for _, _, path in beside),
+            samples=samples,
         )
 
 

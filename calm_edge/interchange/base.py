@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from calm_edge.interchange.calibration.calibration import Calibration
+from calm_edge.recording.sensors import Sample
 from calm_edge.types import Float, Int
 from device.frame import JPEG_QUALITY, Eye, Frame
 
@@ -44,7 +45,7 @@ class Imported:
 
     frames: (eye) -> its frames, stamped from ORIGIN_NS of sequence folders on. took, dropped,
     assumed: a line each; dropped is complete when all frames have been read. calibration: as
-    published. beside: files in the scratch folder that the recording keeps. facts: for the
+    published. samples: GPS fixes and IMU samples on the frames' clock, by time. facts: for the
     recording's metadata.
     """
 
@@ -55,7 +56,7 @@ class Imported:
     assumed: tuple[str, ...] = ()
     truth: GroundTruth | None = None
     calibration: Calibration | None = None
-    beside: tuple[Path, ...] = ()
+    samples: Sequence[Sample] = ()
     facts: dict[str, str] = field(default_factory=dict)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import json
 import shutil
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import chain
@@ -70,6 +71,7 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
     counts = dict.fromkeys(imported.eyes, 0)
     streams = [imported.frames(eye) for eye in imported.eyes]
     frames = heapq.merge(*streams, key=lambda f: (f.t_ns, f.eye))
+    samples = deque(imported.samples)
     first = next(frames, None)
     now = ORIGIN_NS if first is None else first.t_ns
     writer = RecordingWriter(
@@ -82,17 +84,21 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
     )
     try:
         for frame in chain([] if first is None else [first], frames):
+            while samples and samples[0].t_ns <= frame.t_ns:
+                now = max(now, samples[0].t_ns)
+                writer.write_sample(samples.popleft())
             now = frame.t_ns
             writer.write_frame(frame)
             counts[frame.eye] += 1
+        for sample in samples:
+            now = max(now, sample.t_ns)
+            writer.write_sample(sample)
         writer.write_metadata(IMPORT_METADATA, _facts(imported, name))
     finally:
         health = writer.close()
     if health.error:
         raise InterchangeError(health.error)
     _verify(folder, counts)
-    for path in imported.beside:
-        path.replace(folder / path.name)
     if imported.calibration is not None:
         formats.write("opencv", folder / CALIBRATION, imported.calibration, (f"as in the {name}",))
     if imported.truth is not None:

@@ -1,19 +1,22 @@
-"""Read GPS fixes from `gps.csv`, as `import` writes it, or from a GPX file."""
+"""GPS fixes of a drive: those of its recording, or of a file."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
+from calm_edge.recording import schema
+from calm_edge.recording.reader import Recording
 from calm_edge.types import CalmEdgeError, Float, Int
+from device.errors import GpsError
+from device.gps.fix import Fix, FixKind, fix
+from device.gps.gps_file import read_gps_file
 
-# sigmas [m], east, north, up, of a fix that does not say how good it is
-USUAL_SIGMA_M = (2.5, 2.5, 5.0)
+# as imports of version 0.1.0 wrote it beside the recording
 GPS_FILE = "gps.csv"
 
 
@@ -25,7 +28,7 @@ class GpsFileError(CalmEdgeError):
 class GpsFixes:
     """Fixes in order: t_ns (M,), lla (M, 3) latitude, longitude [deg], height [m]; sigma_m (M, 3).
 
-    dropped: number of rows without a position.
+    path: file or recording. dropped: number of fixes without a position.
     """
 
     path: Path
@@ -35,69 +38,60 @@ class GpsFixes:
     dropped: int
 
 
+def fixes_of(recording: Recording, file: Path | None) -> GpsFixes | None:
+    """Fixes of a file if one is given, else of the recording; None if it holds none.
+
+    Times are the user's stamps. Raises GpsFileError, RecordingError.
+    """
+    beside = recording.path / GPS_FILE
+    if file is not None or beside.is_file():
+        return read_fixes(file or beside)
+    answers = recording.count(schema.GPS_QUALITY)
+    found = list(recording.fixes())
+    if not found:
+        return None
+    origin_ns = recording.origin_ns
+    return _table(recording.path, (each.at(each.t_ns - origin_ns) for each in found), answers)
+
+
 def read_fixes(path: Path) -> GpsFixes:
-    """Read a .gpx file, or a CSV file of `import`; raises GpsFileError."""
+    """Read a file: GPX, NMEA, or the CSV of an earlier import; raises GpsFileError."""
     try:
-        rows = _gpx(path) if path.suffix.lower() == ".gpx" else _csv(path)
+        found = _csv(path) if path.suffix.lower() == ".csv" else read_gps_file(path)
+    except GpsError as error:
+        raise GpsFileError(f"{error}; give GPX or NMEA") from None
     except OSError as error:
         raise GpsFileError(f"{path}: cannot be read ({error.strerror})") from None
-    except (ElementTree.ParseError, csv.Error, KeyError, ValueError) as error:
-        raise GpsFileError(
-            f"{path}: not a file of GPS fixes ({error}); give a .gpx file or {GPS_FILE} of import"
-        ) from None
-    kept = [row for row in rows if row is not None]
+    except (csv.Error, KeyError, ValueError) as error:
+        raise GpsFileError(f"{path}: not a table of fixes ({error}); give GPX or NMEA") from None
+    kept = [each for each in found if each.has_position]
     if not kept:
         raise GpsFileError(f"{path}: holds no fix with a time and a position")
-    kept.sort(key=lambda row: row[0])
-    values = np.array([row[1:] for row in kept], np.float64)
-    times = np.array([row[0] for row in kept], np.int64)
-    return GpsFixes(path, times, values[:, :3], values[:, 3:], len(rows) - len(kept))
+    return _table(path, kept, len(found))
 
 
-_Row = tuple[int, float, float, float, float, float, float]
+def _table(path: Path, fixes: Iterable[Fix], answers: int) -> GpsFixes:
+    kept = sorted(fixes, key=lambda each: each.t_ns)
+    t_ns = np.array([each.t_ns for each in kept], np.int64)
+    lla, sigma_m = (
+        np.array([getattr(each, name) for each in kept], np.float64) for name in ("lla", "sigma_m")
+    )
+    return GpsFixes(path, t_ns, lla, sigma_m, answers - len(kept))
 
 
-def _row(t_ns: int, lla: tuple[float, float, float], sigma: tuple[float, ...]) -> _Row | None:
-    """A row of finite numbers; None without a position. An unknown height is 0, and unsure."""
-    latitude, longitude, height = lla
-    if not (abs(latitude) <= 90 and abs(longitude) <= 360) or (latitude == longitude == 0):
-        return None
-    if not np.isfinite(height):
-        height, sigma = 0.0, (*sigma[:2], 1e4)
-    east, north, up = sigma
-    return t_ns, latitude, longitude, height, east, north, up
-
-
-def _csv(path: Path) -> list[_Row | None]:
-    rows: list[_Row | None] = []
+def _csv(path: Path) -> list[Fix]:
+    found = []
     with path.open(newline="") as file:
         for row in csv.DictReader(file):
             seconds, _, rest = row["t_s"].partition(".")
             t_ns = int(seconds) * 10**9 + int((rest + "0" * 9)[:9])
-            if row["status"].strip() == "-1":
-                rows.append(None)
-                continue
+            none = row["status"].strip() == "-1"
             variances = [float(row[f"covariance_{x}{x}_m2"] or 0) for x in "enu"]
             known = all(0 < v < np.inf for v in variances)
-            sigma = tuple(np.sqrt(variances).tolist()) if known else USUAL_SIGMA_M
+            east, north, up = np.sqrt(variances).tolist() if known else (0.0, 0.0, 0.0)
             names = "latitude_deg", "longitude_deg", "altitude_m"
             latitude, longitude, height = (float(row[name]) for name in names)
-            rows.append(_row(t_ns, (latitude, longitude, height), sigma))
-    return rows
-
-
-def _gpx(path: Path) -> list[_Row | None]:
-    rows: list[_Row | None] = []
-    for point in ElementTree.parse(path).iterfind(".//{*}trkpt"):
-        found = point.find("{*}time")
-        if found is None or not found.text:
-            rows.append(None)
-            continue
-        time = datetime.fromisoformat(found.text.strip())
-        time = time if time.tzinfo else time.replace(tzinfo=UTC)
-        since = time - datetime(1970, 1, 1, tzinfo=UTC)
-        t_ns = ((since.days * 86400 + since.seconds) * 10**6 + since.microseconds) * 1000
-        height = point.findtext("{*}ele", "nan")
-        lla = float(point.attrib["lat"]), float(point.attrib["lon"]), float(height)
-        rows.append(_row(t_ns, lla, USUAL_SIGMA_M))
-    return rows
+            kind = FixKind.NONE if none else FixKind.UNKNOWN
+            sigma = (east, north, up) if known else None
+            found.append(fix(t_ns, None, (latitude, longitude, height), kind, sigma))
+    return found

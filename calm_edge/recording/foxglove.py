@@ -13,6 +13,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
@@ -26,9 +27,11 @@ from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.geometry.se3 import quaternions
 from calm_edge.types import Float
 from device.frame import Eye
+from device.gps.fix import Fix
 
 # REP 105; x forward, y left, z up (REP 103)
 MAP_FRAME, ODOM_FRAME, BODY_FRAME = "map", "odom", "base_link"
+GPS_FRAME = "gps"
 _LEVELS = (
     (logging.CRITICAL, Log.FATAL),
     (logging.ERROR, Log.ERROR),
@@ -147,6 +150,21 @@ def cloud(points_m: Float, t_ns: int) -> PointCloud:
         point_stride=12,
         fields=fields,
         data=np.ascontiguousarray(points_m, "<f4").tobytes(),
+    )
+
+
+def location(fix: Fix, t_ns: int) -> LocationFix:
+    """Convert a fix that has a position; covariance [m²] east, north, up."""
+    latitude, longitude, height = fix.lla
+    kind = LocationFix.DIAGONAL_KNOWN if fix.measured else LocationFix.APPROXIMATED
+    return LocationFix(
+        timestamp=timestamp(t_ns),
+        frame_id=GPS_FRAME,
+        latitude=latitude,
+        longitude=longitude,
+        altitude=height,
+        position_covariance=np.diag(np.square(fix.sigma_m)).ravel().tolist(),
+        position_covariance_type=kind,
     )
 
 

@@ -64,3 +64,13 @@ KIT = _object(
     length_sigma_percent=_OPTIONAL,
     epoch=_NUMBER,
 )
+GPS_QUALITY = _object(
+    kind=_TEXT,
+    hdop=_OPTIONAL,
+    satellites=_OPTIONAL,
+    sigma_m={"type": "array", "items": _NUMBER},
+    measured={"type": "boolean"},
+    utc_ns={"type": ["integer", "null"]},
+)
+_VECTOR = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
+IMU = _object(gyro_rad_s=_VECTOR, accel_m_s2=_VECTOR)

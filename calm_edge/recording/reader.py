@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calm_edge.config import Config, ConfigError, merge
-from calm_edge.recording import RecordingError, schema
+from calm_edge.recording import RecordingError, schema, sensors
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
 from calm_edge.recording.segment import missing_segments, recording_files
 from calm_edge.recording.time_base import CLOCK_KEY, ORIGIN_KEY, WallClock, integer
 from calm_edge.recording.window_record import WindowRecord, rebuild
 from calm_edge.types import Int, LocalizerUpdate, PoseSample, SubmapWindow
 from device.frame import Eye, Frame
+from device.gps.fix import Fix
 
 # cache of decoded chunks: a window's keyframes are in many chunks, shared by adjacent windows
 _CACHE_BYTES = 32 << 20
@@ -85,15 +86,24 @@ class Recording:
     def origin_ns(self) -> int:
         """What was added to the stamps of the source: subtract it from stamps given to users.
 
-        Of a live drive, minus its Unix time at t_ns 0; from the newest reading of the clock, if
-        the clock was set during the drive.
+        Of a live drive, minus its Unix time at t_ns 0; if its clock was not synchronised, from the
+        newest reading of it once it was, else from GPS.
         """
         metadata = self.metadata
         origin_ns = integer(metadata, ORIGIN_KEY) or 0
         if metadata.get(CLOCK_KEY) == WallClock.UNSYNCHRONISED.value:
-            for reading in self.json_messages(schema.CLOCK):
-                if reading.get("synchronised"):
-                    origin_ns = reading["monotonic_ns"] - reading["realtime_ns"]
+            set_later = [
+                reading["monotonic_ns"] - reading["realtime_ns"]
+                for reading in self.json_messages(schema.CLOCK)
+                if reading.get("synchronised")
+            ]
+            by_gps = () if set_later else self.fixes()
+            dated = [fix.t_ns - fix.utc_ns for fix in by_gps if fix.utc_ns is not None]
+            if set_later:
+                origin_ns = set_later[-1]
+            elif dated:
+                # a fix arrives some tenths of a second after its time
+                origin_ns = sorted(dated)[len(dated) // 2]
         return origin_ns
 
     def cameras(self, eye: Eye) -> dict[str, Any]:
@@ -160,6 +170,19 @@ class Recording:
         raise RecordingError(
             f"{self.path}: {eye.name.lower()} frame {sequence} is not in the recording"
         )
+
+    def fixes(self) -> Iterator[Fix]:
+        """Iterate over the GPS fixes that have a position, in the order written."""
+        quality = {
+            place.t_ns: json.loads(data) for place, data in self._messages(schema.GPS_QUALITY)
+        }
+        for place, data in self._messages(schema.GPS):
+            yield sensors.read_fix(place.t_ns, data, quality.get(place.t_ns))
+
+    def imu(self) -> Iterator[sensors.ImuSample]:
+        """Iterate over the samples of an IMU in the order written."""
+        for place, data in self._messages(schema.IMU):
+            yield sensors.read_imu(place.t_ns, json.loads(data))
 
     def poses(self) -> Iterator[PoseSample]:
         """Iterate over the live poses in the order written."""

@@ -14,6 +14,9 @@
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
 | /window | calm_edge.Window: keys of the window's frames | its newest keyframe |
 | /clock, /status, /health | JSON | time of writing |
+| /gps | foxglove.LocationFix with its covariance, none while there is no position | its arrival |
+| /gps/quality | JSON: kind of fix, dilution, satellites, time by GPS | its arrival |
+| /imu | JSON: turn rate and acceleration, of an import | its stamp |
 | /log | foxglove.Log | time of logging |
 
 That time, t_ns, is MCAP's publish_time, and the arrival at the recorder its log_time, which never
@@ -36,6 +39,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
@@ -58,6 +62,7 @@ IMAGE_TOPICS = {Eye.PRIMARY: "/primary/image", Eye.ASSISTANT: "/assistant/image"
 POSE_LIVE, POSE_SAMPLE, PATH = "/pose/live", "/pose/sample", "/pose/path"
 TF, SUBMAP, WINDOW, CLOCK, STATUS, LOG = "/tf", "/submap", "/window", "/clock", "/status", "/log"
 HEALTH, KIT, CLOUD, EVENT = "/health", "/kit", "/cloud", "/event"
+GPS, GPS_QUALITY, IMU = "/gps", "/gps/quality", "/imu"
 
 CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
@@ -75,6 +80,7 @@ _PROTOBUF: dict[str, Any] = {
     SUBMAP: record.message_class("Submap"),
     WINDOW: record.message_class("Window"),
     LOG: Log,
+    GPS: LocationFix,
 }
 _JSON = {
     CLOCK: ("calm_edge.Clock", json_schemas.CLOCK),
@@ -82,6 +88,8 @@ _JSON = {
     HEALTH: ("calm_edge.Health", json_schemas.HEALTH),
     KIT: ("calm_edge.Kit", json_schemas.KIT),
     EVENT: ("calm_edge.Event", json_schemas.EVENT),
+    GPS_QUALITY: ("calm_edge.GpsQuality", json_schemas.GPS_QUALITY),
+    IMU: ("calm_edge.Imu", json_schemas.IMU),
 }
 TOPICS = (*_PROTOBUF, *_JSON)
 

@@ -26,6 +26,7 @@ from calm_edge.recording.record import array_bytes
 from calm_edge.recording.retention import is_kept, set_kept
 from calm_edge.recording.schema import LogMessage
 from calm_edge.recording.segment import Write, segment_files
+from calm_edge.recording.sensors import Sample, messages
 from calm_edge.recording.time_base import TimeBase
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import Float, LocalizerUpdate, PoseSample
@@ -132,6 +133,11 @@ class RecordingWriter:
         """Record an encoded frame of either eye."""
         origin_ns = self._origin_ns
         self._put(lambda: [schema.frame_message(frame, origin_ns)], len(frame.image), True)
+
+    def write_sample(self, sample: Sample) -> None:
+        """Record a GPS fix or an IMU sample."""
+        origin_ns = self._origin_ns
+        self._put(lambda: messages(sample, origin_ns), 512)
 
     def write_pose(self, sample: PoseSample) -> None:
         """Record a live pose."""

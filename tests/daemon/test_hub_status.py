@@ -25,7 +25,7 @@ def no_metre(**result: Any) -> str:
     outputs: Any = SimpleNamespace(faults=lambda: (), lost=dict)
     status = take_status(
         RecordResult(**{"spacing_m": 0.5, "submaps": 3} | result), link, link, outputs,
-        WriterHealth("", 0, 0, 0, 0.0, 0.0), now_ns=0, frame_ns=(0, 0), pose_ns=0, stage_ms={},
+        WriterHealth("", 0, 0, 0, 0.0, 0.0), (), now_ns=0, frame_ns=(0, 0), pose_ns=0, stage_ms={},
     )  # fmt: skip
     return status.no_metre
 

@@ -8,14 +8,18 @@ from typing import Any
 
 import pytest
 
-from calm_edge.config import Config, merge
-from calm_edge.daemon.source import live, of_recording
+from calm_edge.config import Config, GpsConfig, merge
+from calm_edge.daemon.source import live, of_recording, of_sequence, with_gps
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import CalmEdgeError
 from device.errors import CameraError
 from device.frame import Eye
+from device.gps.gpsd import Gpsd
+from device.gps.serial_gps import SerialGps
+from tests.device.gps.sentences import measurement
 from tests.recording import samples
+from tests.replay.small_drive import write_drive
 
 S = 1_000_000_000
 
@@ -65,3 +69,39 @@ def test_an_unreadable_message_does_not_end_a_replay(
     frames = [frame for _ in range(3) if (frame := primary.read(1.0)) is not None]
     assert [frame.sequence for frame in frames] == [0, 2] and primary.exhausted
     assert "/primary/image 1: not an image" in recording.losses[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("/dev/ttyUSB7", SerialGps), ("gpsd", Gpsd), ("gpsd:car:2948", Gpsd)]
+)
+def test_a_live_source_has_a_receiver(name: str, kind: type) -> None:
+    source = with_gps(live(Config()), GpsConfig(source=name))
+    assert [type(sensor) for sensor in source.sensors] == [kind]
+
+
+def test_files_are_for_replays_with_dates_and_receivers_for_cameras(tmp_path: Path) -> None:
+    with pytest.raises(CalmEdgeError, match="files are for replays"):
+        with_gps(live(Config()), GpsConfig(source="a.gpx"))
+    folder = write_drive(tmp_path / "drive", 4)
+    source = of_sequence(folder, False)
+    with pytest.raises(CalmEdgeError, match="have none; give stamps in Unix time"):
+        with_gps(source, GpsConfig(source="a.gpx"))
+    replay = with_gps(source, GpsConfig(source="/dev/ttyUSB7"))
+    assert not replay.sensors and "not read in a replay" in replay.notes[-1]
+
+
+def test_fixes_of_a_file_are_given_at_their_time(tmp_path: Path) -> None:
+    folder = write_drive(tmp_path / "drive", 4)
+    start = 1_700_000_000
+    for eye in Eye:
+        lines = "".join(f"{start + 0.1 * k:.6f}\n" for k in range(4))
+        (folder / f"times{int(eye)}.txt").write_text(lines)
+    text = "".join(measurement(start * S + k * S // 10, 48.0, 11.0, 5.0) for k in range(-1, 4))
+    (tmp_path / "a.nmea").write_text(text)
+    source = with_gps(of_sequence(folder, False), GpsConfig(source=str(tmp_path / "a.nmea")))
+    (sensor,) = source.sensors
+    first_ns = start * S + S
+    assert len(sensor.take(first_ns)) == 2 and sensor.take(first_ns) == []
+    assert [fix.t_ns for fix in sensor.take(first_ns + S)] == [
+        first_ns + k * S // 10 for k in (1, 2, 3)
+    ]

@@ -13,9 +13,17 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from tests.faults import isolation_rows, output_rows, process_rows, storage_rows, time_rows
+from tests.faults import (
+    gps_rows,
+    isolation_rows,
+    output_rows,
+    process_rows,
+    storage_rows,
+    time_rows,
+)
 from tests.faults.endurance_rows import endurance
 from tests.faults.independent_reader import build_rust
 from tests.faults.malformed_rows import malformed
@@ -54,6 +62,11 @@ def table(short: Path, long: Path) -> dict[str, Callable[[Path], Row]]:
         "estimator-slow": lambda folder: isolation_rows.slow_from_the_start(long, LONG, folder),
         "tracker-suspended": on_short(isolation_rows.suspended_tracker),
         "serial-stalled": on_short(isolation_rows.stalled_serial),
+        **{
+            f"gps-{kind}": on_short(partial(gps_rows.faulty_gps, kind=kind))
+            for kind in gps_rows.KINDS
+        },
+        "gps-missing": on_short(gps_rows.no_receiver),
         "outputs-fail": on_short(output_rows.bad_outputs),
         "stamps-future": stamps("from the future"),
         "stamps-backwards": stamps("backwards"),

@@ -83,11 +83,26 @@ class RosTypes:
             position_covariance_type=2,
         )  # fmt: skip
 
+    def imu(self, t_ns: int) -> Any:
+        def vector(*values: float) -> Any:
+            return self.make("geometry_msgs/msg/Vector3", **dict(zip("xyz", values, strict=True)))
+
+        unknown = {
+            f"{name}_covariance": np.zeros(9)
+            for name in ("orientation", "angular_velocity", "linear_acceleration")
+        }
+        return self.make(
+            "sensor_msgs/msg/Imu", header=self.header(t_ns),
+            orientation=self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            angular_velocity=vector(0.1, 0.2, 0.3), linear_acceleration=vector(0.0, 0.5, 9.8),
+            **unknown,
+        )  # fmt: skip
+
 
 def write_ros(
     path: Path, t: Float, *, ros1: bool = False, mcap: bool = False, raw: bool = False
 ) -> Path:
-    """Write a bag with /left, /right (Image or CompressedImage), their camera_info, and /fix."""
+    """Write a bag with /left, /right (Image or CompressedImage), camera_info, /fix and /imu."""
     types = RosTypes(ros1)
     plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
     writer: Any = Writer1(path) if ros1 else Writer2(path, version=9, storage_plugin=plugin)
@@ -111,6 +126,10 @@ def write_ros(
                 topic = f"/{name}/image_raw" + ("" if raw else "/compressed")
                 write(topic, t_ns, make(t_ns, pixels[eye][k]))
             write("/fix", t_ns, types.fix(t_ns))
+            for part in range(4):
+                write("/imu", t_ns + part * 10**7, types.imu(t_ns + part * 10**7))
+            if k == 0:
+                write("/spare/fix", t_ns, types.fix(t_ns))
     return path
 
 

@@ -12,8 +12,10 @@ from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.bag import Bags
 from calm_edge.interchange.bag_pictures import pixels
 from calm_edge.interchange.base import Imported, ImportOptions
+from calm_edge.recording.sensors import ImuSample
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from device.frame import Eye
+from device.gps.fix import Fix
 from tests.interchange.bags import BASELINE_M, START_NS, K, shown, write_foxglove, write_ros
 
 T = np.arange(5) / 20
@@ -53,14 +55,21 @@ def test_pictures_and_header_stamps_of_both_cameras(tmp_path: Path, written: str
 
 
 @pytest.mark.parametrize("written", ["ROS 1", "ROS 2 sqlite3", "ROS 2 mcap", "MCAP with ROS 2"])
-def test_calibration_and_fixes_are_taken_along(tmp_path: Path, written: str) -> None:
+def test_calibration_fixes_and_imu_are_taken_along(tmp_path: Path, written: str) -> None:
     imported = opened(WRITERS[written](tmp_path))
     assert imported.calibration is not None
     assert imported.calibration.spacing_m == pytest.approx(BASELINE_M)
     assert imported.calibration.cameras[0].camera.fx == K[0]
-    (fixes,) = imported.beside
-    rows = fixes.read_text().splitlines()
-    assert len(rows) == 1 + len(T) and rows[1].startswith("1700000000.000000000,48.5,9.25,400.0,0,")
+    fixes = [sample for sample in imported.samples if isinstance(sample, Fix)]
+    assert [fix.t_ns for fix in fixes] == [START_NS + ORIGIN_NS + round(1e9 * t) for t in T]
+    assert fixes[0].lla == (48.5, 9.25, 400.0) and fixes[0].sigma_m == (1.0, 1.0, 1.0)
+    imu = [sample for sample in imported.samples if isinstance(sample, ImuSample)]
+    assert len(imu) == 4 * len(T) and imu[0].gyro == (0.1, 0.2, 0.3)
+    assert imu[0].accel == (0.0, 0.5, 9.8)
+    times = [sample.t_ns for sample in imported.samples]
+    assert times == sorted(times)
+    assert {"/fix: 5 fixes", "/imu: 20 IMU samples"} <= set(imported.took)
+    assert any(line.startswith("/spare/fix: 1 fixes") for line in imported.dropped)
 
 
 def test_several_picture_topics_are_listed(tmp_path: Path) -> None:

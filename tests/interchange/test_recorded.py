@@ -7,14 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from calm_edge.config import Config, merge
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.interchange import InterchangeError, recorded
 from calm_edge.interchange.base import GroundTruth, Imported
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.segment import segment_files
+from calm_edge.recording.sensors import ImuSample
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from device.frame import Eye, Frame, jpeg
+from device.gps.fix import FixKind, fix
 
 CONFIG = merge(Config(), {"recording": {"keep_free_gib": 0.0, "keep_free_percent": 0.0}})
 PICTURE = jpeg(np.zeros((16, 24, 3), np.uint8))
@@ -43,6 +47,22 @@ def test_the_recording_holds_every_frame_in_order_and_what_was_assumed(tmp_path:
     assert len(read) == 8 and read[0].image == PICTURE and not recording.losses
     assert read_truth(tmp_path / "rec" / recorded.TRUTH).t_ns.tolist() == truth.t_ns.tolist()
     assert not (tmp_path / "rec.importing").exists()
+
+
+def test_fixes_and_imu_samples_lie_between_the_frames_of_their_time(tmp_path: Path) -> None:
+    fixes = [
+        fix(ORIGIN_NS + t, None, (48.0, 11.0, 1.0), FixKind.THREE_D) for t in (-(10**8), 10**9)
+    ]
+    imu = [ImuSample(ORIGIN_NS + k * 10**8, (0.0, 0.0, 0.1), (0.0, 0.0, 9.8)) for k in range(5)]
+    samples = sorted([*fixes, *imu], key=lambda sample: sample.t_ns)
+    with recorded.unfinished(tmp_path / "rec", print) as folder:
+        recorded.write(Imported(tuple(Eye), frames, samples=samples), CONFIG, folder, "bag")
+    recording = Recording(tmp_path / "rec")
+    assert [found.t_ns for found in recording.fixes()] == [found.t_ns for found in fixes]
+    assert list(recording.imu()) == imu and not recording.losses
+    with segment_files(tmp_path / "rec")[0].open("rb") as file:
+        log_ns = [message.log_time for _, _, message in make_reader(file).iter_messages()]
+    assert log_ns == sorted(log_ns)
 
 
 def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
