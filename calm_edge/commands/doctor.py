@@ -30,6 +30,7 @@ NEEDED = {
 OPTIONAL = {
     "av": "no import of videos (pip install av)",
     "rosbags": "no import of ROS bags (pip install rosbags)",
+    "pyproj": "no LAZ of georeferenced maps (pip install pyproj)",
     "laspy": "no export of LAZ clouds (pip install 'laspy[lazrs]')",
     "yaml": "no calibrations of ROS and Kalibr (pip install pyyaml)",
     "tomlkit": "no `calm-edge config`, no changes to config files (pip install tomlkit)",

@@ -9,7 +9,19 @@ from calm_edge.commands.console import say
 from calm_edge.commands.exit_codes import LOSS, OK
 
 # as of interchange/export/registry, which is not imported for `--help`
-FORMATS = ("tum", "kitti", "csv", "colmap", "transforms", "ply", "laz", "ros2")
+FORMATS = (
+    "tum",
+    "kitti",
+    "csv",
+    "colmap",
+    "transforms",
+    "ply",
+    "laz",
+    "ros2",
+    "geojson",
+    "gpx",
+    "kml",
+)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -41,7 +41,8 @@ class GpsAlignmentError(ValueError):
 class Alignment:
     """Result of `align`: enu = scale * R @ p + t, and the fixes were `delay_s` late.
 
-    *_sigma: one standard deviation; scale_log_sigma is 0 if the scale was given. used: (M,) fixes
+    *_sigma: one standard deviation; tilt_sigma: of the vertical, about the axis that is shown worst
+    [rad]; scale_log_sigma is 0 if the scale was given. used: (M,) fixes
     that were neither refused nor outside the path. inside: (M,) fixes within the path's time.
     residual_m: (M,) horizontal distances from the path, NaN outside of it.
     """
@@ -52,6 +53,7 @@ class Alignment:
     delay_s: float
     delay_sigma_s: float
     scale_log_sigma: float
+    tilt_sigma: float
     used: Flags
     inside: Flags
     residual_m: Float
@@ -122,6 +124,7 @@ def align(
         float(x[6]),
         float(np.sqrt(covariance[6, 6])),
         float(np.sqrt(covariance[7, 7])) if free_scale else 0.0,
+        float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1])),
         used,
         inside,
         residual_m,

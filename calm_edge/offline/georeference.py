@@ -60,6 +60,7 @@ def georeference(
         "gps_scale_sigma_percent": 100 * free.scale_log_sigma,
         "delay_s": chosen.delay_s,
         "delay_sigma_s": chosen.delay_sigma_s,
+        "tilt_sigma_deg": float(np.degrees(chosen.tilt_sigma)),
         "fixes": len(fixes.t_ns),
         "without_position": fixes.dropped,
         "outside_the_path": int((~chosen.inside).sum()),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from calm_edge.geometry.local_enu import earth_centred, enu
+from calm_edge.geometry.local_enu import earth_centred, enu, geodetic
 
 
 def test_known_points_of_the_ellipsoid() -> None:
@@ -21,3 +22,10 @@ def test_axes_point_east_north_and_up() -> None:
     north = np.radians(1e-4) * (6_370_729 + 500)
     east = np.radians(1e-4) * (6_389_957 + 500) * np.cos(np.radians(48))
     np.testing.assert_allclose(found, [[east, 0, 0], [0, north, 0], [0, 0, 7]], atol=2e-3)
+
+
+@pytest.mark.parametrize("latitude", [-89.9, -33.0, 0.0, 48.0, 90.0])
+def test_geodetic_is_the_inverse_of_enu(latitude: float) -> None:
+    origin = np.array([latitude, 171.3, 420.0])
+    p = np.random.default_rng(1).uniform(-2e4, 2e4, (50, 3))
+    np.testing.assert_allclose(enu(geodetic(p, origin), origin), p, atol=1e-5)

@@ -14,7 +14,8 @@ from calm_edge import __version__
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.export.base import ExportOptions, Written
 from calm_edge.interchange.export.drive import ExportedDrive
-from calm_edge.interchange.export.level import Level, level
+from calm_edge.interchange.export.level import Level, best_level
+from calm_edge.interchange.export.utm import utm
 from calm_edge.mapping.cloud_file import count_points, read_tiles
 from calm_edge.types import Float, Float32, MapTile
 
@@ -51,9 +52,16 @@ def levelled(drive: ExportedDrive) -> LevelledCloud:
     count = count_points(drive.cloud)
     if not count:
         raise InterchangeError(f"{drive.cloud}: holds no point; nothing to export")
-    found = level(drive.keyframes.T_w_c, drive.spacing)
+    found = level_of(drive)
     path_l = drive.keyframes.T_w_c[:, :3, 3] @ found.R_l_w.T
     return LevelledCloud(drive.cloud, count, found, path_l)
+
+
+def level_of(drive: ExportedDrive) -> Level:
+    """Level of a drive, by its path or by GPS heights."""
+    place = drive.place
+    R_up_w, sigma_deg = (None, np.inf) if place is None else (place.R_enu_w, place.tilt_sigma_deg)
+    return best_level(drive.keyframes.T_w_c, drive.spacing, R_up_w, sigma_deg)
 
 
 def described(drive: ExportedDrive, cloud: LevelledCloud) -> tuple[str, ...]:
@@ -94,7 +102,7 @@ class Ply:
 
 
 class Laz:
-    """`map.laz`: LAZ 1.4 with colours."""
+    """`map.laz`: LAZ 1.4 with colours; of a georeferenced map in UTM, else levelled."""
 
     name = "laz"
     writes = "point cloud for geographic information systems"
@@ -103,24 +111,32 @@ class Laz:
         """Write the cloud; raises InterchangeError, CloudError."""
         laspy = require_laspy()
         cloud = levelled(drive)
-        lines = described(drive, cloud)
         header = laspy.LasHeader(point_format=7, version="1.4")
         header.scales, header.offsets = np.full(3, LAS_STEP), np.zeros(3)
         header.generating_software = f"calm-edge {__version__}"
         header.global_encoding.wkt = True
+        left_out: tuple[str, ...] = ()
+        if drive.place is None:
+            lines, convert = described(drive, cloud), None
+            left_out = ("the coordinate reference system: the map is not georeferenced",)
+        else:
+            zone = utm(drive.place)
+            lines, convert = (f"{zone.name}, in metres", *drive.place.described()), zone.convert
+            header.offsets = np.floor(convert(drive.keyframes.T_w_c[:1, :3, 3])[0])
+            header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(zone.wkt))
         text = "\n".join(lines).encode("ascii", "replace")
         header.vlrs.append(laspy.VLR("LASF_Spec", 3, "text area description", text))
         with laspy.open(folder / "map.laz", "w", header=header, do_compress=True) as file:
-            for tile in cloud.tiles():
-                record = laspy.ScaleAwarePointRecord.zeros(len(tile.points_w), header=header)
-                record.x, record.y, record.z = tile.points_w.T.astype(np.float64)
+            for tile in cloud.tiles() if convert is None else read_tiles(cloud.file, TILE):
+                points = tile.points_w.astype(np.float64)
+                record = laspy.ScaleAwarePointRecord.zeros(len(points), header=header)
+                record.x, record.y, record.z = (points if convert is None else convert(points)).T
                 # 16 bits a colour
                 colors = tile.color.T.astype(np.uint16) * 257
                 record.red, record.green, record.blue = colors
                 record.return_number[:] = record.number_of_returns[:] = 1
                 file.write_points(record)
-        left_out = "the coordinate reference system: the map is not georeferenced"
-        return Written((f"map.laz: {cloud.count} points with colours",), lines, (left_out,))
+        return Written((f"map.laz: {cloud.count} points with colours",), lines, left_out)
 
 
 def normals(points: Float32, path: Float, tree: cKDTree) -> Float32:

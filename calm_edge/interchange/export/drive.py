@@ -16,6 +16,7 @@ from calm_edge.interchange.export.frame_poses import (
     of_assistant,
     of_primary,
 )
+from calm_edge.interchange.export.georeference import Georeference, read_georeference
 from calm_edge.recording import schema
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.time_base import CLOCK_KEY, ORIGIN_KEY, WallClock
@@ -33,7 +34,8 @@ class ExportedDrive:
     keyframes: optimised poses of the primary's keyframes, t_ns on the recording's clock.
     stamp_ns: added to a time of that clock, it gives the user's own; stamps: what these are, in
     words. spacing: world units per map unit. metre: how well lengths are known. lateness: (S, 2)
-    time and time offset [ns] of each sub-map. cloud: file of the map. assumed: lines for the user.
+    time and time offset [ns] of each sub-map. cloud: file of the map. place: where the world lies
+    on the Earth, if known. assumed: lines for the user.
     """
 
     path: Path
@@ -46,6 +48,7 @@ class ExportedDrive:
     spacing_m: float
     metre: Metre
     cloud: Path | None = None
+    place: Georeference | None = None
     assumed: tuple[str, ...] = ()
 
     @property
@@ -180,6 +183,7 @@ def _of_map(path: Path, summary: dict[str, Any], drive: ExportedDrive) -> Export
         spacing_m=float(summary.get("spacing_m") or 0.0),
         metre=metre,
         cloud=cloud if cloud.is_file() else None,
+        place=read_georeference(path),
     )
 
 

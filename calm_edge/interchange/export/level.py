@@ -75,6 +75,18 @@ def level(T_w_c: Float, spacing: float) -> Level:
     return Level(_axes(up, R[0, :, 2]), method, doubt, float(np.degrees(sigma)))
 
 
+def best_level(T_w_c: Float, spacing: float, R_up_w: Float | None, sigma_deg: float) -> Level:
+    """Level of a path, by GPS heights where these show the vertical better.
+
+    R_up_w: rotation of the world to axes with z up by GPS, None if not known. sigma_deg: of its
+    tilt.
+    """
+    found = level(T_w_c, spacing)
+    if R_up_w is None or sigma_deg >= found.sigma_deg:
+        return found
+    return Level(_axes(R_up_w[2], T_w_c[0, :3, 2]), "GPS heights", "", sigma_deg)
+
+
 def mounted(R: Float, steps: Float) -> tuple[Float, bool]:
     """Car's vertical in camera axes (3,), and whether turns gave its roll.
 

@@ -15,10 +15,9 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.export.base import ExportOptions, Written
-from calm_edge.interchange.export.cloud import levelled
+from calm_edge.interchange.export.cloud import level_of, levelled
 from calm_edge.interchange.export.drive import ExportedDrive
 from calm_edge.interchange.export.frame_poses import FramePoses
-from calm_edge.interchange.export.level import level
 from calm_edge.interchange.export.ros2_messages import Messages
 from calm_edge.interchange.export.scene import lenses
 from calm_edge.interchange.ros_bag import require_rosbags
@@ -41,7 +40,7 @@ class Ros2:
     def write(self, drive: ExportedDrive, folder: Path, options: ExportOptions) -> Written:
         """Write the bag; raises InterchangeError."""
         require_rosbags()
-        found = level(drive.keyframes.T_w_c, drive.spacing)
+        found = level_of(drive)
         T_map_w = se3.compose(found.R_l_w, np.zeros(3))
         assumed: list[str] = []
         cameras = lenses(drive.last, assumed)
