@@ -17,6 +17,7 @@ from calm_edge.commands.exit_codes import ERROR, table
 
 COMMANDS = {
     "record": "record two cameras (or replay a folder) and estimate poses live",
+    "live": "serve a page that shows the running recording, for a phone in the car",
     "import": "make a recording of videos, data sets or bags",
     "map": "build a dense map, a trajectory and a report from a recording",
     "report": "write report.html of a recording",

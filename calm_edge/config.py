@@ -379,6 +379,17 @@ class GpsConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class LiveConfig:
+    """[live]: results for the page of `calm-edge live`, which is a process of its own.
+
+    socket: path of a Unix socket at which the recording offers them; empty: none. `record --live`
+    chooses one.
+    """
+
+    socket: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Config:
     """All sections of the configuration."""
 
@@ -395,6 +406,7 @@ class Config:
     mapping: MappingConfig = field(default_factory=MappingConfig)
     pose_output: PoseOutputConfig = field(default_factory=PoseOutputConfig)
     gps: GpsConfig = field(default_factory=GpsConfig)
+    live: LiveConfig = field(default_factory=LiveConfig)
 
     @property
     def overlap_shared(self) -> int:

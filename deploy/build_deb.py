@@ -176,7 +176,7 @@ def install_systemd(target: Target, site: Path, work: Path) -> None:
 
 def unpack(commit: str, folder: Path) -> Path:
     """Unpack what the packages hold of a commit; returns the folder."""
-    documents = ("docs/deploy.md", "docs/serial.md", "README.md")
+    documents = ("docs/deploy.md", "docs/live.md", "docs/serial.md", "README.md")
     parts = ["calm_edge", "device", "deploy", "pyproject.toml", "constraints.txt", *documents]
     command = ["git", "archive", commit, *parts]
     done = subprocess.run(command, check=False, capture_output=True, cwd=ROOT)
@@ -191,12 +191,15 @@ def place_files(stage: Path, commit: Path) -> None:
     """Copy the unit, device rules, configuration, documents and maintainer scripts into place."""
     for name, place in {
         "deploy/calm-edge.service": "usr/lib/systemd/system/calm-edge.service",
+        "deploy/calm-edge-live.service": "usr/lib/systemd/system/calm-edge-live.service",
+        "deploy/calm-edge-live-open.conf": "usr/share/doc/calm-edge/calm-edge-live-open.conf",
         "deploy/99-calm-edge.rules": "usr/lib/udev/rules.d/99-calm-edge.rules",
         "deploy/calm-edge.modules-load.conf": "usr/lib/modules-load.d/calm-edge.conf",
         "deploy/calm-edge.toml": "etc/calm-edge/calm-edge.toml",
         "deploy/debian/copyright": "usr/share/doc/calm-edge/copyright",
         "README.md": "usr/share/doc/calm-edge/README.md",
         "docs/deploy.md": "usr/share/doc/calm-edge/deploy.md",
+        "docs/live.md": "usr/share/doc/calm-edge/live.md",
         "docs/serial.md": "usr/share/doc/calm-edge/serial.md",
     }.items():
         (stage / place).parent.mkdir(parents=True, exist_ok=True)

@@ -155,9 +155,11 @@ def installed() -> str:
 def unit() -> str:
     """Check that the unit is enabled for the next boot and accepted by this release's systemd."""
     expect("enabled" in inside("systemctl is-enabled calm-edge.service"), "not enabled")
-    output = inside("systemd-analyze verify calm-edge.service").strip()
+    live = inside("systemctl is-enabled calm-edge-live.service || true").strip()
+    expect(live == "disabled", f"the live page is {live}")
+    output = inside("systemd-analyze verify calm-edge.service calm-edge-live.service").strip()
     expect(not output, f"systemd-analyze: {output}")
-    return "enabled; systemd-analyze verify is silent"
+    return "enabled, the live page not; systemd-analyze verify is silent"
 
 
 def commands() -> str:

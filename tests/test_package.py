@@ -25,8 +25,9 @@ CALM_GEO = {
     for name in ("LICENSE", "encoder.int8.onnx", "encoder.onnx", "golden.npz", "manifest.toml")
 } | {"calm_edge/models/calm-geo/refine.onnx"}
 VIEWER = {
-    f"calm_edge/report/viewer/{path.name}"
-    for path in (ROOT / "calm_edge" / "report" / "viewer").iterdir()
+    f"calm_edge/{folder}/{path.name}"
+    for folder in ("report/viewer", "live/page")
+    for path in (ROOT / "calm_edge" / folder).iterdir()
     if path.suffix in (".css", ".html", ".js")
 }
 

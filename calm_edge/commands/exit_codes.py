@@ -24,6 +24,7 @@ OF_COMMAND: dict[str, dict[int, str]] = {
         "to map; poses are not optimised; the spacing was given and no metre found; the pose "
         "output did not work",
     },
+    "live": {OK: "served until it was stopped", ERROR: "the page cannot be served there"},
     "import": {OK: "the recording is complete", ERROR: "no recording was made"},
     "map": {
         OK: "the map of the whole drive was written",

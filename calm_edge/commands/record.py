@@ -47,13 +47,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="do not write report.html at the end; `calm-edge report` does it later. As a service: "
         "never at the end",
     )
+    parser.add_argument(
+        "--live", action="store_true", help="offer the results to the page of `calm-edge live`"
+    )
     add_configuration(parser)
 
 
 def recorded_config(recording: Recording) -> Config:
     """Configuration to replay a recording with: its own, but for what a replay must not touch.
 
-    That is the serial ports, and the kit file, which may hold what this drive has shown.
+    That is the serial ports, the live page's socket, and the kit file, which may hold what this
+    drive has shown.
     """
     from calm_edge.config import Config, merge
     from calm_edge.types import CalmEdgeError
@@ -70,7 +74,7 @@ def recorded_config(recording: Recording) -> Config:
         "override it"
     )
     own = {"pose_output": {"port": ""}, "backbone": {"kit_file": ""}, "gps": {"source": ""}}
-    return merge(config, own)
+    return merge(config, own | {"live": {"socket": ""}})
 
 
 def open_source(
@@ -98,8 +102,11 @@ def open_source(
 def run(arguments: argparse.Namespace) -> int:
     """Record until the frames end or until SIGINT or SIGTERM."""
     from calm_edge.commands.calibration_file import refuse_other_sizes
+    from calm_edge.commands.live_block import terminal_output
     from calm_edge.commands.mask_file import refuse_other_shapes
+    from calm_edge.config import merge
     from calm_edge.daemon.run import Target, record
+    from calm_edge.live.socket_path import default_socket
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
     from device.errors import DeviceError
@@ -113,12 +120,24 @@ def run(arguments: argparse.Namespace) -> int:
             recording = Recording(arguments.replay)
             base = recorded_config(recording)
         config = effective_config(arguments, base)
+        if arguments.live and not config.live.socket:
+            config = merge(config, {"live": {"socket": str(default_socket())}})
         source = open_source(arguments, config, recording)
         refuse_other_sizes(config, arguments.sequence, recording)
         refuse_other_shapes(config, arguments.sequence, recording)
         target = Target(arguments.out or arguments.root, is_root=arguments.out is None)
         lockstep = arguments.pace == "lockstep"
-        folder, result = record(config, source, target, notifier, lockstep=lockstep, say=say)
+        # a service manager shows the state itself
+        shown = terminal_output(config) if isinstance(notifier, NullNotifier) else None
+        folder, result = record(
+            config,
+            source,
+            target,
+            notifier,
+            lockstep=lockstep,
+            say=say if shown is None else shown.say_line,
+            more=[] if shown is None else [shown],
+        )
         code = report(folder, result)
     except (CalmEdgeError, DeviceError) as error:
         # shows the error in `systemctl status`

@@ -1,4 +1,4 @@
-"""The outputs of live results: the recording and the pose output. Add further ones here."""
+"""The outputs of live results: recording, pose output, live page. Add further ones here."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from calm_edge.config import Config
 from calm_edge.daemon.fan_out import Output
 from calm_edge.daemon.health import Health
+from calm_edge.daemon.live_output import LiveOutput
 from calm_edge.daemon.messages import Attached, Event
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.state import Standing
@@ -167,4 +168,6 @@ def configured(config: Config, now_ns: Callable[[], int]) -> list[Output]:
             now_ns=now_ns,
         )
         outputs.append(MavlinkOutput(port, publisher, now_ns, "udp" if is_udp else "serial"))
+    if config.live.socket:
+        outputs.append(LiveOutput(config, now_ns))
     return outputs

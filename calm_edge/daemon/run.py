@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from pathlib import Path
 from calm_edge.config import Config
 from calm_edge.daemon import ladder, outputs
 from calm_edge.daemon.capture import Capture
+from calm_edge.daemon.fan_out import Output
 from calm_edge.daemon.hub import Hub
 from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.source import Source
@@ -61,10 +62,12 @@ def record(
     *,
     lockstep: bool,
     say: Callable[[str], None],
+    more: Sequence[Output] = (),
 ) -> tuple[Path, RecordResult]:
     """Record until the frames end or SIGINT or SIGTERM arrives; return the folder and the result.
 
-    say: prints a line for the user. Raises CalmEdgeError, DeviceError.
+    say: prints a line for the user. more: outputs besides those that are configured. Raises
+    CalmEdgeError, DeviceError.
     """
     target.check(config)
     folder: Path | None = None
@@ -89,7 +92,7 @@ def record(
 
     consumers = outputs.configured(config, source.clock.now_ns)
     recording = outputs.RecordingOutput(open_writer)
-    hub = Hub(config, source, recording, consumers, lockstep=lockstep, say=say)
+    hub = Hub(config, source, recording, [*consumers, *more], lockstep=lockstep, say=say)
     capture = Capture(hub, notifier)
     with stopped_by_signals(capture):
         try:

@@ -232,15 +232,16 @@ def clock_message(t_ns: int, realtime_ns: int, monotonic_ns: int) -> LogMessage:
 
 def json_message(topic: str, t_ns: int, value: Mapping[str, Any]) -> LogMessage:
     """Encode a JSON object; other types as text, numbers that JSON does not have as null."""
-    text = json.dumps(_finite(value), default=str, allow_nan=False)
+    text = json.dumps(finite(value), default=str, allow_nan=False)
     return LogMessage(topic, t_ns, text.encode())
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Replace numbers that JSON does not have by None, in mappings and lists too."""
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -1,20 +1,24 @@
-"""The unit: accepted by systemd, sandboxed, with the limits that the daemon needs."""
+"""The units: accepted by systemd, sandboxed, with the limits that the daemon needs."""
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import subprocess
 from collections import defaultdict
+from ipaddress import ip_network
 from pathlib import Path
 
 import pytest
 
+from calm_edge.cli import build_parser
 from calm_edge.commands.exit_codes import LOSS
 from calm_edge.config import CaptureConfig, load
 from calm_edge.daemon import finish
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
-UNIT = DEPLOY / "calm-edge.service"
+UNIT, LIVE = DEPLOY / "calm-edge.service", DEPLOY / "calm-edge-live.service"
+OPEN = DEPLOY / "calm-edge-live-open.conf"
 EXPOSURE = 3.0
 
 needs_systemd = pytest.mark.skipif(
@@ -22,10 +26,10 @@ needs_systemd = pytest.mark.skipif(
 )
 
 
-def settings() -> dict[str, list[str]]:
+def settings(unit: Path = UNIT) -> dict[str, list[str]]:
     """Every value of each key, in order."""
     found: dict[str, list[str]] = defaultdict(list)
-    for line in UNIT.read_text().splitlines():
+    for line in unit.read_text().splitlines():
         key, equals, value = line.partition("=")
         if equals and not line.startswith("#"):
             found[key].append(value)
@@ -36,12 +40,21 @@ def seconds(key: str) -> float:
     return float(settings()[key][0])
 
 
+def with_program(unit: Path, folder: Path) -> Path:
+    """A unit in a folder, with a program that is there without the package."""
+    copied = folder / unit.name
+    copied.write_text(unit.read_text().replace("/opt/calm-edge/bin/calm-edge", "/bin/true"))
+    return copied
+
+
 @needs_systemd
-def test_systemd_analyze_verify_is_silent(tmp_path: Path) -> None:
-    # the program itself is only there where the package is installed
-    text = UNIT.read_text().replace("/opt/calm-edge/bin/calm-edge", "/bin/true")
-    unit = tmp_path / UNIT.name
-    unit.write_text(text)
+@pytest.mark.parametrize("opened", [False, True])
+@pytest.mark.parametrize("file", [UNIT, LIVE])
+def test_systemd_analyze_verify_is_silent(tmp_path: Path, file: Path, opened: bool) -> None:
+    unit = with_program(file, tmp_path)
+    if opened and file == LIVE:
+        (tmp_path / f"{file.name}.d").mkdir()
+        with_program(OPEN, tmp_path / f"{file.name}.d")
     command = ["systemd-analyze", "verify", str(unit)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     # unknown keys leave the exit status at 0 and are only printed
@@ -49,9 +62,10 @@ def test_systemd_analyze_verify_is_silent(tmp_path: Path) -> None:
 
 
 @needs_systemd
-def test_it_is_sandboxed() -> None:
+@pytest.mark.parametrize("unit", [UNIT, LIVE])
+def test_it_is_sandboxed(unit: Path) -> None:
     limit = f"--threshold={EXPOSURE * 10:.0f}"
-    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", limit, str(UNIT)]
+    command = ["systemd-analyze", "security", "--offline=true", "--no-pager", limit, str(unit)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout.splitlines()[-1]
 
@@ -59,6 +73,41 @@ def test_it_is_sandboxed() -> None:
 def test_it_has_no_network() -> None:
     families = settings()["RestrictAddressFamilies"]
     assert [set(value.split()) for value in families] == [{"AF_UNIX", "AF_NETLINK"}]
+
+
+def test_the_live_page_has_one_port_and_only_this_computer_reaches_it() -> None:
+    live = settings(LIVE)
+    assert live["SocketBindDeny"] == ["any"] and live["SocketBindAllow"] == ["tcp:8600"]
+    assert live["IPAddressDeny"] == ["any"] and live["IPAddressAllow"] == ["localhost"]
+    # the recordings are out of its reach, and nobody else's socket is shown
+    assert live["InaccessiblePaths"] == ["-/var/lib/calm-edge"]
+    (command,) = live["ExecStart"]
+    assert arguments_of(command).address == "127.0.0.1:8600"
+
+
+def test_the_drop_in_opens_that_port_to_private_networks_with_a_token() -> None:
+    opened = settings(OPEN)
+    assert set(opened) == {"ExecStart", "IPAddressAllow"}
+    (networks,) = opened["IPAddressAllow"]
+    assert all(ip_network(network).is_private for network in networks.split())
+    # the first, empty one replaces that of the unit
+    empty, command = opened["ExecStart"]
+    arguments = arguments_of(command)
+    assert empty == "" and arguments.address == "0.0.0.0:8600"
+    assert str(arguments.token_file).startswith(f"/var/lib/{settings(LIVE)['StateDirectory'][0]}/")
+
+
+def test_both_services_use_the_same_socket() -> None:
+    folder, name = load(DEPLOY / "calm-edge.toml").live.socket.rsplit("/", 1)
+    assert folder == f"/run/{settings()['RuntimeDirectory'][0]}" and name
+    for unit in (UNIT, LIVE):
+        assert "--config /etc/calm-edge/calm-edge.toml" in settings(unit)["ExecStart"][0]
+        assert settings(unit)["User"] == ["calm-edge"]
+
+
+def arguments_of(command: str) -> argparse.Namespace:
+    """What the command line makes of a unit's ExecStart."""
+    return build_parser().parse_args(command.split()[1:])
 
 
 def test_a_device_class_is_only_allowed_with_its_driver_loaded_before() -> None:

@@ -1,17 +1,22 @@
-"""Fault rows in which disk, estimator, tracker or serial line stop responding: capture goes on."""
+"""Fault rows in which disk, estimator, tracker, serial line or page stop responding."""
 
 from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
+from unittest.mock import patch
 
-from calm_edge.config import PoseOutputConfig
+from calm_edge.config import PoseOutputConfig, merge
 from calm_edge.daemon.estimator_link import INBOX_WINDOWS
 from calm_edge.daemon.hub import Hub
+from calm_edge.daemon.live_output import LiveOutput
 from calm_edge.daemon.outputs import MavlinkOutput
+from calm_edge.live import link
 from calm_edge.pose_output.publisher import PosePublisher
 from calm_edge.recording.reader import Recording
 from device.frame import Eye
@@ -183,4 +188,58 @@ def stalled_serial(drive: Path, n: int, folder: Path) -> Row:
         f"{loop_figures(folder / 'rec')}",
         "no frame lost; messages not sent are counted",
         kept and 0 < reported <= dropped == result.output_losses["serial"] and result.poses > 0,
+    )
+
+
+def suspended_live_page(drive: Path, n: int, folder: Path) -> Row:
+    """The live page's process is suspended while pictures are sent to it, then killed."""
+    socket = folder / "live.sock"
+    config = merge(config_for(drive), {"live": {"socket": str(socket)}})
+    command = [sys.executable, "-m", "calm_edge.cli", "live", "--socket", str(socket)]
+    # with little room in between, and no patience
+    with (
+        patch.object(link, "BUFFER_BYTES", 4096),
+        patch.object(link, "STALL_S", 0.5),
+        subprocess.Popen(
+            [*command, "--address", "127.0.0.1:0"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        ) as page,
+    ):
+        output = LiveOutput(config, time.monotonic_ns)
+        connected_s = time.monotonic() + 60
+        while not output.readers and time.monotonic() < connected_s:
+            time.sleep(0.05)
+        readers = output.readers
+
+        def suspend(_: Hub) -> None:
+            page.send_signal(signal.SIGSTOP)
+
+        def kill(_: Hub) -> None:
+            page.kill()
+
+        during = AfterFrames((n // 4, suspend), (3 * n // 4, kill))
+        try:
+            result, _ = record(
+                drive,
+                folder / "rec",
+                lockstep=False,
+                config=config,
+                during=during,
+                outputs=[output],
+            )
+        finally:
+            page.kill()
+    kept = result.frames == [n, n] and result.unrecorded == 0 and all_frames(folder / "rec", n)
+    return Row(
+        "live page suspended, then killed",
+        f"{sum(result.frames)} of {2 * n} frames recorded, {result.poses} poses, page dropped "
+        f"{output.dropped_readers} times, {loop_figures(folder / 'rec')}",
+        "no frame and no pose lost; the page is dropped, not waited for",
+        kept
+        and readers == 1
+        and output.dropped_readers > 0
+        and result.output_losses["live"] == 0
+        and not result.output_faults
+        and result.poses > 0,
     )

@@ -67,6 +67,7 @@ def table(short: Path, long: Path) -> dict[str, Callable[[Path], Row]]:
             for kind in gps_rows.KINDS
         },
         "gps-missing": on_short(gps_rows.no_receiver),
+        "live-page-suspended": on_short(isolation_rows.suspended_live_page),
         "outputs-fail": on_short(output_rows.bad_outputs),
         "stamps-future": stamps("from the future"),
         "stamps-backwards": stamps("backwards"),

@@ -1,4 +1,4 @@
-"""Capture goes on while disk, estimator, tracker, serial line or an output fails."""
+"""Capture goes on while disk, estimator, tracker, serial line, page or an output fails."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         rows.suspended_estimator,
         rows.suspended_tracker,
         rows.stalled_serial,
+        rows.suspended_live_page,
         bad_outputs,
     ],
 )
