@@ -417,8 +417,10 @@ class PoseStatus(StrEnum):
 class PoseSample:
     """Live pose of one primary frame, as published.
 
-    T_w_c: (4, 4) primary camera->world. velocity_c: (3,) and turn_rate_c: (3,) rad/s, camera
-    axes. covariance: (6, 6) of (translation, rotation), relative to the sub-map it was tracked in,
+    T_w_c: (4, 4) primary camera->the tracker's odometry frame, in which the pose does not jump when
+    a sub-map arrives; `Attached.T_map_odom` takes it to the world. velocity_c: (3,) and
+    turn_rate_c: (3,) rad/s, camera axes. covariance: (6, 6) of (translation, rotation), relative to
+    the sub-map it was tracked in,
     twist_covariance: (6, 6) of (velocity_c, turn_rate_c), camera axes, both given the scale; see
     `with_drift`. World units and rad; NaN if unknown.
     scale_log_sigma: sigma of the log of lengths at present, given the spacing; inf if unknown.

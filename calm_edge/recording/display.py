@@ -50,7 +50,7 @@ class Display:
         if sample.status is PoseStatus.LOST or not np.isfinite(sample.T_w_c).all():
             return []
         stamp_ns = sample.t_ns - self._origin_ns
-        T_o_b = self._body(se3.inverse(self.T_map_odom) @ sample.T_w_c)
+        T_o_b = self._body(sample.T_w_c)
         frames = [
             (MAP_FRAME, ODOM_FRAME, self._body(self.T_map_odom)),
             (ODOM_FRAME, BODY_FRAME, T_o_b),
