@@ -28,13 +28,14 @@ if TYPE_CHECKING:
 LINE_S = 30.0
 # that may wait to be printed
 LINES = 1000
+NAME_WIDTH = 11
 _STYLES = {"good": "bold green", "warning": "bold yellow", "bad": "bold red"}
 
 
 class Lines(Output):
     """Prints the state as a line when it changes, and every LINE_S."""
 
-    name = "terminal"
+    name, wants_frames = "terminal", False
 
     def __init__(self) -> None:
         self._state, self._said_s = "", 0.0
@@ -58,7 +59,7 @@ class Block(Output):
     no output (Ctrl-S) holds up nothing else. It ends when no more frames are taken.
     """
 
-    name = "terminal"
+    name, wants_frames = "terminal", False
 
     def __init__(self, config: Config) -> None:
         from rich.console import Console
@@ -130,18 +131,16 @@ class Block(Output):
                 say(line)
 
     def _rows(self, standing: Standing, health: Health) -> RenderableType:
-        from rich.table import Table
         from rich.text import Text
 
         level, text = sentence(standing.state, standing.reasons, health.writer.error)
-        head = Text.assemble((f"{standing.state}  ", _STYLES[level]), text)
-        table = Table.grid(padding=(0, 2))
-        table.add_column(style="dim", no_wrap=True)
-        table.add_column(overflow="fold")
-        table.add_row("state", head)
+        rows = Text.assemble(("state".ljust(NAME_WIDTH), "dim"), (standing.state, _STYLES[level]))
+        rows.append(f"  {text}")
+        # not a table of rich's, whose layout takes three times as long
         for name, value in self._values(health).items():
-            table.add_row(name, Text(value))
-        return table
+            rows.append(f"\n{name.ljust(NAME_WIDTH)}", "dim")
+            rows.append(value)
+        return rows
 
     def _values(self, health: Health) -> Mapping[str, str]:
         counts, age = health.counts, health.pose_age_ms

@@ -39,10 +39,12 @@ class Output:
 
     immediate: the methods do not block and are called by the capture loop, without a queue.
     required: an exception ends the run.
+    wants_frames: whether `frame` is to be called at present; frames are the most of all messages.
     """
 
     name = "output"
     immediate = required = False
+    wants_frames = True
     queue_bytes = 16 << 20
 
     @property
@@ -118,6 +120,12 @@ class FanOut:
         """Call every output, at once or from its thread. size: of the message, bytes."""
         for guard in self._guards:
             guard.give(call, size)
+
+    def frame(self, frame: Frame) -> None:
+        """Give a frame to the outputs that want frames."""
+        for guard in self._guards:
+            if guard.output.wants_frames:
+                guard.give(lambda output: output.frame(frame), len(frame.image))
 
     def tick(self, now_ns: int) -> None:
         """Notify immediate outputs of a cycle of the capture loop without a pose."""

@@ -120,7 +120,7 @@ class Hub:
     def frame(self, frame: Frame) -> None:
         """Encode one frame as JPEG and pass it to the outputs and to the tracker."""
         frame = frame.encoded(self.config.recording.jpeg_quality)
-        self.outputs.give(lambda output: output.frame(frame), len(frame.image))
+        self.outputs.frame(frame)
         if not self.result.windows:
             self._samples.add(frame)
         self.result.frames[frame.eye] += 1

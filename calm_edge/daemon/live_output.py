@@ -73,6 +73,10 @@ class LiveOutput(Output):
         return self._link.fault
 
     @property
+    def wants_frames(self) -> bool:  # type: ignore[override]
+        return self._link.readers > 0
+
+    @property
     def readers(self) -> int:
         """Number of pages that are connected."""
         return self._link.readers
@@ -89,9 +93,6 @@ class LiveOutput(Output):
         return found
 
     def frame(self, frame: Frame) -> None:
-        if not self._link.readers:
-            self._frames.clear()
-            return
         if frame.eye is Eye.ASSISTANT:
             if self._due(Eye.ASSISTANT):
                 self._picture(frame, points=self._assistant_points(frame))
@@ -146,6 +147,8 @@ class LiveOutput(Output):
         self._put("cameras", dict(settings))
 
     def status(self, standing: Standing, health: Health | None) -> None:
+        if not self._link.readers:
+            self._frames.clear()
         if health is not None:
             self._health = health.message() | {"left": time_left(health.writer)}
         now = {"state": standing.state.value, "reasons": list(standing.reasons)}

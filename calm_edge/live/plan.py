@@ -25,17 +25,16 @@ class Plan:
         # of a body that looks forward, right and down
         self._axes = R[[1, 0]]
         self._path: dict[int, Float] = {}
-        self._points = np.zeros((0, 2))
+        self._newest: LocalizerUpdate | None = None
 
     def update(self, update: LocalizerUpdate) -> None:
-        """Take new and moved keyframes, and the points of the newest sub-map."""
+        """Take new and moved keyframes, and the newest sub-map for its points."""
         moved = update.trajectory
         at = moved.T_w_c[:, :3, 3]
         known = zip(moved.keyframe_ids.tolist(), at, strict=True)
         self._path.update((i, p) for i, p in known if np.isfinite(p).all())
         if update.prediction.landmarks is not None:
-            p_w = landmarks(update)
-            self._points = self._flat(p_w[:: max(1, -(-len(p_w) // CLOUD_POINTS))])
+            self._newest = update
 
     @property
     def length(self) -> float:
@@ -52,7 +51,7 @@ class Plan:
         path = self._flat(np.stack([self._path[i] for i in thin])) if thin else np.zeros((0, 2))
         return {
             "path": path.round(2).tolist(),
-            "points": self._points.round(2).tolist(),
+            "points": self._points().round(2).tolist(),
             "length": round(self.length, 2),
         }
 
@@ -66,6 +65,12 @@ class Plan:
             "heading_deg": round(float(np.degrees(np.arctan2(ahead[0], ahead[1]))), 1),
             "speed": round(float(np.linalg.norm(velocity_c)), 2),
         }
+
+    def _points(self) -> Float:
+        if self._newest is None:
+            return np.zeros((0, 2))
+        p_w = landmarks(self._newest)
+        return self._flat(p_w[:: max(1, -(-len(p_w) // CLOUD_POINTS))])
 
     def _flat(self, p_w: Float) -> Float:
         return np.asarray(p_w @ self._axes.T)

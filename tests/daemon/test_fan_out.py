@@ -12,6 +12,7 @@ from calm_edge.daemon import fan_out
 from calm_edge.daemon.fan_out import FanOut, Output
 from calm_edge.daemon.messages import Event, Keep
 from calm_edge.daemon.result import RecordResult
+from device.frame import Eye, Frame
 
 
 class Kept(Output):
@@ -174,6 +175,24 @@ def test_what_people_ask_for_is_collected_from_every_output() -> None:
     assert list(outputs.requests()) == [event, keep]
     assert list(outputs.requests()) == []
     outputs.close(RecordResult())
+
+
+def test_frames_go_to_the_outputs_that_want_them() -> None:
+    class Framed(Kept):
+        def __init__(self, wanted: bool) -> None:
+            super().__init__()
+            self.wants_frames = wanted
+            self.frames: list[Frame] = []
+
+        def frame(self, frame: Frame) -> None:
+            self.frames.append(frame)
+
+    wanting, other = Framed(True), Framed(False)
+    outputs = FanOut([wanting, other])
+    frame = Frame(Eye.PRIMARY, 0, 7, b"jpeg")
+    outputs.frame(frame)
+    outputs.close(RecordResult())
+    assert wanting.frames == [frame] and other.frames == []
 
 
 def test_ticks_go_to_immediate_outputs_only() -> None:

@@ -102,13 +102,14 @@ def test_it_is_an_output_only_if_a_socket_is_configured(tmp_path: Path) -> None:
         configured(too_long, time.monotonic_ns)
 
 
-def test_without_a_page_frames_are_not_kept(tmp_path: Path) -> None:
-    config = merge(Config(), {"live": {"socket": str(tmp_path / "s")}})
-    output = LiveOutput(config, lambda: NOW_NS)
-    for k in range(10):
-        output.frame(samples.frame(Eye.PRIMARY, k))
-    assert not output._frames and output._board.get("primary") is None
-    output.close(RecordResult())
+def test_only_a_page_wants_frames(page: Page) -> None:
+    assert page.output.wants_frames
+    page.output._moves_s = time.monotonic()
+    page.output.frame(samples.frame(Eye.PRIMARY, 0))
+    page.source.close()
+    page.until(lambda: not page.output.wants_frames)
+    page.output.status(Standing(State.RUNNING), HEALTH)
+    assert not page.output._frames
 
 
 def test_the_trackers_points_come_with_the_frame_they_are_in(page: Page) -> None:
