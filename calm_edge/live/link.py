@@ -36,7 +36,7 @@ class Link:
     def __init__(self, path: Path, board: Board[bytes], ask: Callable[[Message], None]) -> None:
         self._path, self._board, self._ask = path, board, ask
         self._closed = threading.Event()
-        self._readers: set[threading.Thread] = set()
+        self._readers: frozenset[threading.Thread] = frozenset()
         self._bound = False
         self.fault = ""
         self.dropped = 0
@@ -46,7 +46,7 @@ class Link:
     @property
     def readers(self) -> int:
         """Number of connected readers."""
-        return sum(thread.is_alive() for thread in tuple(self._readers))
+        return sum(thread.is_alive() for thread in self._readers)
 
     def close(self, timeout_s: float) -> None:
         """Send what is on the board, and end; readers that take too long get less of it."""
@@ -97,15 +97,16 @@ class Link:
                 connection, _ = listener.accept()
             except TimeoutError:
                 continue
-            self._readers = {thread for thread in self._readers if thread.is_alive()}
-            if len(self._readers) >= MAX_READERS:
+            alive = {thread for thread in self._readers if thread.is_alive()}
+            if len(alive) >= MAX_READERS:
                 connection.close()
                 continue
             thread = threading.Thread(
                 target=self._send, args=(connection,), name="live-reader", daemon=True
             )
-            self._readers.add(thread)
             thread.start()
+            # another set, since other threads look at this one
+            self._readers = frozenset({*alive, thread})
 
     def _send(self, connection: socket.socket) -> None:
         """Send a reader what is new until it is gone, or takes nothing for STALL_S."""

@@ -41,6 +41,8 @@ function showHealth(health) {
   at("keep").textContent = disk.kept ? "Protected ✓" : "Protect drive";
 }
 
+function signed(value) { return (value < 0 ? "−" : "+") + Math.abs(value).toFixed(3); }
+
 function number(value, digits) { return value === null ? "?" : value.toFixed(digits); }
 
 function showKit(kit) {
@@ -51,12 +53,11 @@ function showKit(kit) {
     const row = document.createElement("tr");
     row.className = name;
     const lens = eye.lens
-      ? eye.lens.k.map((k, i) => `k${i + 1} ${k.toFixed(3)} ± ${eye.lens.sigma[i].toFixed(3)}`)
-        .join(", ") + (eye.lens.family === "fisheye" ? " (fisheye)" : "")
+      ? eye.lens.k.map((k, i) => `k${i + 1} ${signed(k)} ± ${eye.lens.sigma[i].toFixed(3)}`)
+        .concat(eye.lens.family === "fisheye" ? ["fisheye"] : []).join("\n")
       : "not estimated";
-    const sigma = `${number(eye.focal_sigma_percent, 1)} %`;
-    for (const text of [name, `${number(eye.focal_px, 0)} px`,
-      eye.observed === false ? `${sigma}, not observed yet` : sigma, lens]) {
+    const focal = `${number(eye.focal_px, 0)} px ± ${number(eye.focal_sigma_percent, 1)} %`;
+    for (const text of [name, eye.observed ? focal : `${focal}\nnot observed yet`, lens]) {
       row.append(Object.assign(document.createElement("td"), { textContent: text }));
     }
     rows.push(row);
@@ -108,7 +109,7 @@ function showPicture(eye) {
   drawPicture(at(eye), picture, masks[eye]);
   const tracks = (picture.moves || []).length, points = (picture.points || []).length;
   at(`${eye}-note`).textContent = picture.moves ? (tracks ? `${tracks} points tracked` : "no points tracked")
-    : picture.points ? `${points} points of the map, where they should be` : "no points tracked";
+    : picture.points ? `${points} points of the map expected` : "no points tracked";
 }
 
 const show = {
