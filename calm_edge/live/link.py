@@ -130,7 +130,7 @@ class Link:
                         break
             except TimeoutError:
                 self.dropped += 1
-                log.warning("the live page takes nothing for %.0f s; dropped", STALL_S)
+                log.warning("the live page takes nothing for %g s; dropped", STALL_S)
             except OSError:
                 pass
             with suppress(OSError):
