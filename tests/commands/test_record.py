@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from calm_edge.cli import build_parser
+from calm_edge.cli import build_parser, main
 from calm_edge.commands.configuration import effective_config
 from calm_edge.commands.record import recorded_config
 from calm_edge.config import Config, ConfigError, merge
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
+from calm_edge.types import CalmEdgeError
 
 RECORDED = {
     "scale": {"spacing_m": 0.52},
@@ -19,6 +20,7 @@ RECORDED = {
     "frontend": {"n_max": 8},
     "pose_output": {"port": "/dev/ttyUSB0", "rate_hz": 10.0},
     "capture": {"primary": "v4l2:usb-1"},
+    "live": {"socket": "/run/calm-edge/live.sock"},
 }
 
 
@@ -41,7 +43,37 @@ def test_a_replay_takes_all_but_the_kit_file_and_the_port(
     assert "configuration of" in line and "bundle, cameras 0.52 m apart" in line
     assert config.scale.spacing_m == 0.52 and config.frontend.n_max == 8
     assert config.capture.primary == "v4l2:usb-1"
-    assert config.backbone.kit_file == config.pose_output.port == ""
+    assert config.backbone.kit_file == config.pose_output.port == config.live.socket == ""
+
+
+@pytest.mark.parametrize(
+    "options, socket",
+    [
+        ([], ""),
+        (["--live"], "{run}/calm-edge/live.sock"),
+        (["--live", "--set", "live.socket=/tmp/mine.sock"], "/tmp/mine.sock"),
+    ],
+)
+def test_results_are_offered_to_the_live_page_only_on_request(
+    options: list[str],
+    socket: str,
+    recording: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[Config] = []
+
+    def record(config: Config, *_: object, **__: object) -> None:
+        given.append(config)
+        raise CalmEdgeError("no more is wanted here")
+
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr("calm_edge.daemon.run.record", record)
+    monkeypatch.setattr("calm_edge.daemon.source.of_recording", lambda *_: None)
+    out = str(tmp_path / "again")
+    assert main(["record", "--replay", str(recording.path), "--out", out, *options]) == 1
+    assert [config.live.socket for config in given] == [socket.format(run=tmp_path)]
 
 
 def test_options_and_files_override_it(recording: Recording, tmp_path: Path) -> None:
