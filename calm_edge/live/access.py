@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import hmac
 import ipaddress
 import re
 import secrets
 import socket
+import struct
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +18,7 @@ from device.atomic_file import replace_text
 
 # may stand in an address and in a cookie as it is
 _TOKEN = re.compile(r"[A-Za-z0-9_-]{8,}")
+_SIOCGIFADDR = 0x8915
 _LOOPBACK_NAMES = {"localhost", "127.0.0.1", "[::1]"}
 
 
@@ -61,17 +64,20 @@ def parse_address(text: str) -> Address:
     )
 
 
-def own_addresses() -> list[str]:
-    """IPv4 addresses of this computer that others may reach, as far as they are known."""
+def own_addresses(interfaces: Path = Path("/sys/class/net")) -> list[str]:
+    """IPv4 addresses of this computer's network interfaces, without the loopback one.
+
+    By ioctl, which needs neither a name server nor a route, as on a hotspot, nor netlink.
+    """
     found = []
-    with suppress(OSError):
-        found = [str(row[4][0]) for row in socket.getaddrinfo(socket.gethostname(), None)]
-    # the address that would be used towards others; nothing is sent
     with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect(("192.0.2.1", 9))
-        found.append(probe.getsockname()[0])
-    unique = dict.fromkeys(text for text in found if ":" not in text)
-    return [text for text in unique if not ipaddress.ip_address(text).is_loopback]
+        for name in sorted(path.name for path in interfaces.iterdir()):
+            # an interface without an address raises
+            with suppress(OSError):
+                request = struct.pack("256s", name.encode()[:15])
+                answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, request)
+                found.append(socket.inet_ntoa(answer[20:24]))
+    return [text for text in found if not ipaddress.ip_address(text).is_loopback]
 
 
 def new_token() -> str:

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import socket
 import stat
 from pathlib import Path
 
 import pytest
 
 from calm_edge.config import ConfigError
-from calm_edge.live.access import Access, Address, new_token, parse_address, token_of
+from calm_edge.live.access import (
+    Access,
+    Address,
+    new_token,
+    own_addresses,
+    parse_address,
+    token_of,
+)
 
 
 @pytest.mark.parametrize(
@@ -35,6 +43,16 @@ def test_an_address_knows_who_reaches_it() -> None:
     assert parse_address("0.0.0.0:1").any and not parse_address("0.0.0.0:1").loopback
     assert not parse_address("192.168.4.1:1").any
     assert parse_address("[::1]:80").url == "http://[::1]:80/"
+
+
+def test_own_addresses_are_those_of_the_interfaces(tmp_path: Path) -> None:
+    for name in ("lo", "absent0"):
+        (tmp_path / name).mkdir()
+    # the loopback interface is not for others, and one that is not there has no address
+    assert own_addresses(tmp_path) == [] == own_addresses(tmp_path / "none")
+    for text in own_addresses():
+        with socket.create_server((text, 0)):
+            pass
 
 
 def test_with_a_token_only_that_opens_the_page() -> None:
