@@ -8,7 +8,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from calm_edge.commands.console import say
 from calm_edge.config import Config
@@ -20,9 +19,6 @@ from calm_edge.live import kit_content
 from calm_edge.live.plan import Plan
 from calm_edge.live.sentence import sentence
 from calm_edge.types import LocalizerUpdate
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
 
 # between two plain lines, if the state does not change
 LINE_S = 30.0
@@ -55,8 +51,9 @@ class Lines(Output):
 class Block(Output):
     """Draws one block that is renewed every second, with rich; lines appear above it.
 
-    It is drawn by the thread of this output alone, when a state is reported: a terminal that takes
-    no output (Ctrl-S) holds up nothing else. It ends when no more frames are taken.
+    In lockstep, where no state is reported, it is renewed with every sub-map. It is drawn by the
+    thread of this output alone: a terminal that takes no output (Ctrl-S) holds up nothing else. It
+    ends when no more frames are taken.
     """
 
     name, wants_frames = "terminal", False
@@ -84,7 +81,8 @@ class Block(Output):
         self._learned: list[str] = []
         self._length: float | None = None
         self._lines: deque[str] = deque(maxlen=LINES)
-        self._drawing = False
+        self._drawing = self._reported = False
+        self._submaps = 0
         self._handler = _AboveBlock(self)
 
     def update(self, update: LocalizerUpdate) -> None:
@@ -92,17 +90,17 @@ class Block(Output):
         if update.prediction.landmarks is not None:
             self._learned = kit_content.summary(self._kit.update(update))
             self._length = self._plan.length
+            self._submaps += 1
+            if not self._reported:
+                self._draw("LOCKSTEP", _STYLES["good"], "Every window is waited for.", None)
 
     def status(self, standing: Standing, health: Health | None) -> None:
+        self._reported = True
         if health is None:
             self._end()
             return
-        if not self._drawing:
-            self._drawing = True
-            self._handler.install()
-            self._live.start()
-        self._print_lines()
-        self._live.update(self._rows(standing, health), refresh=True)
+        level, text = sentence(standing.state, standing.reasons, health.writer.error)
+        self._draw(standing.state, _STYLES[level], text, health)
 
     def say_line(self, text: str) -> None:
         """Print a line for the user, above the block at its next renewal if there is one."""
@@ -130,36 +128,45 @@ class Block(Output):
             for line in lines:
                 say(line)
 
-    def _rows(self, standing: Standing, health: Health) -> RenderableType:
+    def _draw(self, state: str, style: str, text: str, health: Health | None) -> None:
         from rich.text import Text
 
-        level, text = sentence(standing.state, standing.reasons, health.writer.error)
-        rows = Text.assemble(("state".ljust(NAME_WIDTH), "dim"), (standing.state, _STYLES[level]))
-        rows.append(f"  {text}")
+        if not self._drawing:
+            self._drawing = True
+            self._handler.install()
+            self._live.start()
+        self._print_lines()
+        rows = Text.assemble(("state".ljust(NAME_WIDTH), "dim"), (state, style), f"  {text}")
         # not a table of rich's, whose layout takes three times as long
         for name, value in self._values(health).items():
             rows.append(f"\n{name.ljust(NAME_WIDTH)}", "dim")
             rows.append(value)
-        return rows
+        self._live.update(rows, refresh=True)
 
-    def _values(self, health: Health) -> Mapping[str, str]:
-        counts, age = health.counts, health.pose_age_ms
-        lost = [f"{n} {why.replace('_', ' ')}" for why, n in health.drops.items() if n]
-        frames = f"{counts['primary_frames']} + {counts['assistant_frames']}"
-        values = {
-            "frames": f"{frames}, {', '.join(lost) or 'none lost'}",
-            "sub-maps": f"{counts['submaps']} of {counts['windows']} windows",
-            "pose": "none at present" if age is None else f"{age:.0f} ms old",
-        }
+    def _values(self, health: Health | None) -> Mapping[str, str]:
+        values = {"sub-maps": str(self._submaps)} if health is None else _counts(health)
         for line in self._learned:
             name, _, learned = line.partition(": ")
             values[name] = learned
         if self._length is not None:
             values["path"] = f"{self._length:.1f} {self._unit}"
+        if health is None:
+            return values
         values["disk"] = health.writer.error or time_left(health.writer) or "free space unknown"
         if health.thermal.celsius is not None:
             values["heat"] = f"{health.thermal.celsius:.0f} °C"
         return values
+
+
+def _counts(health: Health) -> dict[str, str]:
+    counts, age = health.counts, health.pose_age_ms
+    lost = [f"{n} {why.replace('_', ' ')}" for why, n in health.drops.items() if n]
+    frames = f"{counts['primary_frames']} + {counts['assistant_frames']}"
+    return {
+        "frames": f"{frames}, {', '.join(lost) or 'none lost'}",
+        "sub-maps": f"{counts['submaps']} of {counts['windows']} windows",
+        "pose": "none at present" if age is None else f"{age:.0f} ms old",
+    }
 
 
 class _AboveBlock(logging.Handler):

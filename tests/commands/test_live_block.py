@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import os
+import re
 import select
 import sys
 from collections.abc import Iterator
@@ -115,6 +116,22 @@ def test_lines_and_log_messages_appear_above_the_block_and_the_handlers_come_bac
         block.close(RecordResult())
     finally:
         root.removeHandler(handler)
+
+
+def test_in_lockstep_the_block_is_renewed_with_every_sub_map(terminal: Terminal) -> None:
+    terminal.attach()
+    block = Block(Config())
+    block.update(samples.update())
+    text = terminal.text()
+    assert "LOCKSTEP" in text and "± 3.0 %" in text and "path" in text and "disk" not in text
+    block.update(samples.update(1))
+    assert re.search(r"sub-maps +\S*2", terminal.text())
+    block.status(Standing(State.STOPPING), None)
+    terminal.text()
+    # the end of a drive gives its sub-maps once more
+    block.update(samples.update(1))
+    assert terminal.text() == ""
+    block.close(RecordResult())
 
 
 def test_a_terminal_that_takes_nothing_does_not_hold_up_a_line(terminal: Terminal) -> None:
