@@ -20,7 +20,7 @@ EXTRAS ?=
 
 # what tests and lints besides
 .venv/.stamp-dev: $(DECLARED)
-	@deploy/setup.sh oak,import,laz,geo,dev && touch .venv/.stamp $@
+	@deploy/setup.sh oak,import,laz,geo,dask,dev && touch .venv/.stamp $@
 
 demo: setup
 	@rm -rf $(DEMO_OUT) && mkdir -p $(DEMO_OUT)

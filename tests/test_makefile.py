@@ -61,11 +61,10 @@ def test_only_tests_and_lint_install_the_tools_for_them(tmp_path: Path) -> None:
     script.write_text('#!/bin/sh\necho extras "${1:-none}"\n')
     script.chmod(0o755)
     assert _set_up(tmp_path, "setup") == ["none"] and _set_up(tmp_path, "demo") == []
-    assert _set_up(tmp_path, "test") == ["oak,import,laz,geo,dev"]
+    assert _set_up(tmp_path, "test") == ["oak,import,laz,geo,dask,dev"]
     assert _set_up(tmp_path, "lint") == _set_up(tmp_path, "setup") == []
     os.utime(tmp_path / "pyproject.toml")
     assert _set_up(tmp_path, "setup", "EXTRAS=oak,import") == ["oak,import"]
     os.utime(tmp_path / "pyproject.toml")
-    assert (
-        _set_up(tmp_path, "lint") == ["oak,import,laz,geo,dev"] and _set_up(tmp_path, "demo") == []
-    )
+    assert _set_up(tmp_path, "lint") == ["oak,import,laz,geo,dask,dev"]
+    assert _set_up(tmp_path, "demo") == []

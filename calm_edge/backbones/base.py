@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import CalmEdgeError, Float, Hints, Prediction
 
 
@@ -49,6 +50,25 @@ class ExpectsPictures(Protocol):
 
     def expect(self, image: NDArray[np.uint8]) -> None:
         """Start processing a primary keyframe, (H, W, 3) uint8 BGR. Only saves time."""
+        ...
+
+
+@runtime_checkable
+class LocatesViews(Protocol):
+    """A backbone that can place a picture of another drive among the views of a solved window."""
+
+    def locate_view(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        hints: Hints,
+        prediction: Prediction,
+        camera: Camera,
+    ) -> Float | None:
+        """Pose T_s_c (4, 4), raw units, of the last of N + 1 images, taken by `camera`.
+
+        hints: of all images; the last counts as the primary's. prediction: of the first N. None
+        where it cannot be placed.
+        """
         ...
 
 

@@ -30,6 +30,7 @@ NEEDED = {
 OPTIONAL = {
     "av": "no import of videos (pip install av)",
     "rosbags": "no import of ROS bags (pip install rosbags)",
+    "distributed": "no map on a Dask cluster (pip install distributed)",
     "pyproj": "no LAZ of georeferenced maps (pip install pyproj)",
     "laspy": "no export of LAZ clouds (pip install 'laspy[lazrs]')",
     "yaml": "no calibrations of ROS and Kalibr (pip install pyyaml)",

@@ -34,7 +34,13 @@ EXAMINED = 600
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("recording", type=Path, help="a recording folder or an MCAP file")
+    parser.add_argument(
+        "recording",
+        type=Path,
+        nargs="+",
+        metavar="REC",
+        help="a recording folder or an MCAP file; several drives of one place become one map",
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
     parser.add_argument(
         "--truth", type=Path, metavar="FOLDER", help="report the error against this ground truth"
@@ -48,6 +54,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
     parser.add_argument(
         "--no-pictures", action="store_true", help="no pictures of the cameras in map.html"
+    )
+    parser.add_argument(
+        "--part",
+        action="store_true",
+        help="only solve the drive and compute its depth, to be joined with others",
+    )
+    parser.add_argument(
+        "--dask",
+        metavar="ADDRESS",
+        help="do the work on each of several drives on the cluster of this Dask scheduler",
     )
     again = parser.add_mutually_exclusive_group()
     again.add_argument(
@@ -69,10 +85,13 @@ def run(arguments: argparse.Namespace) -> int:
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
 
+    if len(arguments.recording) > 1:
+        return several(arguments)
+    (path,) = arguments.recording
     out: Path = arguments.out
     unfinished = check_folder(out, force=arguments.force, resume=arguments.resume)
     truth = read_truth(arguments.truth) if arguments.truth is not None else None
-    recording = Recording(arguments.recording)
+    recording = Recording(path)
     fixes = fixes_of(recording, arguments.gps)
     config = recording.config
     for text in arguments.set:
@@ -80,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.force:
         shutil.rmtree(unfinished, ignore_errors=True)
     leftover = unfinished if out.exists() else out
-    made_of = plan(arguments.recording, config)
+    made_of = plan(path, config)
     with interrupted_by_sigterm(), Unfinished(unfinished, config, made_of) as work:
         try:
             started = time.monotonic()
@@ -90,6 +109,10 @@ def run(arguments: argparse.Namespace) -> int:
             if drive is None:
                 shutil.rmtree(leftover)
                 return LOSS
+            if arguments.part:
+                from calm_edge.offline.drive_part import write_part
+
+                return LOSS if write_part(recording, config, drive, out, work, say) else OK
             pictures = not arguments.no_pictures
             code = make_map(
                 recording, config, work, drive, out, truth, fixes, times, pictures=pictures
@@ -99,6 +122,17 @@ def run(arguments: argparse.Namespace) -> int:
         except (KeyboardInterrupt, CalmEdgeError):
             say(f"what was computed is in {unfinished}; continue with --resume")
             raise
+
+
+def several(arguments: argparse.Namespace) -> int:
+    """Map several drives; raises CalmEdgeError for options that are for one."""
+    from calm_edge.commands import map_drives
+    from calm_edge.types import CalmEdgeError
+
+    for option in ("truth", "gps", "part"):
+        if getattr(arguments, option):
+            raise CalmEdgeError(f"--{option}: is for a map of one recording")
+    return map_drives.run(arguments)
 
 
 def make_map(

@@ -18,6 +18,9 @@ from calm_edge.posegraph.joint_graph import JointGraph
 from calm_edge.posegraph.optimiser import Optimiser
 from calm_edge.types import Float, Int, LoopClosure, Submap, Trajectory
 
+# [s]: constant velocity over this time says nothing of where another drive begins
+APART_S = 1000.0
+
 
 @dataclass(frozen=True, slots=True)
 class SkippedWindow:
@@ -78,8 +81,11 @@ class Atlas:
         """Forget that a window was skipped, since it has been reconstructed after all."""
         self._skipped[:] = [skipped for skipped in self._skipped if skipped.submap_id != submap_id]
 
-    def add(self, submap: Submap) -> Submap:
-        """Place a sub-map in world units and add its measurements to the graph."""
+    def add(self, submap: Submap, apart: Float | None = None) -> Submap:
+        """Place a sub-map in world units and add its measurements to the graph.
+
+        apart: T_w_s (4, 4) of the first sub-map of another drive; loops alone tie it to the rest.
+        """
         graph, ids = self._graph, submap.primary_ids
         self._stamps.update(zip(ids, submap.t_ns[: submap.n_primary].tolist(), strict=True))
         primary, assistant = np.split(_rig_views(submap), [submap.n_primary])
@@ -90,6 +96,8 @@ class Atlas:
         if common:
             T_w_f = np.stack([graph.pose(ids[view]) for view in common])
             T_w_s = scale.placement(T_w_f, T_s_p[common], self._config.scale.average_placement)
+        elif apart is not None:
+            T_w_s, bridged_s = apart, APART_S
         else:
             T_w_f, bridged_s = self._bridge(submap)
             T_w_s = scale.placement(T_w_f[None], T_s_p[:1])

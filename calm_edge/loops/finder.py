@@ -7,7 +7,7 @@ appended to its batch. Cost and memory are bounded: retrieval by `max_places`, v
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -17,6 +17,7 @@ import numpy as np
 
 from calm_edge.config import LoopConfig
 from calm_edge.geometry import se3, sift
+from calm_edge.geometry.camera import Camera
 from calm_edge.loops.descriptor import GradientLayout, PlaceDescriptor
 from calm_edge.loops.same_place import KnownKit, SamePlace, same_place
 from calm_edge.types import Bytes, Float, Float32, Keyframe, SubmapWindow
@@ -128,10 +129,18 @@ class PlaceMemory:
 
 
 class PlaceLoops:
-    """Loop finder with all places of a drive; the result depends only on the windows."""
+    """Loop finder with all places of a drive; the result depends only on the windows.
 
-    def __init__(self, config: LoopConfig, descriptor: PlaceDescriptor | None = None) -> None:
-        self._config = config
+    camera_of: camera of a place by its id, of places of other drives; None: that of the window.
+    """
+
+    def __init__(
+        self,
+        config: LoopConfig,
+        descriptor: PlaceDescriptor | None = None,
+        camera_of: Callable[[int], Camera] | None = None,
+    ) -> None:
+        self._config, self._camera_of = config, camera_of
         self._descriptor = descriptor or GradientLayout()
         self._memory = PlaceMemory(config.max_places)
         self._described: dict[int, Float32] = {}
@@ -154,7 +163,7 @@ class PlaceLoops:
         if kit is None or not window.assistant:
             return None
         views = [view for view in queried if self._may_close(window.primary[view].id)]
-        verifier = _Verifier(window, images, kit, self._config.min_matches)
+        verifier = _Verifier(window, images, kit, self._config.min_matches, self._camera_of)
         for view, place in self._most_similar(window, views):
             found = verifier.same_place(view, place)
             if found is not None and found.is_same and self._confirmed(verifier, view, place):
@@ -162,12 +171,19 @@ class PlaceLoops:
                 return LoopCandidate(view, place, found.T_query_match)
         return None
 
-    def remember(self, window: SubmapWindow) -> None:
-        """Add the places of the window that `find` was last called with."""
+    def taken(self) -> dict[int, Float32]:
+        """Take the descriptors of the last window, to be remembered later."""
+        found, self._described = self._described, {}
+        return found
+
+    def remember(
+        self, window: SubmapWindow, described: Mapping[int, Float32] | None = None
+    ) -> None:
+        """Add the places of a window. described: of `taken`; None: those of the last `find`."""
+        vectors = self.taken() if described is None else described
         for keyframe in window.primary:
-            if keyframe.id in self._described:
-                self._memory.add(keyframe, self._described[keyframe.id])
-        self._described = {}
+            if keyframe.id in vectors:
+                self._memory.add(keyframe, vectors[keyframe.id])
 
     def _may_close(self, query_id: int) -> bool:
         return self._last_found is None or query_id - self._last_found >= CLOSURE_GAP
@@ -212,9 +228,14 @@ class _Verifier:
     """Geometric verification for one window; features are detected on first use."""
 
     def __init__(
-        self, window: SubmapWindow, images: Sequence[Bytes], kit: KnownKit, min_matches: int
+        self,
+        window: SubmapWindow,
+        images: Sequence[Bytes],
+        kit: KnownKit,
+        min_matches: int,
+        camera_of: Callable[[int], Camera] | None = None,
     ) -> None:
-        self.window = window
+        self.window, self._camera_of = window, camera_of
         self._images, self._kit, self._min_matches = images, kit, min_matches
         self._detected: dict[int, sift.Features] = {}
 
@@ -225,9 +246,9 @@ class _Verifier:
         partner = len(self.window.primary) + int(np.argmin(gaps))
         past = sift.detect(place.frame.gray(), MAX_FEATURES)
         size = np.array(self._images[view].shape[1::-1], np.int64)
-        return same_place(
-            self._features(view), self._features(partner), past, self._kit, size, self._min_matches
-        )
+        camera = None if self._camera_of is None else self._camera_of(place.id)
+        current = self._features(view), self._features(partner)
+        return same_place(*current, past, self._kit, size, self._min_matches, camera)
 
     def _features(self, index: int) -> sift.Features:
         if index not in self._detected:

@@ -74,16 +74,19 @@ def same_place(
     kit: KnownKit,
     size: Int,
     min_matches: int,
+    past_camera: Camera | None = None,
 ) -> SamePlace | None:
     """Compare an earlier image with a primary image and an assistant image of the same time.
 
-    size: (2,) width, height [px] of primary images. min_matches: required number of epipolar
+    size: (2,) width, height [px] of primary images. past_camera: of the earlier image; None: the
+    primary. min_matches: required number of epipolar
     inliers with the earlier image; a third of it is required of near points. None if no pose
     explains the matches.
     """
     stretch = float(max(size)) / REFERENCE_SIDE_PX
     primary = kit.cameras[0]
-    pairs = consistent(query, past, EPIPOLAR_PX * stretch, (primary, primary))
+    earlier = past_camera or primary
+    pairs = consistent(query, past, EPIPOLAR_PX * stretch, (primary, earlier))
     if len(pairs) < min_matches or not well_spread(query.uv[pairs[:, 0]], size):
         return None
     across = consistent(query, assistant, EPIPOLAR_PX * stretch, kit.cameras)
@@ -96,7 +99,7 @@ def same_place(
     all_points, all_near = triangulated(uv_q, uv_a, kit, rig_between(uv_q, uv_a, kit))
     points, near = all_points[in_assistant], all_near[in_assistant]
     uv_past = past.uv[pairs[in_past, 1]]
-    fit = _pose(kit.cameras[0], points[near], uv_past[near], POSE_PX * stretch)
+    fit = _pose(earlier, points[near], uv_past[near], POSE_PX * stretch)
     if fit is None or fit.n_inliers < max(min_matches // 3, MIN_AGREEING * near.sum()):
         return None
     if not well_spread(query.uv[shared[near][fit.inlier]], size):
@@ -107,35 +110,43 @@ def same_place(
         or np.linalg.norm(se3.so3_log(T[:3, :3])) > MAX_ANGLE_RAD
     ):
         return None
-    F = epipolar.from_motion(kit.cameras[0], kit.cameras[0], se3.inverse(T))
+    F = epipolar.from_motion(primary, earlier, se3.inverse(T))
     straight = [
-        primary.undistorted(_double(*side)) for side in ((query, pairs[:, 0]), (past, pairs[:, 1]))
+        camera.undistorted(_double(features, rows))
+        for camera, features, rows in ((primary, query, pairs[:, 0]), (earlier, past, pairs[:, 1]))
     ]
     miss = np.abs(epipolar.sampson(F, *straight))
     if np.mean(miss < POSE_PX * stretch) < MIN_AGREEING:
         return None
-    again = seen_again(all_points, query.vector[across[:, 0]], past, kit.cameras[0], T, size)
+    cameras = primary, earlier
+    again = seen_again(all_points, query.vector[across[:, 0]], past, cameras, T, size)
     return SamePlace(T, again)
 
 
 def seen_again(
-    points: Float, vectors: Float32, past: Features, camera: Camera, T_q_past: Float, size: Int
+    points: Float,
+    vectors: Float32,
+    past: Features,
+    cameras: tuple[Camera, Camera],
+    T_q_past: Float,
+    size: Int,
 ) -> float:
     """Share of points (M, 3) found in the earlier image at their projection by T_q_past (4, 4).
 
-    points: in the query camera, with descriptors `vectors` (M, 128). size: (2,) width, height px.
+    points: in the query camera, with descriptors `vectors` (M, 128). cameras: of
+    the query and of the earlier image. size: (2,) width, height px.
     Cells of the query image are weighted equally, so that a richly textured object does not decide.
     """
     p = se3.transform(se3.inverse(T_q_past), points)
     front = (points[:, 2] > 0) & (p[:, 2] > 0)
     if not front.any() or len(past.uv) == 0:
         return 0.0
-    uv = camera.project(p[front])
+    uv = cameras[1].project(p[front])
     similarity = vectors[front] @ past.vector.T
     away = np.linalg.norm(uv[:, None] - past.uv[None], axis=2)
     away /= float(max(size)) / REFERENCE_SIDE_PX
     there = ((similarity > SEEN_AGAIN_SIMILARITY) & (away < SEEN_AGAIN_PX)).any(1)
-    _, cell = np.unique(cells(camera.project(points[front]), size), return_inverse=True)
+    _, cell = np.unique(cells(cameras[0].project(points[front]), size), return_inverse=True)
     return float((np.bincount(cell, there) / np.bincount(cell)).mean())
 
 

@@ -121,7 +121,7 @@ def test_seen_again_is_the_share_found():
     query, _, past = pictures(points, noise_px=0.0)
 
     def share(points, past):
-        return seen_again(points, query.vector, past, PRIMARY, T_Q_PAST, SIZE)
+        return seen_again(points, query.vector, past, (PRIMARY, PRIMARY), T_Q_PAST, SIZE)
 
     moved = Features(past.uv + np.float32(same_place_module.SEEN_AGAIN_PX + 1), past.vector)
     assert share(points, past) == 1.0
@@ -137,4 +137,4 @@ def test_many_points_in_one_cell_count_as_one_cell():
     points = np.concatenate([corner, rest])
     query, _, past = pictures(points, noise_px=0.0)
     only_corner = Features(past.uv[:300], past.vector[:300])
-    assert seen_again(points, query.vector, only_corner, PRIMARY, T_Q_PAST, SIZE) < 0.1
+    assert seen_again(points, query.vector, only_corner, (PRIMARY, PRIMARY), T_Q_PAST, SIZE) < 0.1

@@ -23,6 +23,7 @@ from calm_edge.backbones.bundle.problem import Measurements, rig_ties
 from calm_edge.backbones.bundle.solver import PosePrior
 from calm_edge.backbones.bundle.starts import Known, initial_states
 from calm_edge.config import BackboneConfig, Config
+from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.fisheye import FieldTooWide
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product, sigmas
@@ -175,6 +176,18 @@ class BundleBackbone:
             solved = solution.solved(start, m, ties, belief, hints, with_own, solution.HELD)
         solved = window.with_known_offset(solved, hints)
         return replace(solved, kit_sigma=prediction.kit_sigma)
+
+    def locate_view(
+        self,
+        images: Sequence[NDArray[np.uint8]],
+        hints: Hints,
+        prediction: Prediction,
+        camera: Camera,
+    ) -> Float | None:
+        """Pose (4, 4) of the last image, of another camera, by the points of the others."""
+        tracks = loop_view.match_loop(images, hints, prediction.cameras, camera)
+        found = loop_view.locate(prediction.cameras, prediction.T_s_c, tracks, camera)
+        return None if found is None else found.T_s_c
 
     def densify(
         self, images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction

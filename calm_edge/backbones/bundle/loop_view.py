@@ -104,19 +104,23 @@ def placed_again(window: Prediction, earlier: Prediction) -> Prediction:
 
 
 def match_loop(
-    images: Sequence[NDArray[np.uint8]], hints: Hints, cameras: Sequence[Camera]
+    images: Sequence[NDArray[np.uint8]],
+    hints: Hints,
+    cameras: Sequence[Camera],
+    loop_camera: Camera | None = None,
 ) -> LoopTracks:
     """Match SIFT features of the loop picture, the last one, to the views most similar to it.
 
-    cameras: of the views, the first also of the loop picture. Only points that are matched in two
-    views or more are kept.
+    cameras: of the views. loop_camera: of the loop picture, None: that of the first view. Only
+    points that are matched in two views or more are kept.
     """
     loop = sift.detect(_gray(images[-1]), MAX_FEATURES)
+    own = loop_camera or cameras[0]
     stretch = long_side(images[-1]) / REFERENCE_SIDE_PX
     row, view, uv = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], [np.zeros((0, 2), np.float32)]
     for v in _alike(images, hints):
         there = sift.detect(_gray(images[v]), MAX_FEATURES)
-        pairs = sift.consistent(loop, there, EPIPOLAR_PX * stretch, (cameras[0], cameras[v]))
+        pairs = sift.consistent(loop, there, EPIPOLAR_PX * stretch, (own, cameras[v]))
         row.append(pairs[:, 0])
         view.append(np.full(len(pairs), v))
         uv.append(there.uv[pairs[:, 1]])
@@ -132,15 +136,20 @@ def match_loop(
     )
 
 
-def locate(cameras: Sequence[Camera], T_s_c: Float, tracks: LoopTracks) -> LoopPose | None:
+def locate(
+    cameras: Sequence[Camera],
+    T_s_c: Float,
+    tracks: LoopTracks,
+    loop_camera: Camera | None = None,
+) -> LoopPose | None:
     """The loop view's pose from its tracks; None with too few inliers or too large a sigma.
 
-    cameras: N, T_s_c: (N, 4, 4) of the window; the loop view has the first view's camera.
+    cameras: N, T_s_c: (N, 4, 4) of the window. loop_camera: as of `match_loop`.
     """
     n_points = len(tracks.loop_uv)
     if n_points < MIN_INLIERS:
         return None
-    camera = cameras[0]
+    camera = loop_camera or cameras[0]
     size = 2 * np.array([camera.cx, camera.cy]) + 1
     stretch = float(max(size)) / REFERENCE_SIDE_PX
     points, kept = _points(cameras, T_s_c, tracks, POINT_PX * stretch)

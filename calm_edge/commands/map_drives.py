@@ -1,0 +1,192 @@
+"""`calm-edge map` of several recordings: one map of the place that they show."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calm_edge.commands.console import say
+from calm_edge.commands.exit_codes import ERROR, LOSS, OK
+from calm_edge.processes import interrupted_by_sigterm
+
+if TYPE_CHECKING:
+    from calm_edge.config import Config
+    from calm_edge.offline.drive_part import DrivePart
+    from calm_edge.offline.joined_drives import Joined
+
+# folders of the output: of the finished drives, and of what is computed of each
+DRIVES, PARTS = "drives", "parts"
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Map each drive by a command of its own, then join them; 3 if a drive is apart or lacks parts.
+
+    Raises CalmEdgeError.
+    """
+    from calm_edge.commands.map import check_folder
+    from calm_edge.offline import drive_jobs
+    from calm_edge.offline.drive_part import read_part
+    from calm_edge.offline.joined_drives import join
+    from calm_edge.offline.shared_places import closures
+    from calm_edge.types import CalmEdgeError
+
+    out: Path = arguments.out
+    recordings: list[Path] = arguments.recording
+    names = unique_names(recordings)
+    configs = agreed_configs(recordings, arguments.set)
+    parts = check_folder(out, force=arguments.force, resume=arguments.resume).with_name(PARTS)
+    if arguments.force:
+        shutil.rmtree(parts, ignore_errors=True)
+    elif parts.exists() and not arguments.resume:
+        raise CalmEdgeError(
+            f"{out}: holds an unfinished map; continue it with --resume, or replace it with --force"
+        )
+    started = time.monotonic()
+    with interrupted_by_sigterm():
+        parts.mkdir(parents=True, exist_ok=True)
+        commands = [
+            part_command(recording, parts / name, arguments.set)
+            for recording, name in zip(recordings, names, strict=True)
+        ]
+        ran = (
+            drive_jobs.here(commands)
+            if arguments.dask is None
+            else drive_jobs.on_dask(commands, arguments.dask)
+        )
+        failed = [name for name, code in zip(names, ran, strict=True) if code not in (OK, LOSS)]
+        if failed:
+            say(f"{', '.join(failed)}: not mapped, see above; continue with --resume")
+            return ERROR
+        known = [i for i, name in enumerate(names) if (parts / name / "part.json").is_file()]
+        read = [read_part(parts / names[i], recordings[i], configs[i]) for i in known]
+        if not read:
+            say("no drive could be mapped")
+            return LOSS
+        drives = [part.placed for part in read]
+        joined = join(drives, closures(drives, configs[0], say), configs[0])
+        code = write(read, [names[i] for i in known], joined, out)
+    for i, name in enumerate(names):
+        if i not in known:
+            say(f"loss: {name}: no window of it could be solved")
+            code = LOSS
+    shutil.rmtree(parts)
+    print(f"took        {time.monotonic() - started:.0f} s")
+    return code
+
+
+def part_command(recording: Path, out: Path, settings: Sequence[str]) -> list[str]:
+    """Arguments of Python for the work on one drive; continues what is in `out`."""
+    options = [f"--set={text}" for text in settings]
+    again = ["--resume"] if out.exists() else []
+    where = [str(recording.resolve()), "--out", str(out.resolve())]
+    return ["-m", "calm_edge.cli", "map", *where, "--part", *again, *options]
+
+
+def unique_names(recordings: Sequence[Path]) -> list[str]:
+    """Name of each drive: that of its recording, with its number where two are alike."""
+    names = [recording.resolve().name.removesuffix(".mcap") for recording in recordings]
+    return [name if names.count(name) == 1 else f"{name}-{i}" for i, name in enumerate(names)]
+
+
+def agreed_configs(recordings: Sequence[Path], settings: Sequence[str]) -> list[Config]:
+    """Configurations of the recordings; raises CalmEdgeError if their lengths have no common unit.
+
+    They have one in metres, or if all are of one kit without a spacing.
+    """
+    from calm_edge.config import merge, parse_assignment
+    from calm_edge.recording.reader import Recording
+    from calm_edge.types import CalmEdgeError
+
+    if len({recording.resolve() for recording in recordings}) < len(recordings):
+        raise CalmEdgeError("a recording is named twice; name each once")
+    found = []
+    for recording in recordings:
+        config = Recording(recording).config
+        for text in settings:
+            config = merge(config, parse_assignment(text))
+        found.append(config)
+    metric = [bool(config.scale.spacing_m) for config in found]
+    if any(metric) and not all(metric):
+        without = recordings[metric.index(False)]
+        raise CalmEdgeError(
+            f"{without}: has no scale.spacing_m, others have one; their lengths cannot be joined"
+        )
+    return found
+
+
+def write(parts: Sequence[DrivePart], names: Sequence[str], joined: Joined, out: Path) -> int:
+    """Write the cloud, the trajectory of each drive and the summary; print what was written."""
+    from calm_edge.estimator.gaps import described
+    from calm_edge.mapping.cloud_file import CloudWriter
+    from calm_edge.mapping.mapper import Mapper
+    from calm_edge.offline.drive_part import depth_of
+    from calm_edge.offline.map_drive import MAP, SUMMARY, TUM, write_trajectory
+    from calm_edge.offline.map_times import MapTimes
+    from calm_edge.offline.shared_places import STRIDE
+
+    config = parts[0].config
+    scratch = out / PARTS / "joined"
+    shutil.rmtree(scratch, ignore_errors=True)
+    mapper = Mapper(config.mapping, config.scale.spacing, scratch, config.backbone.seed)
+    losses: list[str] = []
+    for n, drive in joined.drives.items():
+        part = parts[n]
+        losses += [f"{names[n]}: {line}" for line in drive.losses]
+        for record, update in zip(drive.windows, drive.updates, strict=True):
+            depth = depth_of(part, update.submap.id)
+            if depth is None:
+                continue
+            window = part.placed.recording.window(record)
+            shift = STRIDE * n
+            submap = replace(
+                update.submap,
+                id=update.submap.id + shift,
+                primary_ids=tuple(i + shift for i in update.submap.primary_ids),
+                assistant_ids=tuple(i + shift for i in update.submap.assistant_ids),
+            )
+            mapper.add(submap, *depth, [k.frame.bgr() for k in window.keyframes()])
+    say("fusing and deforming the sub-maps")
+    points = 0
+    with CloudWriter(out / MAP, replace=True) as cloud:
+        for tile in mapper.finish():
+            cloud.write(tile)
+            points += len(tile.points_w)
+    print(f"map         {out / MAP} ({points:,} points)")
+    rows = []
+    for n, part in enumerate(parts):
+        drive = joined.drives.get(n, part.placed.drive)
+        folder = out / DRIVES / names[n]
+        folder.mkdir(parents=True, exist_ok=True)
+        times = MapTimes()
+        recording = part.placed.recording
+        estimate = write_trajectory(recording, part.config, drive, folder, None, times)
+        losses += [f"{names[n]}: {line}" for line in recording.losses]
+        if (gaps := drive.gaps(part.config)) and drive.trajectory is not None:
+            metric = bool(part.config.scale.spacing_m)
+            start_ns = int(drive.trajectory.t_ns[0])
+            losses.append(f"{names[n]}: {described(gaps, start_ns, metric=metric)}")
+        apart = n in joined.apart
+        where = "in a world of its own" if apart else "in the common frame"
+        print(f"trajectory  {folder / TUM} ({len(estimate.t_ns)} keyframes, {where})")
+        if apart:
+            losses.append(f"{names[n]}: is apart: no place of the others was recognised in it")
+        rows.append({"name": names[n], "apart": apart, "recording": str(recording.path.resolve())})
+    closures = []
+    for (a, b), count in sorted(joined.used.items()):
+        closures.append({"drives": [names[a], names[b]], "closures": count})
+        print(f"joined      {names[a]} and {names[b]} by {count} places")
+    # the files of the first drive stand for the map in `export` and `eval`
+    first = out / DRIVES / names[0]
+    shutil.copyfile(first / TUM, out / TUM)
+    content = json.loads((first / SUMMARY).read_text())
+    content |= {"drives": rows, "joined": closures}
+    (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n")
+    for line in losses:
+        say(f"loss: {line}")
+    return LOSS if losses else OK
