@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,12 +60,15 @@ def run(arguments: argparse.Namespace) -> int:
     from calm_edge.interchange import recorded
     from calm_edge.interchange.calibration.opencv import FILE as OPENCV
     from calm_edge.interchange.registry import importer
+    from calm_edge.processes import interrupted_by_sigterm
 
     config = effective_config(arguments)
     options = parsed(arguments, config)
     sources = tuple(arguments.source)
     found = importer(sources)
-    with recorded.unfinished(arguments.out, say) as folder:
+    # what the writer logs of the disk is the error that ends an import, which is printed
+    logging.getLogger("calm_edge.recording").addHandler(logging.NullHandler())
+    with interrupted_by_sigterm(), recorded.unfinished(arguments.out, say) as folder:
         scratch = folder / "scratch"
         scratch.mkdir()
         imported = found.open(sources, options, scratch, say)

@@ -132,6 +132,7 @@ def several(arguments: argparse.Namespace) -> int:
     for option in ("truth", "gps", "part"):
         if getattr(arguments, option):
             raise CalmEdgeError(f"--{option}: is for a map of one recording")
+    check_folder(arguments.out, force=arguments.force, resume=arguments.resume)
     return map_drives.run(arguments)
 
 

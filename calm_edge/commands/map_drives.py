@@ -27,9 +27,8 @@ DRIVES, PARTS = "drives", "parts"
 def run(arguments: argparse.Namespace) -> int:
     """Map each drive by a command of its own, then join them; 3 if a drive is apart or lacks parts.
 
-    Raises CalmEdgeError.
+    The output folder holds no map, or one to be replaced. Raises CalmEdgeError.
     """
-    from calm_edge.commands.map import check_folder
     from calm_edge.offline import drive_jobs
     from calm_edge.offline.drive_part import read_part
     from calm_edge.offline.joined_drives import join
@@ -40,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     recordings: list[Path] = arguments.recording
     names = unique_names(recordings)
     configs = agreed_configs(recordings, arguments.set)
-    parts = check_folder(out, force=arguments.force, resume=arguments.resume).with_name(PARTS)
+    parts = out / PARTS
     if arguments.force:
         shutil.rmtree(parts, ignore_errors=True)
     elif parts.exists() and not arguments.resume:

@@ -196,7 +196,9 @@ class SegmentChain:
         self._segment = None
 
     def _report(self, reason: str) -> None:
-        self.error = f"{self._folder}: {reason}; free space or repair the disk, recording retries"
+        # what waits for its writer is not retried: it ends
+        then = "" if self._timeless else ", recording retries"
+        self.error = f"{self._folder}: {reason}; free space or repair the disk{then}"
         self._on_error(self.error)
         _log.error("%s", self.error)
 

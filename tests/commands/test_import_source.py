@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -87,3 +88,14 @@ def test_a_calibration_is_in_the_configuration_for_the_map(tmp_path: Path, file:
     command = ["import", str(file), str(file), "--out", str(out), "--offset-s", "0.01"]
     assert main([*command, "--spacing-m", "0.5", "--calibration", str(path), *SET]) == 0
     assert [entry.fx for entry in Recording(out).config.calibration.cameras] == [lens.fx, lens.fx]
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path, file: Path) -> None:
+    command = ["import", str(file), str(file), "--out", str(tmp_path / "rec"), "--offset-s", "0"]
+    full = ["--set", "recording.keep_free_gib=1e6"]
+    run = subprocess.run(
+        [sys.executable, "-m", "calm_edge.cli", *command, *full], capture_output=True, text=True
+    )
+    (line,) = (text for text in run.stderr.splitlines() if "No space left" in text)
+    assert run.returncode == 1 and line.endswith("free space or repair the disk")
+    assert list(tmp_path.iterdir()) == []
