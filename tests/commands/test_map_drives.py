@@ -1,0 +1,71 @@
+"""`calm-edge map` of several recordings: what it refuses, and the command for each drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from calm_edge.cli import build_parser, main
+from calm_edge.commands.map_drives import part_command, unique_names
+from calm_edge.config import Config, merge
+from calm_edge.recording.writer import RecordingWriter
+
+
+@pytest.fixture
+def recordings(tmp_path: Path) -> list[str]:
+    """A recording with a spacing and one without."""
+    for name, spacing_m in (("monday", 0.5), ("tuesday", 0.0)):
+        config = merge(Config(), {"scale": {"spacing_m": spacing_m}})
+        RecordingWriter(tmp_path / name, config).close()
+    return [str(tmp_path / "monday"), str(tmp_path / "tuesday")]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (["--truth", "x"], "--truth: is for a map of one recording"),
+        (["--gps", "x"], "--gps: is for a map of one recording"),
+        (["--part"], "--part: is for a map of one recording"),
+        ([], "tuesday: has no scale.spacing_m, others have one"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_in_a_line(
+    recordings: list[str],
+    tmp_path: Path,
+    change: list[str],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["map", *recordings, "--out", str(tmp_path / "out"), *change]) == 1
+    shown = capsys.readouterr().err
+    assert words in shown and shown.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_is_named_once(
+    recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["map", recordings[0], recordings[0], "--out", str(tmp_path / "out")]) == 1
+    assert "named twice" in capsys.readouterr().err
+
+
+def test_an_unfinished_map_is_continued_or_replaced_on_request(
+    recordings: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out" / "parts").mkdir(parents=True)
+    one = ["--set", "scale.spacing_m=0.5"]
+    assert main(["map", *recordings, "--out", str(tmp_path / "out"), *one]) == 1
+    assert "continue it with --resume, or replace it with --force" in capsys.readouterr().err
+
+
+def test_drives_of_equal_names_are_numbered_and_parts_are_commands(tmp_path: Path) -> None:
+    names = unique_names([Path("a/drive"), Path("b/drive"), Path("c/other.mcap")])
+    assert names == ["drive-0", "drive-1", "other"]
+    command = part_command(tmp_path / "rec", tmp_path / "part", ["mapping.grid=20"])
+    assert command[:2] == ["-m", "calm_edge.cli"] and "--resume" not in command
+    (tmp_path / "part").mkdir()
+    command = part_command(tmp_path / "rec", tmp_path / "part", ["mapping.grid=20"])
+    arguments = build_parser().parse_args(command[2:])
+    assert arguments.part and arguments.resume and arguments.set == ["mapping.grid=20"]
+    assert arguments.recording == [tmp_path / "rec"]
