@@ -157,6 +157,7 @@ def write(parts: Sequence[DrivePart], names: Sequence[str], joined: Joined, out:
             cloud.write(tile)
             points += len(tile.points_w)
     print(f"map         {out / MAP} ({points:,} points)")
+    losses += joined.notes
     rows = []
     for n, part in enumerate(parts):
         drive = joined.drives.get(n, part.placed.drive)
@@ -175,7 +176,14 @@ def write(parts: Sequence[DrivePart], names: Sequence[str], joined: Joined, out:
         print(f"trajectory  {folder / TUM} ({len(estimate.t_ns)} keyframes, {where})")
         if apart:
             losses.append(f"{names[n]}: is apart: no place of the others was recognised in it")
-        rows.append({"name": names[n], "apart": apart, "recording": str(recording.path.resolve())})
+        rows.append(
+            {
+                "name": names[n],
+                "apart": apart,
+                "scale": joined.scales.get(n, 1.0),
+                "recording": str(recording.path.resolve()),
+            }
+        )
     closures = []
     for (a, b), count in sorted(joined.used.items()):
         closures.append({"drives": [names[a], names[b]], "closures": count})

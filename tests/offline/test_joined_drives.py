@@ -13,12 +13,20 @@ from calm_edge.config import Config, merge
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
 from calm_edge.offline.drive import Drive
-from calm_edge.offline.joined_drives import Joined, join
+from calm_edge.offline.joined_drives import (
+    Joined,
+    _poses,
+    _scaled,
+    _stretched,
+    common_scales,
+    join,
+)
 from calm_edge.offline.shared_places import STRIDE, PlacedDrive
 from calm_edge.types import (
     Float,
     LocalizerUpdate,
     LoopClosure,
+    Metre,
     Prediction,
     Submap,
     Trajectory,
@@ -72,6 +80,7 @@ def drive(n: int, seed: int) -> PlacedDrive:
         own = Trajectory(np.array(ids), t_ns[list(ids)], T_w_p[list(ids)], RIGS[n], 0)
         found.updates.append(LocalizerUpdate(submap, Prediction(cameras, T_s_c), own))
     last = found.updates[-1].submap.primary_ids[-1] + 1
+    found.metre = Metre(0.01)
     found.trajectory = Trajectory(np.arange(last), t_ns[:last], T_w_p[:last], RIGS[n], 0)
     recording: Any = Path(f"drive-{n}")
     return PlacedDrive(recording, found)
@@ -152,3 +161,18 @@ def test_closures_of_unknown_keyframes_are_ignored() -> None:
     unknown = replace(true_closures(0, 1)[0], match_id=999)
     joined = join([drive(0, 1), drive(1, 2)], [unknown, *true_closures(0, 1)[1:]], CONFIG)
     assert joined.used == {(0, 1): len(true_closures(0, 1)) - 1}
+
+
+def test_lengths_of_the_drives_are_made_to_agree_and_a_disagreement_is_said() -> None:
+    long, short = drive(0, 1), drive(1, 2)
+    for factor, disagree in ((1.01, False), (1.3, True)):
+        stretched = PlacedDrive(short.recording, _scaled(short.drive, factor))
+        closures = [
+            replace(c, T_match_query=_stretched(c.T_match_query, factor))
+            for c in true_closures(0, 1)
+        ]
+        poses = _poses([long, stretched])
+        scales, notes = common_scales([long, stretched], closures, poses)
+        assert abs(np.log(scales[0] / scales[1]) - np.log(factor)) < 0.015
+        assert abs(np.log(scales[0] * scales[1])) < 0.01
+        assert bool(notes) is disagree and all("spacing_m" in note for note in notes)
