@@ -36,6 +36,7 @@ OPTIONAL = {
     "yaml": "no calibrations of ROS and Kalibr (pip install pyyaml)",
     "tomlkit": "no `calm-edge config`, no changes to config files (pip install tomlkit)",
     "serial": "no pose on a serial port (pip install pyserial)",
+    "rich": "no state of the daemon in the terminal, only lines (pip install rich)",
     "pynmea2": "no GPS receiver on a serial port (pip install pynmea2)",
     "systemd": "no watchdog and no readiness under systemd (pip install systemd-python, "
     "after apt-get install gcc pkg-config libsystemd-dev python3-dev)",
