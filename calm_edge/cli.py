@@ -31,7 +31,7 @@ COMMANDS = {
     "cameras": "list the cameras of this machine",
     "model": "list the models, or check one on this machine",
     "config": "print the configuration with comments, as TOML that record --config reads",
-    "doctor": "list what is missing on this machine, and the consequences",
+    "doctor": "list what is there and what is missing on this machine, with the remedies",
 }
 # where it is not the command's name
 MODULES = {"import": "import_source"}

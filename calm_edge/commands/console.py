@@ -5,8 +5,9 @@ Results go to stdout, everything else to stderr.
 
 from __future__ import annotations
 
+import os
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from calm_edge.types import Metre
@@ -15,6 +16,11 @@ if TYPE_CHECKING:
 def say(text: str) -> None:
     """Print a message line to stderr."""
     print(f"calm-edge: {text}", file=sys.stderr, flush=True)
+
+
+def is_coloured(stream: TextIO) -> bool:
+    """Whether to colour what is printed there: a terminal, unless NO_COLOR or TERM=dumb is set."""
+    return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def print_metre(metre: Metre, spacing_m: float | None) -> None:

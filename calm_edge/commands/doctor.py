@@ -1,104 +1,113 @@
-"""`calm-edge doctor`: print missing requirements, their consequences and the remedies."""
+"""`calm-edge doctor`: list what is there and what is missing, a line each with the remedy."""
 
 from __future__ import annotations
 
 import argparse
-import os
-import shutil
+import dataclasses
+import json
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calm_edge.commands.exit_codes import ERROR, OK
 
-PLAIN = "only the backbone without one works (--set backbone.name=bundle)"
-# module -> consequence if it is missing
-NEEDED = {
-    "cv2": "no images can be decoded",
-    "simplejpeg": "no images can be decoded",
-    "numpy": "nothing works",
-    "scipy": "no reconstruction",
-    "gtsam": "no trajectory",
-    "mcap": "no recording",
-    "mcap_protobuf": "no recording",
-    "foxglove_schemas_protobuf": "no recording",
-    "google.protobuf": "no recording",
-    "lz4": "no recording",
-    "zstandard": "no recording",
-    "onnxruntime": f"no networks; {PLAIN}",
-}
-OPTIONAL = {
-    "av": "no import of videos (pip install av)",
-    "rosbags": "no import of ROS bags (pip install rosbags)",
-    "distributed": "no map on a Dask cluster (pip install distributed)",
-    "pyproj": "no LAZ of georeferenced maps (pip install pyproj)",
-    "laspy": "no export of LAZ clouds (pip install 'laspy[lazrs]')",
-    "yaml": "no calibrations of ROS and Kalibr (pip install pyyaml)",
-    "tomlkit": "no `calm-edge config`, no changes to config files (pip install tomlkit)",
-    "serial": "no pose on a serial port (pip install pyserial)",
-    "rich": "no state of the daemon in the terminal, only lines (pip install rich)",
-    "pynmea2": "no GPS receiver on a serial port (pip install pynmea2)",
-    "systemd": "no watchdog and no readiness under systemd (pip install systemd-python, "
-    "after apt-get install gcc pkg-config libsystemd-dev python3-dev)",
-    "depthai": "no OAK cameras (pip install depthai, or the package calm-edge-oak)",
-}
-FREE_GB = 2.0
+if TYPE_CHECKING:
+    from calm_edge.commands.finding import Finding
+    from calm_edge.config import Config
+
+# of the package for the car
+SERVICE_CONFIG = Path("/etc/calm-edge/calm-edge.toml")
+SERVICE_ROOT = Path("/var/lib/calm-edge")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument(
-        "--out", type=Path, default=Path(), help="folder for recordings, checked for free space"
+        "--config",
+        type=Path,
+        metavar="TOML",
+        help=f"configuration to check (default: {SERVICE_CONFIG}, if it is there)",
     )
-
-
-def findings(out: Path) -> Iterator[tuple[bool, str]]:
-    """Yield (True if fatal, one line with consequence and remedy) for each missing requirement."""
-    for table, fatal in ((NEEDED, True), (OPTIONAL, False)):
-        for module, cost in table.items():
-            if not installed(module):
-                yield fatal, f"{module}: not installed: {cost}"
-    yield from _default_model()
-    cores = len(os.sched_getaffinity(0))
-    if cores < 2:
-        yield False, f"{cores} core: the estimator will lag behind; `calm-edge map` solves the rest"
-    if not out.is_dir():
-        yield False, f"{out}: no such folder yet; its disk was not checked"
-    else:
-        free_gb = shutil.disk_usage(out).free / 1e9
-        if free_gb < FREE_GB:
-            yield True, f"{out}: only {free_gb:.1f} GB free; two cameras fill 10 GB an hour"
-        if not os.access(out, os.W_OK):
-            yield True, f"{out}: not writable"
-    if not list(Path("/dev").glob("video*")):
-        yield False, "no /dev/video*: only replays (--sequence, --replay) can be recorded"
-
-
-def installed(module: str) -> bool:
-    """Whether a module can be found; importing it is left to the commands."""
-    try:
-        return find_spec(module) is not None
-    except ModuleNotFoundError:
-        return False
-
-
-def _default_model() -> Iterator[tuple[bool, str]]:
-    """Yield a finding if the default backbone's network is missing or damaged."""
-    from calm_edge.backbones.onnx.manifest import ManifestError
-    from calm_edge.backbones.onnx.model_folder import find_model, read_manifest, verify
-    from calm_edge.config import BackboneConfig
-
-    try:
-        verify(read_manifest(find_model(BackboneConfig().name.partition(":")[2])))
-    except ManifestError as error:
-        yield True, f"{error}: {PLAIN}"
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="SECTION.KEY=VALUE",
+        help="override the configuration",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of recordings, checked for space and unfinished drives "
+        f"(default: {SERVICE_ROOT} with the service's configuration, else the current folder)",
+    )
+    parser.add_argument(
+        "--measure",
+        action="store_true",
+        help="measure the speed with the model, half a minute or more; otherwise the last "
+        "measurement is shown",
+    )
+    parser.add_argument("--json", action="store_true", help="the findings as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a line for each finding."""
-    found = list(findings(arguments.out))
-    for fatal, line in found:
-        print(f"{'missing' if fatal else 'note':8} {line}")
-    if not found:
-        print("nothing is missing")
-    return ERROR if any(fatal for fatal, _ in found) else OK
+    from calm_edge.commands.finding import Level, print_lines
+    from calm_edge.config import load
+
+    file = arguments.config or (SERVICE_CONFIG if SERVICE_CONFIG.is_file() else None)
+    config = load(file, arguments.set)
+    of_service = arguments.config is None and file is not None
+    out = arguments.out or (SERVICE_ROOT if of_service else Path())
+    lines = findings(config, out, measure=arguments.measure)
+    found = list(lines) if arguments.json else print_lines(lines)
+    count = {level: sum(f.level is level for f in found) for level in Level}
+    if arguments.json:
+        table = [dataclasses.asdict(finding) for finding in found]
+        print(json.dumps({"works": not count[Level.BAD], "findings": table}, indent=1))
+    else:
+        print(f"{count[Level.GOOD]} ok, {count[Level.NOTE]} notes, {count[Level.BAD]} failures")
+    return ERROR if count[Level.BAD] else OK
+
+
+def findings(config: Config, out: Path, *, measure: bool = False) -> Iterator[Finding]:
+    """Yield everything that is checked, in the order of a first set-up."""
+    from calm_edge.commands import installation, plugged_in, surroundings
+    from device.camera import discover
+
+    yield from installation.findings(config)
+    state = surroundings.service_state()
+    yield from speed_findings(config, state.active == "active", measure=measure)
+    yield from plugged_in.cameras(config, *discover(details=False))
+    yield from plugged_in.permissions(config)
+    yield plugged_in.serial(config)
+    yield from surroundings.disk(config, out)
+    yield from surroundings.unfinished(out)
+    yield surroundings.clock()
+    yield surroundings.heat(config)
+    yield surroundings.service(state)
+
+
+def speed_findings(config: Config, is_recording: bool, *, measure: bool) -> Iterator[Finding]:
+    """Yield the speed with the model. is_recording: the computer is busy, nothing is measured."""
+    from calm_edge.commands.finding import note
+    from calm_edge.commands.installation import NEEDED, installed
+
+    if not all(map(installed, NEEDED)):
+        return
+    from calm_edge.commands import speed
+    from calm_edge.types import CalmEdgeError
+
+    try:
+        found = None if measure and not is_recording else speed.stored(config)
+        if measure and is_recording:
+            yield note(speed.NAME, "not measured: the service records", "stop it before")
+        elif measure:
+            found = speed.measure(config)
+        if found is not None:
+            yield found.finding()
+        elif not measure:
+            yield note(speed.NAME, "not measured on this computer", "calm-edge doctor --measure")
+    except CalmEdgeError as error:
+        yield note(speed.NAME, f"not measured: {error}")

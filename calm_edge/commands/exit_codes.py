@@ -63,8 +63,8 @@ OF_COMMAND: dict[str, dict[int, str]] = {
     "model": {ERROR: "the model was refused"},
     "config": {ERROR: "the configuration is invalid"},
     "doctor": {
-        OK: "a default run works; notes may follow",
-        ERROR: "a default run does not work",
+        OK: "a run with this configuration works; there may be notes",
+        ERROR: "a run with this configuration does not work",
     },
 }
 
