@@ -16,6 +16,7 @@ from calm_edge import __version__
 from calm_edge.commands.exit_codes import ERROR, table
 
 COMMANDS = {
+    "setup": "describe two cameras in a configuration file, and check them",
     "record": "record two cameras (or replay a folder) and estimate poses live",
     "live": "serve a page that shows the running recording, for a phone in the car",
     "import": "make a recording of videos, data sets or bags",

@@ -31,11 +31,12 @@ def rows(kit: Kit) -> Iterator[Row]:
     for seen in both:
         eye = seen.thread.camera.spec.eye.name.lower()
         stats = seen.thread.camera.stats()
-        t_ns = [frame.t_ns for frame in seen.frames]
-        rate_hz = (len(t_ns) - 1) * 1e9 / (t_ns[-1] - t_ns[0]) if len(t_ns) > 1 else 0.0
+        rate_hz = seen.rate_hz
         good = rate_hz >= LEAST_SHARE * requested_hz
         wanted = f"{requested_hz:g} Hz requested, at least {LEAST_SHARE:.0%}"
-        yield judged(NAME, f"{eye} rate", good, f"{rate_hz:.2f} Hz, {len(t_ns)} frames", wanted)
+        yield judged(
+            NAME, f"{eye} rate", good, f"{rate_hz:.2f} Hz, {len(seen.frames)} frames", wanted
+        )
         lost = stats.drops + stats.corrupt + seen.thread.overflow
         percent = 100 * lost / max(1, stats.frames + lost)
         losses = (

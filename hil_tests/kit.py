@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from calm_edge.config import Config
 from calm_edge.daemon.source import Source, live, of_sequence
-from device.camera_thread import CameraState, CameraThread
 from device.errors import DeviceError
-from device.frame import Frame
+from device.watching import Seen, collect, running
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,40 +61,11 @@ class Kit:
         return command
 
 
-@dataclass(slots=True)
-class Seen:
-    """The frames of one eye's thread. arrived_ns: when each arrived, on the source's clock."""
-
-    thread: CameraThread
-    frames: list[Frame] = field(default_factory=list)
-    arrived_ns: list[int] = field(default_factory=list)
-
-
-@contextmanager
-def running(kit: Kit) -> Iterator[tuple[Source, tuple[Seen, Seen]]]:
-    """Run both cameras, each in its thread; raises CameraError."""
-    source = kit.source()
-    both = [Seen(CameraThread(camera)) for camera in source.open()]
-    try:
-        for seen in both:
-            seen.thread.start()
-        yield source, (both[0], both[1])
-    finally:
-        for seen in both:
-            seen.thread.stop()
-
-
 def watch(
     kit: Kit, duration_s: float, sleep: Callable[[float], None] = time.sleep
-) -> tuple[Seen, Seen]:
+) -> tuple[Seen, ...]:
     """Collect the frames of both eyes for a while, without their pictures; raises CameraError."""
-    with running(kit) as (source, both):
-        end = time.monotonic() + duration_s
-        while time.monotonic() < end and any(s.thread.state is CameraState.RUNNING for s in both):
-            for seen in both:
-                now_ns = source.clock.now_ns()
-                for frame in seen.thread.drain():
-                    seen.frames.append(Frame(frame.eye, frame.sequence, frame.t_ns, b""))
-                    seen.arrived_ns.append(now_ns)
-            sleep(0.002)
+    source = kit.source()
+    with running(source.open()) as both:
+        collect(both, source.clock, duration_s, sleep=sleep)
     return both

@@ -82,6 +82,7 @@ def findings(config: Config, out: Path, *, measure: bool = False) -> Iterator[Fi
     yield from plugged_in.cameras(config, *discover(details=False))
     yield from plugged_in.permissions(config)
     yield plugged_in.serial(config)
+    yield plugged_in.gps(config)
     yield from surroundings.disk(config, out)
     yield from surroundings.unfinished(out)
     yield surroundings.clock()

@@ -17,6 +17,11 @@ GENERAL = {
 }
 # where a command's codes mean something particular
 OF_COMMAND: dict[str, dict[int, str]] = {
+    "setup": {
+        OK: "the file was written",
+        ERROR: "nothing was written: there are not two cameras, or it was refused",
+        LOSS: "the file was written, but a check failed",
+    },
     "record": {
         OK: "all is recorded and placed; also of a car that stood still",
         ERROR: "nothing more can be recorded, or it could not start; a replay leaves no recording",

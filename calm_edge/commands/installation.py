@@ -32,6 +32,7 @@ NEEDED = {
 OPTIONAL = {
     "av": ("no import of videos", "pip install av"),
     "rosbags": ("no import of ROS bags", "pip install rosbags"),
+    "distributed": ("no map on a Dask cluster", "pip install distributed"),
     "pyproj": ("no LAZ of georeferenced maps", "pip install pyproj"),
     "laspy": ("no export of LAZ clouds", "pip install 'laspy[lazrs]'"),
     "yaml": ("no calibrations of ROS and Kalibr", "pip install pyyaml"),
@@ -40,6 +41,7 @@ OPTIONAL = {
         "pip install tomlkit",
     ),
     "pynmea2": ("no GPS receiver on a serial port", "pip install pynmea2"),
+    "rich": ("no state of the daemon in the terminal, only lines", "pip install rich"),
     "serial": ("no pose on a serial port", "pip install pyserial"),
     "systemd": (
         "no watchdog and no readiness under systemd",

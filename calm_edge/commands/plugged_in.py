@@ -1,4 +1,4 @@
-"""Findings on what is plugged in: cameras, the hubs they share, permissions, the serial port."""
+"""Findings on what is plugged in: cameras, the hubs they share, permissions, serial ports."""
 
 from __future__ import annotations
 
@@ -114,10 +114,25 @@ def serial(config: Config) -> Finding:
         return good("serial", "pose_output.port is empty: poses are not sent")
     if port.startswith("udp:"):
         return good("serial", f"poses are sent to {port}")
+    return _device("serial", port, config.pose_output.baud, "no poses are sent")
+
+
+def gps(config: Config) -> Finding:
+    """The receiver whose fixes are recorded."""
+    source = config.gps.source
+    if not source:
+        return good("gps", "gps.source is empty: no fixes are recorded")
+    if source.partition(":")[0] == "gpsd":
+        return good("gps", f"fixes are asked of {source}")
+    return _device("gps", source, config.gps.baud, "no fixes are recorded")
+
+
+def _device(name: str, port: str, baud: int, cost: str) -> Finding:
+    """A serial device. cost: what is missed without it."""
     if not Path(port).exists():
         remedy = "plug it in, or choose another: ls /dev/calm-edge /dev/ttyUSB*"
-        return note("serial", f"{port} is not there: no poses are sent", remedy)
+        return note(name, f"{port} is not there: {cost}", remedy)
     if not os.access(port, os.R_OK | os.W_OK):
         remedy = "add the user to the group dialout and log in again"
-        return note("serial", f"{port}: permission denied: no poses are sent", remedy)
-    return good("serial", f"{port} at {config.pose_output.baud} baud")
+        return note(name, f"{port}: permission denied: {cost}", remedy)
+    return good(name, f"{port} at {baud} baud")

@@ -23,7 +23,7 @@ from calm_edge.commands.surroundings import Service
 
 EVERYTHING = {
     *("version", "libraries", "processor", "memory", "backbone", "speed", "cameras"),
-    *("permissions", "serial", "disk", "drives", "clock", "heat", "service"),
+    *("permissions", "serial", "gps", "disk", "drives", "clock", "heat", "service"),
 }
 
 

@@ -99,3 +99,10 @@ def test_the_serial_port_is_there_or_not(tmp_path: Path) -> None:
     assert level is Level.NOTE and "is not there" in text and "ls /dev/calm-edge" in text
     (tmp_path / "ttyUSB0").touch()
     assert of(str(tmp_path / "ttyUSB0"))[0] is Level.GOOD
+
+
+def test_the_receiver_is_there_or_not(tmp_path: Path) -> None:
+    for source, level in (("", Level.GOOD), ("gpsd", Level.GOOD), ("gpsd:car:2947", Level.GOOD)):
+        assert plugged_in.gps(merge(Config(), {"gps": {"source": source}})).level is level
+    found = plugged_in.gps(merge(Config(), {"gps": {"source": str(tmp_path / "ttyACM0")}}))
+    assert found.level is Level.NOTE and "no fixes are recorded" in found.text

@@ -52,6 +52,13 @@ def blurred(picture: Bytes) -> Bytes:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 3), np.uint8)
 
 
+def out_of_focus(picture: Bytes) -> Bytes:
+    """Blurred so much that the noise of the JPEG is sharper than the scene."""
+    soft = cv2.GaussianBlur(picture, (0, 0), 16)
+    stored = cv2.imencode(".jpg", soft, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
+    return np.asarray(cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE), np.uint8)
+
+
 def test_good_pictures_have_no_cause(both: tuple[Pictures, Pictures]) -> None:
     assert found(*both) == ()
 
@@ -63,6 +70,7 @@ def test_good_pictures_have_no_cause(both: tuple[Pictures, Pictures]) -> None:
         (glare, Kind.EXPOSURE, r"too bright \(mean grey 25\d of 255\)"),
         (covered, Kind.EXPOSURE, r"no structure \(grey 90 \+- 0\.0\): is the lens covered\?"),
         (blurred, Kind.BLURRED, r"blurred \(sharpness 0\.0\d, at least 0\.06 is needed\)"),
+        (out_of_focus, Kind.BLURRED, r"blurred \(sharpness 0\.0\d, at least 0\.06 is needed\)"),
     ],
 )
 def test_a_fault_of_one_camera_is_named_with_it(
