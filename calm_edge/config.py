@@ -152,6 +152,8 @@ class BackboneConfig:
     overlap_prior: a window takes over what the previous one says of their common keyframes; if off,
     each is solved alone as in the paper.
     kit_file: stores the calibration of these cameras for the next drive; empty: none.
+    depth_side_px: longer side of the depth maps that bundle computes.
+    depth_every: bundle computes the depth of every n-th view of each camera.
     """
 
     name: str = "bundle:calm-geo"
@@ -162,6 +164,8 @@ class BackboneConfig:
     resolve_windows: int = 400
     overlap_prior: bool = True
     kit_file: str = ""
+    depth_side_px: int = 192
+    depth_every: int = 1
 
     @property
     def hfov_of_eye(self) -> tuple[float | None, float | None]:

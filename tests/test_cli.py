@@ -287,6 +287,21 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
     assert "already holds" in only_line(capsys)
 
 
+def test_map_solves_again_with_another_model_and_draws_a_preview(
+    recorded: Path, drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, arguments = tmp_path / "map", ["map", str(recorded), "--quality", "preview"]
+    assert main([*arguments, "--rerun-model", "no-such-model", "--out", str(out)]) == 1
+    assert "no-such-model" in only_line(capsys) and not out.exists()
+    other = shutil.copytree(drive, tmp_path / "other")
+    model = f"scripted:{other}"
+    assert main([*arguments, "--rerun-model", model, "--out", str(out)]) == 0
+    captured = capsys.readouterr()
+    assert "solving windows" in captured.err and "map.ply" in captured.out
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["backbone"] == model and summary["quality"] == "preview"
+
+
 def test_an_interrupted_map_is_continued_and_gives_the_same_bytes(
     recorded: Path,
     tmp_path: Path,

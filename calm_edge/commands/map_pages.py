@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,17 @@ if TYPE_CHECKING:
     from calm_edge.recording.reader import Recording
     from calm_edge.report.map_page import Written
     from calm_edge.types import Bytes, Int
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options of `map` on its outputs.
+
+    quality: name of the preset. pictures: whether map.html has pictures of the cameras.
+    """
+
+    quality: str = "normal"
+    pictures: bool = True
 
 
 def title(recording: Recording) -> str:
@@ -32,13 +43,11 @@ def write_map_page(
     color: Bytes,
     tiles: Int,
     out: Path,
-    *,
-    pictures: bool,
+    options: Options,
 ) -> Written:
     """Write map.html.
 
-    color: (P, 3) RGB of the estimate's points. tiles: rows (sub-map id, points). pictures: with
-    those of the cameras.
+    color: (P, 3) RGB of the estimate's points. tiles: rows (sub-map id, points).
     """
     from calm_edge.offline.map_drive import PAGE
     from calm_edge.report import map_page
@@ -47,7 +56,7 @@ def write_map_page(
 
     origin = recording.origin_ns
     stamps = estimate.t_ns + origin
-    shown = keyframe_pictures(recording, drive.windows, stamps) if pictures else ()
+    shown = keyframe_pictures(recording, drive.windows, stamps) if options.pictures else ()
     submaps = [update.submap for update in drive.updates]
     grain = config.mapping.cloud_voxel * config.scale.spacing
     view = map_view(title(recording), estimate, color, tiles, submaps, origin, grain, shown)

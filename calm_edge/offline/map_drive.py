@@ -98,8 +98,12 @@ def write_trajectory(
     out: Path,
     seams: SeamSummary | None,
     times: MapTimes,
+    quality: str = "normal",
 ) -> Estimate:
-    """Write trajectory.tum, trajectory.kitti and summary.json, with the stamps of the source."""
+    """Write trajectory.tum, trajectory.kitti and summary.json, with the stamps of the source.
+
+    quality: name of the preset.
+    """
     logged, origin_ns = from_recording(recording.path), recording.origin_ns
     first = logged.first_frame
     estimate = from_updates(
@@ -119,6 +123,8 @@ def write_trajectory(
         "seams": asdict(seams) if seams is not None else None,
         "gaps": [asdict(gap) for gap in drive.gaps(config)],
         "map_s": times.seconds,
+        "backbone": config.backbone.name,
+        "quality": quality,
     }
     (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n")
     return estimate

@@ -40,17 +40,21 @@ def gather(
     config: Config,
     say: Callable[[str], None],
     unfinished: Unfinished | None = None,
+    *,
+    again: bool = False,
 ) -> Drive:
     """Return the placed windows of a recording, solved where `record` did not do it.
 
     These are windows without a sub-map, and those matched before the kit was known. unfinished:
-    keeps what is solved, and has what an interrupted run has solved.
+    keeps what is solved, and has what an interrupted run has solved. again: solve all windows.
     """
     records = {record.submap_id: record for record in recording.windows()}
     if not records:
         if not len(recording.frame_times(Eye.PRIMARY)):
             return Drive()
         say("the recording holds no windows: selecting keyframes again")
+        return _recompute(recording, records, config, say)
+    if again:
         return _recompute(recording, records, config, say)
     logged = _logged(recording, records)
     solved = unfinished.solved() if unfinished is not None else {}

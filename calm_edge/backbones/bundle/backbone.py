@@ -56,6 +56,7 @@ class BundleBackbone:
         places: learned place descriptor of the same network, None without one.
         """
         self._seed, self._matching, self._notices = config.seed, matching, notices
+        self._depth = config.depth_side_px, config.depth_every
         self.places = places
 
     @classmethod
@@ -198,7 +199,7 @@ class BundleBackbone:
         # `record` solves poses only and does not load this
         from calm_edge.backbones.bundle.depth import sweep_window
 
-        depth, confidence = sweep_window(images, hints, prediction)
+        depth, confidence = sweep_window(images, hints, prediction, *self._depth)
         return replace(prediction, depth=depth, confidence=confidence)
 
 

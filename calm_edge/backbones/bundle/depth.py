@@ -46,7 +46,11 @@ FARTHEST = 80.0  # spacings: indistinguishable from infinity beyond
 
 
 def sweep_window(
-    images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+    images: Sequence[NDArray[np.uint8]],
+    hints: Hints,
+    prediction: Prediction,
+    side_px: int = DEPTH_SIDE_PX,
+    every: int = 1,
 ) -> tuple[Float32, Float32]:
     """Depth and confidence (N, h, w) of N images (H, W, 3) in batch order.
 
@@ -54,14 +58,15 @@ def sweep_window(
     brought back to the pictures as they are: the z-depths of both are the same.
 
     depth: z in the sub-map's unit, 0 unknown. confidence: [0, 1], about the probability that the
-    depth is within five percent. A loop keyframe is matched against the nearest views of the
-    window, but none of them against it, as the street may have changed; without a pose it gets no
-    depth.
+    depth is within five percent. side_px: longer side of the depth maps. every: only every n-th
+    view of each camera gets depth, the others 0, but all are matched against. A loop keyframe is
+    matched against the nearest views of the window, but none of them against it, as the street may
+    have changed; without a pose it gets no depth.
     """
     if not prediction.loop_found:
-        return _without_last(images, hints, prediction)
+        return _without_last(images, hints, prediction, side_px, every)
     eyes = np.asarray(hints.eyes)
-    size = _shrunk(images[0], DEPTH_SIDE_PX)
+    size = _shrunk(images[0], side_px)
     sweep_size = size[0] * OVERSAMPLE, size[1] * OVERSAMPLE
     straight = _undistortions(prediction.cameras)
     cameras = [
@@ -83,28 +88,50 @@ def sweep_window(
     nearest = nearest_depth(prediction.without_loop() if hints.loop else prediction)
     zeta = np.linspace(0, 1 / nearest, PLANES)
     small = [_shrink(g, size) for g in gray]
-    n_window = len(images) - hints.loop
-    t_ns, T_s_c = np.asarray(hints.t_ns), prediction.T_s_c
-    sources = [
-        sweep_sources(i, eyes[:n_window], t_ns[:n_window], T_s_c[:n_window])
-        for i in range(n_window)
-    ]
-    sources += [loop_sources(T_s_c)] * (len(images) - n_window)
-    views = []
-    for i, view in enumerate(sweep):
-        scores = match_scores(view, [sweep[j] for j in sources[i]], zeta, size)
+    t_ns = np.asarray(hints.t_ns)
+    everything = np.arange(len(images))
+    kept = depth_views(eyes, hints.loop, every)
+    matched, compared = (
+        neighbours(among, eyes, t_ns, prediction.T_s_c, hints.loop) for among in (everything, kept)
+    )
+    views: dict[int, DepthView] = {}
+    for i in kept.tolist():
+        scores = match_scores(sweep[i], [sweep[j] for j in matched[i]], zeta, size)
         camera = _resized(cameras[i], gray[i], size)
-        views.append(DepthView(choose(scores, small[i], zeta), camera, prediction.T_s_c[i]))
+        views[i] = DepthView(choose(scores, small[i], zeta), camera, prediction.T_s_c[i])
     step = float(zeta[1] - zeta[0])
-    judged = [
-        judge(agree(view, [views[j] for j in sources[i]], AGREE_RELATIVE, AGREE_STEPS * step))
-        for i, view in enumerate(views)
-    ]
-    as_seen = [
-        tuple(_as_seen(part, lens, camera) for part in parts)
-        for parts, lens, camera in zip(judged, prediction.cameras, cameras, strict=True)
-    ]
-    return np.stack([depth for depth, _ in as_seen]), np.stack([c for _, c in as_seen])
+    depth, confidence = np.zeros((2, len(images), size[1], size[0]), np.float32)
+    for i, view in views.items():
+        others = [views[j] for j in compared[i]]
+        parts = judge(agree(view, others, AGREE_RELATIVE, AGREE_STEPS * step))
+        lens, camera = prediction.cameras[i], cameras[i]
+        depth[i], confidence[i] = (_as_seen(part, lens, camera) for part in parts)
+    return depth, confidence
+
+
+def depth_views(eyes: Int, loop: bool, every: int) -> Int:
+    """Indices of every n-th view of each camera, and of a loop view, the last.
+
+    eyes: (N,) of all views.
+    """
+    window = eyes[: len(eyes) - loop]
+    chosen = [np.flatnonzero(window == eye)[::every] for eye in np.unique(window)]
+    return np.sort(np.concatenate([*chosen, np.arange(len(window), len(eyes))]))
+
+
+def neighbours(among: Int, eyes: Int, t_ns: Int, T_s_c: Float, loop: bool) -> dict[int, list[int]]:
+    """For each of some views (M,), the others of these that it is matched against.
+
+    eyes, t_ns: (N,), T_s_c: (N, 4, 4) of all views. loop: the last view is a loop view.
+    """
+    own = among[: len(among) - loop]
+    found = {
+        int(i): own[sweep_sources(k, eyes[own], t_ns[own], T_s_c[own])].tolist()
+        for k, i in enumerate(own)
+    }
+    if loop:
+        found[int(among[-1])] = own[loop_sources(T_s_c[among])].tolist()
+    return found
 
 
 def _undistortions(lenses: Sequence[Camera]) -> list[Undistortion | None]:
@@ -212,10 +239,14 @@ def loop_sources(T_s_c: Float) -> list[int]:
 
 
 def _without_last(
-    images: Sequence[NDArray[np.uint8]], hints: Hints, prediction: Prediction
+    images: Sequence[NDArray[np.uint8]],
+    hints: Hints,
+    prediction: Prediction,
+    side_px: int,
+    every: int,
 ) -> tuple[Float32, Float32]:
     alone = prediction.without_loop()
-    depth, confidence = sweep_window(images[:-1], hints.without_loop(), alone)
+    depth, confidence = sweep_window(images[:-1], hints.without_loop(), alone, side_px, every)
     nothing = np.zeros_like(depth[:1])
     return np.concatenate([depth, nothing]), np.concatenate([confidence, nothing])
 

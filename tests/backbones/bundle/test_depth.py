@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle.agreement import Agreement
-from calm_edge.backbones.bundle.depth import FARTHEST, judge, nearest_depth, sweep_window
+from calm_edge.backbones.bundle.depth import (
+    FARTHEST,
+    depth_views,
+    judge,
+    nearest_depth,
+    neighbours,
+    sweep_window,
+)
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.geometry.fisheye import Fisheye
@@ -86,6 +93,28 @@ def test_confident_depth_is_right_and_confidence_ranks_error(turn):
     order = np.argsort(-confidence[known])
     best, worst = np.array_split(error[known][order], 2)
     assert np.mean(best) < 0.6 * np.mean(worst)
+
+
+def test_depth_of_every_second_view_in_fewer_pixels(turn):
+    depth, confidence = sweep_window(turn.images, turn.hints, turn.prediction, 128, 2)
+    assert depth.shape == (2 * N, 51, 128)
+    kept = [0, 2, 4, 6]
+    assert depth_views(turn.hints.eyes, False, 2).tolist() == kept
+    assert [i for i in range(2 * N) if depth[i].any()] == kept
+    error, confidence, real = errors(turn, depth, confidence)
+    sure = real & (confidence > 0.5)
+    assert sure[kept].sum() > 0.2 * real[kept].sum() and np.median(error[sure]) < 0.03
+
+
+def test_a_loop_view_is_kept_and_matched_against_its_nearest(turn):
+    eyes, T = np.append(turn.hints.eyes, 0), turn.prediction.T_s_c
+    T = np.concatenate([T, T[:1]])
+    t_ns = np.append(turn.hints.t_ns, -(10**12))
+    kept = depth_views(eyes, True, 3)
+    assert kept.tolist() == [0, 3, 4, 7, 8]
+    found = neighbours(kept, eyes, t_ns, T, True)
+    assert found[0] == [4, 3] and set(found[8]) == {0, 3, 4, 7}
+    assert all(8 not in others for others in found.values())
 
 
 def test_slightly_wrong_poses_and_focals_lose_little_depth(turn):
