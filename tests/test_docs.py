@@ -52,6 +52,7 @@ PARSED = {
     "live": "serves until it is stopped; tests/live",
     "setup": "asks; tests of the command",
     "--root": "needs cameras",
+    "--blur": "needs opencv-data; tests/report/test_blur.py",
     "DRIVE": "a placeholder",
     "REC": "a placeholder",
     "FORMAT": "a placeholder",

@@ -57,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         choices=("preview", "normal", "fine"),
         default="normal",
         help="preview: fewer and smaller depth maps, in about a fifth of the time; fine: larger "
-        "ones and four times the points, in about three times",
+        "ones and more points, in more than twice the time",
     )
     parser.add_argument(
         "--rerun-model",
@@ -65,8 +65,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="solve all windows again with this backbone or model, and map what it gives",
     )
     parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument(
+        "--no-pictures",
+        action="store_true",
+        help="no pictures of the cameras in map.html and report.html",
+    )
+    shown.add_argument(
+        "--blur",
+        action="store_true",
+        help="make faces and number plates in these unreadable: best effort, by OpenCV's detectors",
+    )
     parser.add_argument(
-        "--no-pictures", action="store_true", help="no pictures of the cameras in map.html"
+        "--blur-models",
+        type=Path,
+        metavar="DIR",
+        help="folder of OpenCV's Haar cascades; default: that of the package opencv-data",
     )
     parser.add_argument(
         "--part",
@@ -98,11 +112,15 @@ def run(arguments: argparse.Namespace) -> int:
     from calm_edge.offline.quality import PRESETS
     from calm_edge.offline.unfinished import Unfinished, plan
     from calm_edge.recording.reader import Recording
+    from calm_edge.report.blur import Blur
     from calm_edge.types import CalmEdgeError
 
     if len(arguments.recording) > 1:
         return several(arguments)
     (path,) = arguments.recording
+    # what cannot be done is said before anything is computed
+    blur = Blur(arguments.blur_models) if arguments.blur else None
+    options = Options(arguments.quality, not arguments.no_pictures, blur)
     out: Path = arguments.out
     unfinished = check_folder(out, force=arguments.force, resume=arguments.resume)
     truth = read_truth(arguments.truth) if arguments.truth is not None else None
@@ -134,7 +152,6 @@ def run(arguments: argparse.Namespace) -> int:
                 from calm_edge.offline.drive_part import write_part
 
                 return LOSS if write_part(recording, config, drive, out, work, say) else OK
-            options = Options(arguments.quality, pictures=not arguments.no_pictures)
             code = make_map(recording, config, work, drive, out, truth, fixes, times, options)
             print(f"took        {time.monotonic() - started:.0f} s")
             return code
@@ -148,9 +165,10 @@ def several(arguments: argparse.Namespace) -> int:
     from calm_edge.commands import map_drives
     from calm_edge.types import CalmEdgeError
 
-    for option in ("truth", "gps", "part"):
-        if getattr(arguments, option):
-            raise CalmEdgeError(f"--{option}: is for a map of one recording")
+    for option in ("truth", "gps", "part", "rerun_model", "blur", "quality"):
+        if getattr(arguments, option) not in (None, False, "normal"):
+            name = option.replace("_", "-")
+            raise CalmEdgeError(f"--{name}: is for a map of one recording")
     check_folder(arguments.out, force=arguments.force, resume=arguments.resume)
     return map_drives.run(arguments)
 
@@ -173,10 +191,12 @@ def make_map(
     from calm_edge.commands.map_pages import write_map_page, write_report
     from calm_edge.estimator.gaps import described
     from calm_edge.mapping.cloud_file import read_cloud
+    from calm_edge.mapping.seams import summary
     from calm_edge.offline.georeference import ENU_TUM, GPS_SUMMARY, georeference
     from calm_edge.offline.map_drive import MAP, make_cloud, write_trajectory
 
-    tiles, seams = make_cloud(recording, config, drive, out, work.spool, say, times)
+    tiles, found = make_cloud(recording, config, drive, out, work.spool, say, times)
+    seams = summary(found)
     n_points = int(tiles[:, 1].sum())
     estimate = write_trajectory(recording, config, drive, out, seams, times, options.quality)
     for name in (ENU_TUM, GPS_SUMMARY):
@@ -197,8 +217,10 @@ def make_map(
             f"windows {drive.unsolved} could not be solved; constant velocity is assumed there"
         )
     with times.stage("map.html"):
-        page = write_map_page(recording, config, drive, estimate, color, tiles, out, options)
-    losses += write_report(recording, drive, estimate, color, truth, losses, out, times)
+        page = write_map_page(recording, config, drive, estimate, color, tiles, found, out, options)
+    losses += write_report(recording, drive, estimate, color, truth, losses, out, times, options)
+    if options.blur is not None:
+        say(str(options.blur))
     work.remove()
     print_files(out, n_points, seams, estimate, page)
     print_metre(drive.metre, config.scale.spacing_m)

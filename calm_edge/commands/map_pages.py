@@ -11,9 +11,12 @@ if TYPE_CHECKING:
     from calm_edge.config import Config
     from calm_edge.evaluation.estimate import Estimate
     from calm_edge.evaluation.truth import Truth
+    from calm_edge.mapping.seams import Seam
     from calm_edge.offline.drive import Drive
     from calm_edge.offline.map_times import MapTimes
     from calm_edge.recording.reader import Recording
+    from calm_edge.report.blur import Blur
+    from calm_edge.report.keyframe_pictures import KeyframePictures
     from calm_edge.report.map_page import Written
     from calm_edge.types import Bytes, Int
 
@@ -22,11 +25,13 @@ if TYPE_CHECKING:
 class Options:
     """Options of `map` on its outputs.
 
-    quality: name of the preset. pictures: whether map.html has pictures of the cameras.
+    quality: name of the preset. pictures: whether the pages have pictures of the cameras. blur:
+    applied to these.
     """
 
     quality: str = "normal"
     pictures: bool = True
+    blur: Blur | None = None
 
 
 def title(recording: Recording) -> str:
@@ -42,6 +47,7 @@ def write_map_page(
     estimate: Estimate,
     color: Bytes,
     tiles: Int,
+    seams: Sequence[Seam],
     out: Path,
     options: Options,
 ) -> Written:
@@ -56,10 +62,12 @@ def write_map_page(
 
     origin = recording.origin_ns
     stamps = estimate.t_ns + origin
-    shown = keyframe_pictures(recording, drive.windows, stamps) if options.pictures else ()
+    shown: Sequence[KeyframePictures] = ()
+    if options.pictures:
+        shown = keyframe_pictures(recording, drive.windows, stamps, options.blur)
     submaps = [update.submap for update in drive.updates]
     grain = config.mapping.cloud_voxel * config.scale.spacing
-    view = map_view(title(recording), estimate, color, tiles, submaps, origin, grain, shown)
+    view = map_view(title(recording), estimate, color, tiles, submaps, origin, grain, shown, seams)
     return map_page.write_map_page(out / PAGE, view)
 
 
@@ -72,6 +80,7 @@ def write_report(
     losses: Sequence[str],
     out: Path,
     times: MapTimes,
+    options: Options,
 ) -> list[str]:
     """Write report.html, including the trajectory error if truth is given; return what it lacks.
 
@@ -85,6 +94,9 @@ def write_report(
     from calm_edge.report.report import write_report as write
 
     figures, truth, missing = compared(estimate, truth)
+    pictures = late_pictures(recording, drive.windows) if options.pictures else []
+    if options.blur is not None:
+        pictures = [None if picture is None else options.blur(picture) for picture in pictures]
     origin = recording.origin_ns
     poses = sorted(recording.poses(), key=lambda sample: sample.t_ns)
     zero_ns = int(estimate.t_ns[0]) + origin if len(estimate.t_ns) else None
@@ -96,7 +108,7 @@ def write_report(
         truth,
         figures,
         [*losses, *missing],
-        late_pictures(recording, drive.windows),
+        pictures,
         read_log(recording, zero_ns, poses),
         origin,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,18 +11,24 @@ from calm_edge.geometry import se3
 from calm_edge.mapping.deform import Deformation
 from calm_edge.types import AnchorTable, Float, Float32
 
+# of one seam in the map's page
+MARKS = 200
+
 
 @dataclass(frozen=True, slots=True)
 class Seam:
     """Two sub-maps and the distances between their positions of each common anchor.
 
     gaps_before, gaps_after: (M,) distances before and after deformation, world units, M >= 1.
+    marks: (K, 4) of at most MARKS anchors, spread evenly over these: their place in the world after
+    deformation, and gap_after.
     """
 
     submap_a: int
     submap_b: int
     gaps_before: Float32
     gaps_after: Float32
+    marks: Float32 = field(default_factory=lambda: np.zeros((0, 4), np.float32))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +73,11 @@ def seams(
         if not len(common):
             continue
         p_a, p_b = tables[a].p_s[in_a], tables[b].p_s[in_b]
-        gaps = (
-            se3.transform(T_w_s[a], at_a) - se3.transform(T_w_s[b], at_b)
-            for at_a, at_b in (
-                (p_a, p_b),
-                (deformations[a].apply(p_a), deformations[b].apply(p_b)),
-            )
-        )
-        before, after = (np.linalg.norm(gap, axis=1).astype(np.float32) for gap in gaps)
-        found.append(Seam(a, b, before, after))
+        before = se3.transform(T_w_s[a], p_a) - se3.transform(T_w_s[b], p_b)
+        bent_a = se3.transform(T_w_s[a], deformations[a].apply(p_a))
+        bent_b = se3.transform(T_w_s[b], deformations[b].apply(p_b))
+        gaps = [np.linalg.norm(p, axis=1).astype(np.float32) for p in (before, bent_a - bent_b)]
+        middle = np.column_stack([(bent_a + bent_b) / 2, gaps[1]])
+        marks = middle[:: max(-(-len(middle) // MARKS), 1)].astype(np.float32)
+        found.append(Seam(a, b, gaps[0], gaps[1], marks))
     return tuple(found)

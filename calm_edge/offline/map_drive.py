@@ -15,8 +15,7 @@ from calm_edge.config import Config
 from calm_edge.evaluation.estimate import Estimate, from_recording, from_updates
 from calm_edge.mapping.cloud_file import CloudWriter
 from calm_edge.mapping.mapper import Mapper
-from calm_edge.mapping.seams import SeamSummary
-from calm_edge.mapping.seams import summary as seam_summary
+from calm_edge.mapping.seams import Seam, SeamSummary
 from calm_edge.mapping.spool import Spool
 from calm_edge.offline.densify import densified
 from calm_edge.offline.drive import Drive
@@ -45,13 +44,12 @@ def make_cloud(
     spool: Path,
     say: Callable[[str], None],
     times: MapTimes,
-) -> tuple[Int, SeamSummary | None]:
+) -> tuple[Int, tuple[Seam, ...]]:
     """Compute depth and anchors of all sub-maps and write map.ply, over an existing one.
 
     spool: folder for scratch files, removed by the caller; depth found in it is not computed again.
     times: takes those of the stages. Returns the number of points of each sub-map that has depth,
-    in the order of their ids as in the file, as rows (id, points), and statistics of the distances
-    between sub-maps' positions of common anchors.
+    in the order of their ids as in the file, as rows (id, points), and the seams.
     """
     mapper = Mapper(config.mapping, config.scale.spacing, spool, config.backbone.seed)
     earlier = Spool(spool)
@@ -82,7 +80,7 @@ def make_cloud(
             cloud.write(tile)
             sizes.append(len(tile.points_w))
     rows = np.array([mapper.submap_ids(), sizes], np.int64).T
-    return rows, seam_summary(mapper.seams())
+    return rows, mapper.seams()
 
 
 def _spooled(spool: Spool, submap_id: int) -> tuple[Float32, Float32]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calm_edge.evaluation.estimate import Estimate
+from calm_edge.mapping.seams import Seam
 from calm_edge.report.account import unit
 from calm_edge.report.keyframe_pictures import KeyframePictures
 from calm_edge.report.map_page import MapView
@@ -22,6 +23,7 @@ def map_view(
     origin_ns: int,
     grain: float,
     pictures: Sequence[KeyframePictures] = (),
+    seams: Sequence[Seam] = (),
 ) -> MapView:
     """The page's content; points and poses are those of the estimate, whose stamps begin at origin.
 
@@ -42,4 +44,5 @@ def map_view(
         estimate.T_w_c,
         (estimate.t_ns - estimate.t_ns[0]) / 1e9,
         pictures,
+        np.concatenate([np.zeros((0, 4), np.float32), *(seam.marks for seam in seams)]),
     )

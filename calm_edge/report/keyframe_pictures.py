@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,6 +12,8 @@ from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import FrameKey, WindowRecord
 from calm_edge.types import Bytes, CalmEdgeError, Int
 from device.frame import Eye, UnreadableImage, jpeg
+
+Change = Callable[[Bytes], Bytes]
 
 WIDTH_PX = 360
 QUALITY = 62
@@ -54,19 +56,23 @@ def pairs(
 
 
 def keyframe_pictures(
-    recording: Recording, windows: Sequence[WindowRecord], stamps_ns: Int
+    recording: Recording,
+    windows: Sequence[WindowRecord],
+    stamps_ns: Int,
+    change: Change | None = None,
 ) -> list[KeyframePictures]:
     """Read and reduce the pictures of at most MAX_PAIRS keyframes.
 
-    stamps_ns: (K,) of the trajectory, on the recording's clock. Pictures that are lost are None.
+    stamps_ns: (K,) of the trajectory, on the recording's clock. change: applied to each picture
+    (H, W, 3) BGR before it is reduced. Pictures that are lost are None.
     """
     all_pairs = pairs(windows, stamps_ns)
     chosen = [all_pairs[i] for i in even(len(all_pairs), MAX_PAIRS)] if all_pairs else []
     return [
         KeyframePictures(
             index,
-            _small(recording, primary),
-            None if assistant is None else _small(recording, assistant),
+            _small(recording, primary, change),
+            None if assistant is None else _small(recording, assistant, change),
             0 if assistant is None else assistant[2] - primary[2],
         )
         for index, primary, assistant in chosen
@@ -87,11 +93,13 @@ def late_pictures(recording: Recording, windows: Sequence[WindowRecord]) -> list
     return found
 
 
-def _small(recording: Recording, key: FrameKey) -> bytes | None:
+def _small(recording: Recording, key: FrameKey, change: Change | None) -> bytes | None:
     try:
         image = recording.frame(Eye(key[0]), key[1], key[2]).bgr()
     except (CalmEdgeError, UnreadableImage):
         return None
+    if change is not None:
+        image = change(image)
     height, width = image.shape[:2]
     if width > WIDTH_PX:
         size = (WIDTH_PX, max(1, round(height * WIDTH_PX / width)))

@@ -12,7 +12,7 @@ import html
 import json
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TextIO
@@ -28,8 +28,19 @@ FOLDER = "map_points"
 EMBEDDED, LIMIT = 1_000_000, 5_000_000
 # the first piece is small and soon drawn
 FIRST, PIECE = 100_000, 500_000
+# places of seams in the page, 22 bytes each
+MAX_SEAM_MARKS = 20_000
 PAIRS_A_SCRIPT = 16
-SCRIPTS = ("matrices.js", "view.js", "points.js", "lines.js", "pointer.js", "panel.js", "main.js")
+SCRIPTS = (
+    "matrices.js",
+    "view.js",
+    "points.js",
+    "lines.js",
+    "seams.js",
+    "pointer.js",
+    "panel.js",
+    "main.js",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +50,7 @@ class MapView:
     unit: of the world, `m` or `spacings`. grain: distance between neighbouring points. points_w:
     (P, 3), color: (P, 3) RGB, submap: (P,) index of each point's sub-map. submap_s: (S,) and t_s:
     (K,) seconds since the start of sub-maps and keyframes. T_w_c: (K, 4, 4) of keyframes, K >= 1.
+    seams: (M, 4) of common anchors of two sub-maps: place in the world, and how far these disagree.
     """
 
     title: str
@@ -51,6 +63,7 @@ class MapView:
     T_w_c: Float
     t_s: Float
     pictures: Sequence[KeyframePictures] = ()
+    seams: Float32 = field(default_factory=lambda: np.zeros((0, 4), np.float32))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +95,7 @@ def write_map_page(path: Path, view: MapView) -> Written:
     drive = _drive(view, R, points, box, group) | {"count": len(records), "files": outside}
     part = path.with_name(path.name + ".part")
     with part.open("w", encoding="utf-8") as page:
-        _write(page, view, drive, records[:inside])
+        _write(page, view, drive, records[:inside], _seam_marks(view.seams, R))
     part.rename(path)
     size = sum((path.parent / name).stat().st_size for name in outside)
     return Written(path.stat().st_size, size, len(records))
@@ -127,8 +140,18 @@ def _outside(folder: Path, records: np.ndarray[Any, Any]) -> list[str]:
     return names
 
 
+def _seam_marks(seams: Float32, R: Float) -> Float32:
+    """At most MAX_SEAM_MARKS of the rows of MapView.seams, in the level frame."""
+    marks = seams[:: max(-(-len(seams) // MAX_SEAM_MARKS), 1)]
+    return np.column_stack([marks[:, :3] @ R.T, marks[:, 3]]).astype("<f4")
+
+
 def _write(
-    page: TextIO, view: MapView, drive: dict[str, Any], records: np.ndarray[Any, Any]
+    page: TextIO,
+    view: MapView,
+    drive: dict[str, Any],
+    records: np.ndarray[Any, Any],
+    seams: Float32,
 ) -> None:
     viewer = files("calm_edge.report") / "viewer"
     body = (viewer / "body.html").read_text("utf-8")
@@ -149,6 +172,8 @@ def _write(
             for p in view.pictures[first : first + PAIRS_A_SCRIPT]
         ]
         page.write(f"<script>calmEdgeMap.pictures({_json(rows)})</script>\n")
+    if len(seams):
+        page.write(f'<script>calmEdgeMap.seams("{_base64(seams.tobytes())}")</script>\n')
     page.write("<script>calmEdgeMap.end()</script></body></html>\n")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from calm_edge.report.keyframe_pictures import KeyframePictures
 from calm_edge.report.map_page import MapView
+from calm_edge.types import Float32
 from device.frame import jpeg
 
 if TYPE_CHECKING:
@@ -65,8 +66,17 @@ def street(points: int, pictures: bool = True) -> MapView:
     shown = [KeyframePictures(k, _plain(k), _plain(255 - k), 12_000_000) for k in range(KEYFRAMES)]
     return MapView(
         "drives/street", "m", 0.08, p, color, submap, np.arange(6) * 5.0, T,
-        np.arange(KEYFRAMES) / 2, shown if pictures else (),
+        np.arange(KEYFRAMES) / 2, shown if pictures else (), seams(),
     )  # fmt: skip
+
+
+def seams(count: int = 500) -> Float32:
+    """Places on the road (count, 4) at the middle of the street, the gap 0 to 0.5 m along it."""
+    marks = np.zeros((count, 4), np.float32)
+    marks[:, 0] = np.random.default_rng(1).uniform(-6, 6, count)
+    marks[:, 1], marks[:, 2] = 1.4, np.linspace(60, 90, count)
+    marks[:, 3] = np.linspace(0, 0.5, count)
+    return marks
 
 
 def _plain(level: int) -> bytes:

@@ -177,6 +177,48 @@ def test_colours_and_view_are_in_the_link(browser: Any, page_file: Path) -> None
     page.close()
 
 
+def red(page: Any) -> int:
+    """Number of the map's pixels in the colour of the largest gaps."""
+    return int(
+        page.evaluate("""() => {
+          const c = document.getElementById("map"), g = c.getContext("webgl2");
+          const d = new Uint8Array(4 * c.width * c.height);
+          g.readPixels(0, 0, c.width, c.height, g.RGBA, g.UNSIGNED_BYTE, d);
+          let n = 0;
+          for (let i = 0; i < d.length; i += 4) n += d[i] > 200 && d[i + 1] < 90 && d[i + 2] < 60;
+          return n;
+        }""")
+    )
+
+
+def turns(page: Any, *, seams: bool) -> bool:
+    """Whether the seams come to be drawn, or to be gone, within ten seconds."""
+    for _ in range(50):
+        if (red(page) > 50) == seams:
+            return True
+        page.wait_for_timeout(200)
+    return False
+
+
+def test_seams_are_shown_on_demand_and_in_the_link(browser: Any, page_file: Path) -> None:
+    page, errors = opened(browser, page_file)
+    page.locator("#along").fill("20")
+    page.locator("#hide").click()
+    assert turns(page, seams=False) and "Seams" not in page.locator("#status").inner_text()
+    page.locator("#seams").click()
+    assert turns(page, seams=True)
+    assert "disagree by 0.25 m" in page.locator("#status").inner_text()
+    view(page)
+    address = page.url[page.url.index("#") :]
+    assert "s=1" in address
+    page.locator("#seams").click()
+    assert turns(page, seams=False)
+    page.close()
+    page, errors = opened(browser, page_file, address)
+    assert turns(page, seams=True) and errors == []
+    page.close()
+
+
 def test_files_beside_the_page_are_loaded_and_missed(
     browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

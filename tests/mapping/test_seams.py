@@ -5,7 +5,7 @@ import pytest
 
 from calm_edge.geometry import se3, thin_plate
 from calm_edge.mapping.deform import Deformation
-from calm_edge.mapping.seams import Seam, seams, summary
+from calm_edge.mapping.seams import MARKS, Seam, seams, summary
 from calm_edge.types import AnchorTable
 
 
@@ -46,6 +46,18 @@ def test_after_includes_the_deformation_of_both_submaps():
     (seam,) = seams([(0, 1)], {0: a, 1: b}, poses, deform)
     assert rms(seam.gaps_before) == pytest.approx(1.0)
     assert rms(seam.gaps_after) == pytest.approx(0.25)
+
+
+def test_marks_are_some_anchors_between_their_two_places():
+    n = 3 * MARKS - 1
+    p = np.random.default_rng(1).normal(0, 5, (n, 3))
+    a, b = rows(np.arange(n), p), rows(np.arange(n), p + np.array([0.2, 0, 0]))
+    T_w_s = se3.exp(np.array([1.0, 2, 3, 0, 0.5, 0]))
+    (seam,) = seams([(0, 1)], {0: a, 1: b}, {0: T_w_s, 1: T_w_s}, {0: STILL, 1: STILL})
+    assert seam.marks.shape == (MARKS, 4) and seam.marks.dtype == np.float32
+    middle = se3.transform(T_w_s, p[::3] + np.array([0.1, 0, 0]))
+    assert seam.marks[:, :3] == pytest.approx(middle, abs=1e-4)
+    assert seam.marks[:, 3] == pytest.approx(0.2)
 
 
 def test_submaps_without_a_common_anchor_have_no_seam():

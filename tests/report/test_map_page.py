@@ -127,3 +127,21 @@ def test_each_keyframe_gets_the_assistants_nearest_picture() -> None:
 def test_pictures_are_spread_evenly() -> None:
     assert even(5, 400).tolist() == [0, 1, 2, 3, 4]
     assert even(1001, 5).tolist() == [0, 250, 500, 750, 1000]
+
+
+def test_seams_are_in_the_level_frame_and_at_most_so_many(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = _view()
+    R = map_page.map_image.level_rotation(view.T_w_c)
+    p = view.points_w[:90]
+    marked = replace(view, seams=np.column_stack([p, np.arange(90)]).astype(np.float32))
+    monkeypatch.setattr(map_page, "MAX_SEAM_MARKS", 40)
+    write_map_page(tmp_path / "map.html", marked)
+    found = re.search(r'calmEdgeMap\.seams\("([^"]*)"\)', (tmp_path / "map.html").read_text())
+    assert found
+    marks = np.frombuffer(base64.b64decode(found[1]), "<f4").reshape(-1, 4)
+    assert marks[:, 3].tolist() == list(range(0, 90, 3))
+    assert np.allclose(marks[:, :3], p[::3] @ R.T, atol=1e-4)
+    write_map_page(tmp_path / "map.html", view)
+    assert 'calmEdgeMap.seams("' not in (tmp_path / "map.html").read_text()

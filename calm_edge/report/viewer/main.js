@@ -11,6 +11,7 @@ const EXTENT = distance(...CORNERS) || 1;
 function start() {
   const points = new Points(gl, DRIVE, MOST);
   const path = new Lines(gl), stops = new Lines(gl), here = new Lines(gl), ruler = new Lines(gl);
+  const seams = new Seams(gl);
   path.set(DRIVE.path.slice(1).map((p, i) => [DRIVE.path[i], p]));
   stops.set(DRIVE.path.map((p) => [p, p]));
   const began = performance.now(), stats = {firstPicture: null, frames: 0, drawn: 0, loaded: 0};
@@ -40,13 +41,14 @@ function start() {
     view = View.fromText(address.get("v")) || view;
     colors = Math.max(0, COLORS.indexOf(address.get("c")));
     panel.element.colors.selectedIndex = colors;
+    showSeams(address.get("s") === "1");
     const k = Number(address.get("k")) - 1;
     if (address.has("k") && DRIVE.path[k]) mark(k);
     redraw();
   }
 
   function toAddress() {
-    const text = `#v=${view.toText()}&c=${COLORS[colors]}&k=${keyframe + 1}`;
+    const text = `#v=${view.toText()}&c=${COLORS[colors]}&k=${keyframe + 1}${seams.wanted ? "&s=1" : ""}`;
     try { history.replaceState(null, "", text); } catch { location.hash = text; }
   }
 
@@ -92,6 +94,7 @@ function start() {
       drawn = 0;
       path.draw(matrix, [width, height], ink("--estimate"), 2 * scale);
       stops.draw(matrix, [width, height], ink("--estimate"), 4.5 * scale);
+      seams.draw(matrix, 3 * scale);
       here.draw(matrix, [width, height], ink("--truth"), 11 * scale);
       ruler.draw(matrix, [width, height], ink("--bad"), 3 * scale);
       label(matrix);
@@ -109,6 +112,7 @@ function start() {
   function tell() {
     const n = (v) => v.toLocaleString("en");
     const rest = points.room < DRIVE.count ? ` (of ${n(DRIVE.count)}, as this device allows)` : "";
+    if (seams.shown && !complaint) return panel.say(seams.text(DRIVE.unit));
     panel.say(complaint || `${n(points.loaded)} points${rest}`);
   }
 
@@ -151,6 +155,7 @@ function start() {
     jump: (k) => { view = behind(k); mark(k); redraw(); },
     colors: (k) => { colors = k; redraw(); },
     whole: () => { view = overview(); redraw(); },
+    seams: () => { showSeams(!seams.shown); redraw(); },
     measure: () => {
       measuring = measuring ? null : [];
       panel.element.measure.setAttribute("aria-pressed", String(Boolean(measuring)));
@@ -159,6 +164,12 @@ function start() {
       redraw();
     },
   });
+  function showSeams(shown) {
+    seams.wanted = shown; // also before they are read
+    seams.shown = shown && seams.count > 0;
+    panel.element.seams.setAttribute("aria-pressed", String(seams.shown));
+  }
+
   new Pointer(canvas, {
     orbit: (dx, dy) => { view.orbit(dx, dy); redraw(); },
     pan: (dx, dy) => { view.pan(dx, dy); redraw(); },
@@ -204,6 +215,12 @@ function start() {
     pictures: (rows) => {
       for (const [k, ...rest] of rows) panel.pictures.set(k, rest);
     },
+    seams: (text) => {
+      seams.set(text);
+      panel.element.seams.hidden = false;
+      showSeams(seams.wanted);
+      redraw();
+    },
     end: () => {
       if (panel.shown !== null) panel.show(panel.shown);
       loadFiles(DRIVE.files);
@@ -220,5 +237,5 @@ else {
   document.getElementById("status").textContent =
     "This browser has no WebGL2, which the map needs: open the page in a newer one, or switch on "
     + "graphics acceleration in its settings.";
-  window.calmEdgeMap = {points() {}, pictures() {}, end() {}, stats: null};
+  window.calmEdgeMap = {points() {}, pictures() {}, seams() {}, end() {}, stats: null};
 }

@@ -6,7 +6,7 @@ class Panel {
     this.shown = null;
     this.element = Object.fromEntries(
       [...document.querySelectorAll("[id]")].map((e) => [e.id, e]));
-    const {along, colors, measure, share, whole, back, forth, hide, title} = this.element;
+    const {along, colors, measure, seams, share, whole, back, forth, hide, title} = this.element;
     title.textContent = drive.title;
     along.max = drive.path.length - 1;
     along.addEventListener("input", () => on.jump(Number(along.value)));
@@ -14,6 +14,7 @@ class Panel {
     forth.addEventListener("click", () => on.jump(Math.min(Number(along.max), Number(along.value) + 1)));
     colors.addEventListener("change", () => on.colors(colors.selectedIndex));
     measure.addEventListener("click", () => on.measure());
+    seams.addEventListener("click", () => on.seams());
     share.addEventListener("click", () => this.copy());
     whole.addEventListener("click", () => on.whole());
     hide.addEventListener("click", () => this.show(null));
