@@ -116,12 +116,13 @@ def _logged(recording: Recording, records: dict[int, WindowRecord]) -> Logged:
 def _final(first: LocalizerUpdate, last: LocalizerUpdate) -> LocalizerUpdate:
     """Combine the first and the last update of a sub-map.
 
-    Only the first has the landmarks, unless the window was solved again from its pictures; they are
-    moved to the poses and cameras of the last.
+    Only the first has the loop closure, and the landmarks, unless the window was solved again from
+    its pictures; they are moved to the poses and cameras of the last.
     """
     solved = last.prediction if last.prediction.landmarks is not None else first.prediction
     prediction = with_poses(solved, last.submap.cameras_raw, last.submap.T_s_c_raw)
-    return replace(last, prediction=prediction, stage_ms=first.stage_ms)
+    loop = last.loop or first.loop
+    return replace(last, prediction=prediction, stage_ms=first.stage_ms, loop=loop)
 
 
 def _recompute(

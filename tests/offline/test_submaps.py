@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -72,3 +73,24 @@ def test_a_loop_to_a_place_that_was_lost_is_not_in_the_record(
     assert len(drive.losses) == 1
     (record,), (update,) = drive.windows, drive.updates
     assert not record.has_loop and len(record.ids) == 12 == len(update.prediction.T_s_c)
+
+
+def test_the_loop_of_a_window_is_kept_though_its_final_update_has_none(
+    small_drive: Path, tmp_path: Path
+) -> None:
+    first = unsolved(small_drive, tmp_path / "rec")
+    solved = gather(first, first.config, lambda _: None)
+    assert solved.updates[1].loop is not None
+    with RecordingWriter(tmp_path / "done", first.config, lossless=True) as writer:
+        for eye in Eye:
+            for frame in first.frames(eye):
+                writer.write_frame(frame)
+        for record, update in zip(solved.windows, solved.updates, strict=True):
+            writer.write_window(record)
+            writer.write_update(replace(update, loop_keyframe=None))
+        for update in solved.updates:
+            writer.write_update(replace(update, loop=None, loop_keyframe=None))
+        writer.write_status({"finished": True})
+    recording = Recording(tmp_path / "done")
+    drive = gather(recording, recording.config, lambda _: None)
+    assert [update.loop is not None for update in drive.updates] == [False, True]
