@@ -17,7 +17,6 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.backbones.bundle.normal_equations import (
-    Normal,
     Structure,
     fix_spacing,
     normal_equations,
@@ -73,7 +72,9 @@ def kit_evidence(
 
     # a gradient by poses and kit, times this, is that by the kit with the poses marginalised out
     reduced = np.concatenate([np.zeros((6, layout.SIZE)), -by_pose, np.eye(layout.SIZE)])
-    cells = _cell_gradients(state, m, normal, weight) @ reduced
+    jac = reprojection(state, m, tangent_basis(state.points))
+    tracks = track_gradients(m, jac, normal, weight * (jac.predicted - m.uv).T)
+    cells = cell_sums(tracks, m).T @ reduced
     by_ties = tie_equations(state, m, ties)
     gradient = cells.sum(0) + by_ties[1] @ reduced
     B = cells.T @ cells + reduced.T @ by_ties[0] @ reduced
@@ -113,14 +114,12 @@ def _turn_px(state: State, m: Measurements) -> float:
     return float(f * np.linalg.norm(np.ptp(turn, axis=0)))
 
 
-def _cell_gradients(state: State, m: Measurements, normal: Normal, weight: Float) -> Float:
-    """Gradients (G, D) of the pixels of each of G cells by poses and kit, points eliminated."""
-    jac = reprojection(state, m, tangent_basis(state.points))
-    of_points = track_gradients(m, jac, normal, weight * (jac.predicted - m.uv).T)
-    cell = _cells(m, len(state.points))
-    rows = np.zeros((cell.max() + 1, len(of_points)))
-    np.add.at(rows, cell, of_points.T)
-    return rows
+def cell_sums(by_track: Float, m: Measurements) -> Float:
+    """Sum parts (D, M) of the gradient by point over the points of each of G cells: (D, G)."""
+    cell = _cells(m, by_track.shape[1])
+    rows = np.zeros((cell.max() + 1, len(by_track)))
+    np.add.at(rows, cell, by_track.T)
+    return rows.T
 
 
 def _cells(m: Measurements, n_points: int) -> Int:

@@ -2,11 +2,12 @@
 
 The inverse Hessian is no covariance here: errors along a track are correlated, the sigmas of the
 matches are no more than weights, and the kernel is robust. So the covariance is A^-1 B A^-1 of an
-M-estimator (Huber, Robust Statistics, 1981, chapter 6), clustered by track (Liang and Zeger,
-Longitudinal Data Analysis Using Generalized Linear Models, 1986): A is the derivative of the
-gradient that the solver makes zero, and B the gradient's covariance, a sum over
+M-estimator (Huber, Robust Statistics, 1981, chapter 6), clustered by cells of the picture, as in
+`evidence` (Liang and Zeger, Longitudinal Data Analysis Using Generalized Linear Models, 1986): A is
+the derivative of the gradient that the solver makes zero, and B the gradient's covariance, a sum
+over
 
-- tracks: the outer product of each track's own part of the gradient;
+- cells: the outer product of the part of each cell's tracks, which share a surface and its errors;
 - an error that all matches across the cameras share;
 - the rig ties, which have the sigmas that they claim;
 - the prior on the kit.
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calm_edge.backbones.bundle.evidence import cell_sums
 from calm_edge.backbones.bundle.normal_equations import (
     Structure,
     normal_equations,
@@ -37,9 +39,9 @@ from calm_edge.geometry import se3
 from calm_edge.kit import layout
 from calm_edge.types import Float, Int, KitBelief
 
-# Tracks on one surface share errors: as many as this count as one observation. With COMMON_SHARE
-# fitted to the errors of scale of 49 windows on 7 rendered drives.
-TRACKS_ALIKE = 2.0
+# Neighbouring cells share errors too, and a fit to few cells hides part of them: as many as this
+# count as one. Fitted to the errors of scale of windows on 8 rendered drives.
+CELLS_ALIKE = 2.0
 # Matches across the cameras are biased towards the near where foreground and background share a
 # patch: common error of near points against far ones, as a share of the window's median residual.
 # It is in full at a parallax of NEAR_PX.
@@ -108,9 +110,9 @@ def posterior(
     A = add_priors(bare, state, prior)[0]
 
     error = (jac.predicted - m.uv).T
-    tracks = track_gradients(m, jac, bare, weight * error)
+    cells = cell_sums(track_gradients(m, jac, bare, weight * error), m)
     common = track_gradients(m, jac, bare, slope * _common_error(solution, m).T).sum(1)
-    B = TRACKS_ALIKE * tracks @ tracks.T + np.outer(common, common)
+    B = CELLS_ALIKE * cells @ cells.T + np.outer(common, common)
     B += tie_equations(state, m, ties)[0]
     B[-layout.SIZE :, -layout.SIZE :] += stiffness * prior.information
 

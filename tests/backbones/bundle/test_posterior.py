@@ -35,7 +35,7 @@ def trials(monkeypatch, per_track_px, kit_sigma):
 
     Each track has an offset of its own in each eye; the prior's mean is off as it claims.
     """
-    monkeypatch.setattr(posterior, "TRACKS_ALIKE", 1.0)
+    monkeypatch.setattr(posterior, "CELLS_ALIKE", 1.0)
     monkeypatch.setattr(posterior, "COMMON_SHARE", 0.0)
     made = window(turn(N), theta_of(), n_points=250, delay_s=0.0)
     rng, m = np.random.default_rng(5), made.m
