@@ -19,10 +19,12 @@ from calm_edge.backbones.bundle import loop_view, overlap, solution, window
 from calm_edge.backbones.bundle.apart import solved_apart
 from calm_edge.backbones.bundle.matching import Matching
 from calm_edge.backbones.bundle.motion import motion_prior
-from calm_edge.backbones.bundle.problem import Measurements, rig_ties
+from calm_edge.backbones.bundle.problem import Measurements, State, rig_ties
+from calm_edge.backbones.bundle.road import with_road
 from calm_edge.backbones.bundle.solver import PosePrior
 from calm_edge.backbones.bundle.starts import Known, initial_states
 from calm_edge.config import BackboneConfig, Config
+from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.fisheye import FieldTooWide
 from calm_edge.kit import layout
@@ -34,6 +36,8 @@ from calm_edge.types import Float, Hints, KitBelief, Prediction
 # Largest sigma of the rig's rotation at which it guides the matching between the cameras and the
 # start; below layout.KIT_KNOWN rig and focals are taken as they are to start from.
 RIG_GUIDES_RAD = 0.04
+# Sigma of the log scale above which points of the road are looked for.
+ROAD_SIGMA = 0.03
 # Families of the lenses that are tried where nothing is known, perspective ones first.
 FAMILIES = (layout.PERSPECTIVE, *((p, a) for p in Family for a in Family if p or a))
 
@@ -98,7 +102,8 @@ class BundleBackbone:
         guided = bool(sigma[0] < RIG_GUIDES_RAD)
         with _solvable():
             kits = [each.mean for each in beliefs.values()]
-            m = window.measure(images, hints, kits, guided, self._matching)
+            every = window.measure(images, hints, kits, guided, self._matching)
+            m = window.with_enough_views(every)
         try:
             solved = self._solved(m, hints, beliefs)
         except BackboneError as error:
@@ -109,6 +114,8 @@ class BundleBackbone:
         if solved is None:
             failure.T_s_c_apart = _apart(m, belief, hints)
             raise failure
+        if _scale_sigma(solved) > ROAD_SIGMA:
+            solved = _solved_on_road(every, solved, images, hints) or solved
         apart = _apart(m, belief, hints)
         solved = window.with_known_offset(solved, hints)
         notices = (*self._notices, *solved.notices)
@@ -231,6 +238,37 @@ def kit_belief(hints: Hints, families: layout.Families | None = None) -> KitBeli
     if length > 1e-6:
         joint.mean[layout.RIG_CENTRE] /= length
     return joint
+
+
+def _solved_on_road(
+    every: Measurements, solved: Prediction, images: Sequence[NDArray[np.uint8]], hints: Hints
+) -> Prediction | None:
+    """Solve a window of doubtful scale again with points of the road; None if these do not help."""
+    known = kit_belief(replace(hints, kit=product([hints.kit, solved.kit])))
+    state = State(se3.inverse(solved.T_s_c), np.zeros((0, 4)), known.mean)
+    gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
+    with suppress(BackboneError), _solvable():
+        found = with_road(every, state, gray, hints.travel)
+        if found is None:
+            return None
+        m, start = found
+        belief = kit_belief(hints, layout.families(known.mean))
+        again = solution.solved(start, m, rig_ties(m), belief, hints, belief, solution.FREE)
+        surer = again.kit is not None and _scale_sigma(again) < _scale_sigma(solved)
+        # a speed that the previous window contradicts may be a pattern of the road
+        if surer and (_agrees(again) or not _agrees(solved)):
+            return again
+    return None
+
+
+def _agrees(solved: Prediction) -> bool:
+    """Whether a window does not contradict the previous one, if it shares keyframes with one."""
+    return (solved.overlap_mismatch or 0.0) <= solution.MAX_MISMATCH
+
+
+def _scale_sigma(solved: Prediction) -> float:
+    sigma = solved.scale_log_sigma
+    return np.inf if sigma is None else sigma
 
 
 def _apart(m: Measurements, belief: KitBelief, hints: Hints) -> Float | None:

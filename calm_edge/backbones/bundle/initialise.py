@@ -172,13 +172,22 @@ def initial_state(m: Measurements, theta: Float, rig: Rig, poses: Poses) -> Stat
         theta[layout.RIG] = layout.rig_vector(T_p_a)
     if rig is Rig.ABREAST:
         theta, spacing = side_by_side(m, theta, X, assistant, at)
-    T_p_a = layout.rig(theta)
-    # everything in spacings; the assistant's views start exactly on the rig
-    out = np.empty((m.n_views, 4, 4))
-    for views, T_s_c in ((primary, T_s_p), (assistant, at)):
-        T_s_c[:, :3, 3] /= spacing
-        out[views] = se3.inverse(T_s_c if views is primary else T_s_c @ T_p_a)
+    T_s_p[:, :3, 3] /= spacing
+    out = on_rig(m, theta, se3.inverse(T_s_p))
     return State(out, triangulated(m, out, theta), theta)
+
+
+def on_rig(m: Measurements, theta: Float, T_p_s: Float) -> Float:
+    """Poses T_c_s (C, 4, 4) of all views, the assistant's exactly on the rig.
+
+    T_p_s: (P, 4, 4) of the primary's views, in spacings.
+    """
+    primary, assistant = np.flatnonzero(m.eye == 0), np.flatnonzero(m.eye == 1)
+    instants = m.t[assistant] + theta[layout.TIME_OFFSET]
+    at = se3.interpolate_at(m.t[primary], se3.inverse(T_p_s), instants)
+    out = np.empty((m.n_views, 4, 4))
+    out[primary], out[assistant] = T_p_s, se3.inverse(at @ layout.rig(theta))
+    return out
 
 
 def triangulated(m: Measurements, T_c_s: Float, theta: Float) -> Float:

@@ -13,15 +13,12 @@ from itertools import product, zip_longest
 import numpy as np
 
 from calm_edge.backbones.bundle.correspond import find
-from calm_edge.backbones.bundle.edges import across, edges
+from calm_edge.backbones.bundle.edges import edges
 from calm_edge.backbones.bundle.features import FeatureNet
-from calm_edge.backbones.bundle.matching import FOLLOWED_PX, Bool, Matches
+from calm_edge.backbones.bundle.matching import Bool, Matches
 from calm_edge.backbones.bundle.place import LearnedPlace
-from calm_edge.backbones.bundle.tracks import (
-    MATCHING,
-    detect_corners,
-    sift_homography,
-)
+from calm_edge.backbones.bundle.refine import refined
+from calm_edge.backbones.bundle.tracks import detect_corners, sift_homography
 from calm_edge.backbones.bundle.warp import (
     agreeing,
     are_alike,
@@ -31,24 +28,9 @@ from calm_edge.backbones.bundle.warp import (
     warped,
     zoom_of,
 )
-from calm_edge.geometry import brightness
-from calm_edge.geometry.flow import Gray, follow, follow_ahead, long_side, neighbouring_flow
+from calm_edge.geometry.flow import Gray, long_side
 from calm_edge.types import Float, Float32
 
-# Sigma of a refined match, the root of the sum of squares of two terms: a share of the features'
-# sigma, and a multiple of how far the match moves with a Lucas-Kanade window of half the size.
-# Fitted to true errors (models/calm-geo/README.md) up to a common factor: see `_normalised`.
-FEATURES_SHARE, WINDOWS_SHARE = 0.25, 2.6
-SIGMA_RANGE_PX = (0.2, 3.0)
-# Lucas-Kanade from the features' matches, which are off by a few pixels at most: higher pyramid
-# levels only lose points.
-FROM_FEATURES = replace(MATCHING, levels=1)
-HALF_WINDOW = replace(MATCHING, window_px=MATCHING.window_px // 2 + 1, levels=1)
-# Largest distance of the refined match from the features' one, in its sigmas.
-MAX_SIGMAS = 3.0
-# Sigma [px] of a Lucas-Kanade match that the features do not support; largest sigma [px] of a match
-# of the features that is kept without Lucas-Kanade.
-UNSUPPORTED_PX, MAX_SIGMA_PX = 1.0, 1.5
 # Share of the error that does not count along an edge, above which a point is none of a corner.
 MOST_EDGE = 0.9
 # Above this zoom the smaller picture is enlarged instead of the larger one shrunk, which would lose
@@ -83,7 +65,7 @@ class LearnedMatching:
         # a match along an edge counts across it, so it does not matter which
         corner = np.square(edges(source, uv)).sum(1) < MOST_EDGE
         found = _found(self.net, source, target, uv, corner)
-        return _only_measured(finished(source, target, uv, found))
+        return _only_measured(refined(source, target, uv, found))
 
     def homography(self, primary: Gray, assistant: Gray) -> Float | None:
         """Rough H_a_p (3, 3), primary to assistant px; None if not found; raises BackboneError.
@@ -106,7 +88,7 @@ class LearnedMatching:
     def match(self, a: Gray, b: Gray, uv: Float32) -> Matches:
         """Match points uv (N, 2) px of any picture to any other; raises BackboneError."""
         found = _found(self.net, a, b, uv)
-        direct = finished(a, b, uv, found)
+        direct = refined(a, b, uv, found)
         H_b_a = homography(uv, _rotated_or_zoomed(self.net, a, b, uv, found), long_side(a))
         if H_b_a is None or are_alike(H_b_a, a):
             return direct
@@ -117,7 +99,7 @@ class LearnedMatching:
             # the features need no warp, but Lucas-Kanade is more accurate with it
             found = _found(self.net, a, b, uv)
             back, _ = seen_at(np.asarray(np.linalg.inv(H_b_a)), found.uv, a)
-            there = finished(a, warped(b, H_b_a, a), uv, replace(found, uv=back))
+            there = refined(a, warped(b, H_b_a, a), uv, replace(found, uv=back))
             return _through(there, H_b_a, b)
         if zoom_of(H_b_a, a) > MUCH_LARGER:
             return self._enlarged(a, b, H_b_a, uv)
@@ -133,72 +115,13 @@ class LearnedMatching:
         return _with(Matches(start, inside, np.ones(len(uv), np.float32), inside), inside, there)
 
     def _measured(self, a: Gray, b: Gray, uv: Float32) -> Matches:
-        return finished(a, b, uv, _found(self.net, a, b, uv))
+        return refined(a, b, uv, _found(self.net, a, b, uv))
 
 
 def _made_alike(a: Gray, b: Gray, H_b_a: Float) -> Gray:
     """Picture b warped by H_b_a to look like a; b itself if they are alike or b is much larger."""
     as_it_is = are_alike(H_b_a, a) or zoom_of(H_b_a, a) > MUCH_LARGER
     return b if as_it_is else warped(b, H_b_a, a)
-
-
-def finished(a: Gray, b: Gray, uv: Float32, found: Matches) -> Matches:
-    """Refine matches of uv (N, 2) px by Lucas-Kanade, on images of similar zoom and rotation.
-
-    Matches are dropped where Lucas-Kanade and the features disagree. Where the features have no
-    match, a track of Lucas-Kanade that started from the flow of neighbouring points is kept, with a
-    sigma of UNSUPPORTED_PX; where Lucas-Kanade has none, the features' match with its own sigma.
-    """
-    sure = found.sure
-    change = brightness.at_points(a, b, uv[sure], found.uv[sure])
-    if change is None:
-        change = brightness.of_histograms(a, b)
-    if change is not None:
-        a, b = brightness.alike(a, b, change)
-    near = MAX_SIGMAS * found.sigma_px
-    moved, ok = follow(a, b, uv, found.uv, FROM_FEATURES)
-    ok &= found.sure & (np.linalg.norm(moved - found.uv, axis=1) < near)
-    rest = np.flatnonzero(~ok)
-    start = uv + neighbouring_flow(uv, moved - uv, ok)
-    again, returned = follow(a, b, uv[rest], start[rest], MATCHING)
-    agree = np.linalg.norm(again - found.uv[rest], axis=1) < near[rest]
-    moved[rest], ok[rest] = again, returned & agree
-    led = np.zeros(len(uv), bool)
-    led[rest] = returned & ~agree & ~found.sure[rest]
-    alone = found.sure & ~ok & (found.sigma_px < MAX_SIGMA_PX)
-    sigma = np.where(led, UNSUPPORTED_PX, found.sigma_px)
-    sigma[ok] = _normalised(_measured_sigma(a, b, uv[ok], moved[ok], found.sigma_px[ok]))
-    uv_b = np.where((ok | led)[:, None], moved, found.uv)
-    sure = ok | led | alone
-    return Matches(np.asarray(uv_b, np.float32), sure, np.asarray(sigma, np.float32), ok)
-
-
-def _measured_sigma(a: Gray, b: Gray, uv: Float32, moved: Float32, features_px: Float32) -> Float32:
-    """Sigma (N,) px of points uv (N, 2) px of a that Lucas-Kanade found at `moved` (N, 2) in b.
-
-    features_px: (N,) sigma of the features. Where a patch spans two depths or has changed, a
-    smaller window gives another position: the difference adds to the sigma, but for what is along
-    an edge.
-    """
-    if len(uv) == 0:
-        return features_px
-    half, _ = follow_ahead(a, b, uv, moved, HALF_WINDOW)
-    apart = np.linalg.norm(across(edges(b, moved), half - moved), axis=1)
-    sigma = np.hypot(FEATURES_SHARE * features_px, WINDOWS_SHARE * apart)
-    return np.asarray(np.maximum(sigma, SIGMA_RANGE_PX[0]), np.float32)
-
-
-def _normalised(sigma: Float32) -> Float32:
-    """Scale the sigmas (N,) px of the matches of two pictures to a fixed mean information.
-
-    That of corners tracked by Lucas-Kanade, 1 / FOLLOWED_PX^2.
-
-    Else pairs of pictures that look different would hardly constrain the rig.
-    """
-    if len(sigma) == 0:
-        return sigma
-    factor = FOLLOWED_PX * np.sqrt((1 / np.square(sigma)).mean())
-    return np.asarray(np.clip(factor * sigma, *SIGMA_RANGE_PX), np.float32)
 
 
 def _better(one: Matches, other: Matches) -> Matches:

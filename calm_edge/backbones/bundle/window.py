@@ -62,7 +62,7 @@ def measure(
     rig_known: bool,
     matching: Matching | None = None,
 ) -> Measurements:
-    """Matches of all pictures (H, W, 3) as measurements; raises BackboneError when too few.
+    """Matches of all pictures (H, W, 3) as measurements, of two views or more each.
 
     kits: one, which guides the matching between the cameras when `rig_known`, or several that may
     be right. matching: by a network; None for Lucas-Kanade.
@@ -106,20 +106,27 @@ def _infinite_homography(lenses: tuple[Camera, Camera], T_p_a: Float) -> Float:
 
 def _measurements(tracks: Tracks, hints: Hints, size: Int) -> Measurements:
     _, of, count = np.unique(tracks.track, return_inverse=True, return_counts=True)
-    keep = count[of] >= MIN_VIEWS_OF_A_POINT
-    ids, point = np.unique(tracks.track[keep], return_inverse=True)
-    if len(ids) < MIN_POINTS:
-        raise BackboneError(f"bundle: only {len(ids)} points could be followed")
+    keep = count[of] >= 2
+    order = np.flatnonzero(keep)[np.argsort(tracks.view[keep], kind="stable")]
     return Measurements(
-        tracks.view[keep],
-        point,
-        tracks.uv[keep],
-        tracks.sigma_px[keep],
+        tracks.view[order],
+        np.unique(tracks.track[order], return_inverse=True)[1],
+        tracks.uv[order],
+        tracks.sigma_px[order],
         np.asarray(hints.eyes),
         seconds(hints),
         size,
-        tracks.edge[keep],
+        tracks.edge[order],
     )
+
+
+def with_enough_views(every: Measurements) -> Measurements:
+    """Points of MIN_VIEWS_OF_A_POINT at least; raises BackboneError when they are too few."""
+    kept = every.at(np.bincount(every.point)[every.point] >= MIN_VIEWS_OF_A_POINT)
+    ids, point = np.unique(kept.point, return_inverse=True)
+    if len(ids) < MIN_POINTS:
+        raise BackboneError(f"bundle: only {len(ids)} points could be followed")
+    return replace(kept, point=point)
 
 
 def thinned(m: Measurements, n_points: int) -> Measurements:

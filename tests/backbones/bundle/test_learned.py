@@ -4,11 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from calm_edge.backbones.bundle import learned, tracks
+from calm_edge.backbones.bundle import learned, refine, tracks
 from calm_edge.backbones.bundle.backbone import BundleBackbone
-from calm_edge.backbones.bundle.matching import Matches
 from calm_edge.config import BackboneConfig
-from tests.backbones.bundle.demo_pictures import picture
+from tests.backbones.bundle.demo_pictures import picture, seen, similarity, through
 
 NONE = np.zeros((0, 2), np.float32)
 
@@ -21,24 +20,6 @@ def matching():
 @pytest.fixture(scope="module")
 def gray():
     return cv2.cvtColor(picture(20), cv2.COLOR_BGR2GRAY)
-
-
-def similarity(gray, zoom, turn_deg, shift=(0.0, 0.0)):
-    """H (3, 3) px about the middle of a picture."""
-    height, width = gray.shape
-    middle = ((width - 1) / 2, (height - 1) / 2)
-    H = np.eye(3)
-    H[:2] = cv2.getRotationMatrix2D(middle, turn_deg, zoom)
-    H[:2, 2] += shift
-    return H
-
-
-def through(H, uv):
-    return cv2.perspectiveTransform(uv[None].astype(np.float64), H)[0]
-
-
-def seen(gray, H):
-    return np.asarray(cv2.warpPerspective(gray, H, gray.shape[::-1], borderMode=cv2.BORDER_REFLECT))
 
 
 def judged(found, truth, gray):
@@ -80,27 +61,6 @@ def test_nothing_to_match_gives_nothing(matching, gray):
     assert matching.match(gray, flat, uv).sure.mean() < 0.1
 
 
-def test_a_guess_is_refined_and_a_wrong_one_dropped(gray):
-    H = similarity(gray, 1.0, 0.0, (7.3, -2.6))
-    uv = tracks.detect_corners(gray, NONE)
-    truth = through(H, uv).astype(np.float32)
-    off = np.random.default_rng(0).normal(0, 1.5, truth.shape).astype(np.float32)
-    wrong = np.arange(len(uv)) % 10 == 0
-    off[wrong] += 60
-    guess = Matches(
-        truth + off,
-        np.ones(len(uv), bool),
-        np.full(len(uv), 2.0, np.float32),
-        np.zeros(len(uv), bool),
-    )
-    found = learned.finished(gray, seen(gray, H), uv, guess)
-    error = np.linalg.norm(found.uv - truth, axis=1)
-    assert np.median(error[found.sure & ~wrong]) < 0.15
-    assert found.sure[~wrong].mean() > 0.7 and found.sure[wrong].mean() < 0.2
-    information = (1 / found.sigma_px[found.measured] ** 2).mean()
-    assert information == pytest.approx(1 / tracks.FOLLOWED_PX**2, rel=0.1)
-
-
 def test_sigma_grows_with_the_error(matching, gray):
     """Over half of the picture something else is in front, as fine as leaves: what is behind moves
     otherwise, and corners on the border between the two are measured wrongly."""
@@ -116,7 +76,7 @@ def test_sigma_grows_with_the_error(matching, gray):
     found = matching.along(a, b, uv)
     error = np.linalg.norm(found.uv - through(H, uv), axis=1)[found.sure]
     sigma = found.sigma_px[found.sure]
-    assert sigma.min() >= learned.SIGMA_RANGE_PX[0] and sigma.max() <= learned.SIGMA_RANGE_PX[1]
+    assert sigma.min() >= refine.SIGMA_RANGE_PX[0] and sigma.max() <= refine.SIGMA_RANGE_PX[1]
     assert found.sure.sum() > 60
     surest = sigma <= np.quantile(sigma, 0.5)
     assert np.median(error[surest]) < 0.5 * np.median(error[~surest])
