@@ -69,6 +69,7 @@ bench: setup
 	$(CALM_EDGE) record --sequence $(DEMO_DRIVE) --spacing-m $(DEMO_SPACING_M) --pace realtime --out build/bench || [ $$? -eq 3 ]
 	$(CALM_EDGE) eval build/bench --truth $(DEMO_DRIVE)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m bench cost build/bench
+	.venv/bin/python -m bench cost.start
 	.venv/bin/python -m bench cost.load --pictures build/bench_pictures --drive $(DEMO_DRIVE)
 
 # every table of the report; one that misses a target stops none of the others

@@ -27,6 +27,7 @@ COMMANDS = {
     "model.pipeline": ("bench.model.pipeline", "whole drives with and without the network"),
     "cost": ("bench.cost.command", "time and memory of each stage, and over a long drive"),
     "cost.load": ("bench.cost.load", "frame loss and pose age on a busy machine"),
+    "cost.start": ("bench.cost.start", "time until --help and --version answer"),
     "cost.pipes": ("bench.cost.pipes", "bytes between the processes of `record`"),
     "cost.mapping": ("bench.cost.mapping", "processor time of anchors and mapping by stage"),
     "cost.search": ("bench.cost.focal_search", "focal errors of the intrinsic search over sigma"),

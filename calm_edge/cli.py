@@ -13,7 +13,9 @@ import sys
 from collections.abc import Sequence
 
 from calm_edge import __version__
-from calm_edge.commands.exit_codes import ERROR, table
+from calm_edge.commands import examples, exit_codes
+from calm_edge.commands.exit_codes import ERROR
+from calm_edge.commands.parser import Parser
 
 COMMANDS = {
     "setup": "describe two cameras in a configuration file, and check them",
@@ -33,6 +35,7 @@ COMMANDS = {
     "model": "list the models, or check one on this machine",
     "config": "print the configuration with comments, as TOML that record --config reads",
     "doctor": "list what is there and what is missing on this machine, with the remedies",
+    "completion": "print a script with which bash or zsh completes commands and options",
 }
 # where it is not the command's name
 MODULES = {"import": "import_source"}
@@ -40,7 +43,7 @@ MODULES = {"import": "import_source"}
 
 def build_parser() -> argparse.ArgumentParser:
     """Build the parser of all commands without importing heavy modules."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="calm-edge",
         description="Calibration-free SLAM with two ordinary cameras.",
         epilog="exit codes: 0 ok, 1 error, 2 usage, 3 completed with loss; COMMAND --help has them",
@@ -53,11 +56,11 @@ def build_parser() -> argparse.ArgumentParser:
             name,
             help=text,
             description=text.capitalize() + ".",
-            epilog=table(name),
+            epilog=f"{examples.table(name)}\n\n{exit_codes.table(name)}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         module.configure(command)
-        command.set_defaults(run=module.run)
+        command.set_defaults(run=module.run, parser=parser)
     return parser
 
 

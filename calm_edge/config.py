@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_type_hints
 
+from calm_edge.similar import similar
 from calm_edge.typed import coerce
 from calm_edge.types import CalmEdgeError
 from device.frame import JPEG_QUALITY
@@ -431,13 +432,15 @@ def merge(config: Config, changes: dict[str, Any]) -> Config:
     sections = {f.name: getattr(config, f.name) for f in dataclasses.fields(Config)}
     for section, values in changes.items():
         if section not in sections:
-            raise ConfigError(f"{section}: no such section; known: {', '.join(sections)}")
+            hint = similar([section], list(sections))
+            raise ConfigError(f"{section}: no such section{hint}; known: {', '.join(sections)}")
         if not isinstance(values, dict):
             raise ConfigError(f"{section}: expected a table of keys")
         kinds = get_type_hints(type(sections[section]))
         for key, value in values.items():
             if key not in kinds:
-                raise ConfigError(f"{section}.{key}: no such key; known: {', '.join(kinds)}")
+                hint = similar([key], list(kinds))
+                raise ConfigError(f"{section}.{key}: no such key{hint}; known: {', '.join(kinds)}")
             value = coerce(f"{section}.{key}", kinds[key], value, ConfigError)
             sections[section] = dataclasses.replace(sections[section], **{key: value})
     return Config(**sections)

@@ -66,6 +66,7 @@ OF_COMMAND: dict[str, dict[int, str]] = {
     "keep": {},
     "cameras": {OK: "cameras were found", ERROR: "no camera was found"},
     "model": {ERROR: "the model was refused"},
+    "completion": {},
     "config": {ERROR: "the configuration is invalid"},
     "doctor": {
         OK: "a run with this configuration works; there may be notes",

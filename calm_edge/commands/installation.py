@@ -42,6 +42,7 @@ OPTIONAL = {
     ),
     "pynmea2": ("no GPS receiver on a serial port", "pip install pynmea2"),
     "rich": ("no state of the daemon in the terminal, only lines", "pip install rich"),
+    "shtab": ("no `calm-edge completion`", "pip install shtab"),
     "serial": ("no pose on a serial port", "pip install pyserial"),
     "systemd": (
         "no watchdog and no readiness under systemd",
