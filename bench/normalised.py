@@ -44,13 +44,18 @@ class Normalised:
         beyond = self.beyond_percent(3), self.beyond_percent(5)
         return (self.name, len(self.ratio), self.rms, *beyond, claimed)
 
-    def checks(self) -> tuple[Check, ...]:
-        """Requirements on the ratios; what is not reported meets none of them."""
+    def checks(
+        self, limits: tuple[float, float] = RMS, most_beyond_3: float = MAX_BEYOND_3_PERCENT
+    ) -> tuple[Check, ...]:
+        """Requirements on the ratios; what is not reported meets none of them.
+
+        limits: of the rms. most_beyond_3: share in percent.
+        """
         rms, three, five = self.rms, self.beyond_percent(3), self.beyond_percent(5)
-        low, high = RMS
+        (low, high), beyond = limits, f"{self.name}: beyond 3 sigma, %"
         return (
             _check(f"{self.name}: rms of error / sigma", f"{low} to {high}", rms, low, high),
-            _check(f"{self.name}: beyond 3 sigma, %", "<= 1", three, 0, MAX_BEYOND_3_PERCENT),
+            _check(beyond, f"<= {most_beyond_3:g}", three, 0, most_beyond_3),
             _check(f"{self.name}: beyond 5 sigma, %", "0", five, 0, 0),
         )
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.drives import ROOT
-from bench.lottery.draw import draw
-from bench.lottery.requirements import requirements
+from bench.lottery.draw import KINDS, draw
+from bench.lottery.requirements import LIMITS, requirements
 from bench.outcome import Outcome, outcomes
 from bench.tables import OUT, Table, publish
 
@@ -39,7 +39,7 @@ def add_draw(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that say which drives are drawn, and whose code records them."""
     parser.add_argument("--n", type=int, default=12, help="number of drives")
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other drives")
-    parser.add_argument("--kind", choices=["plain"], default="plain")
+    parser.add_argument("--kind", choices=KINDS, default="plain")
     parser.add_argument("--against", type=Path, metavar="CHECKOUT", help="the version to compare")
 
 
@@ -56,20 +56,22 @@ def run(options: argparse.Namespace) -> int:
     """
     missed = 0
     for name, checkout in versions(options):
-        found = outcomes((draw(options.seed, k) for k in range(options.n)), checkout)
-        missed = publish(_table(name, options.command, found), options.out)
+        drawn = (draw(options.seed, k, options.kind) for k in range(options.n))
+        found = outcomes(drawn, checkout)
+        missed = publish(_table(name, options, found), options.out)
     return missed
 
 
-def _table(version: str, command: str, found: list[Outcome]) -> Table:
+def _table(version: str, options: argparse.Namespace, found: list[Outcome]) -> Table:
     rows = tuple(_row(one) for one in found)
     without = sum(one.ate_percent is None for one in found)
     note = (
         f"{len(found)} drives, {without} without a result: wholly garbage, of an infinite ATE; "
         "garbage is counted among the steps between keyframes of one sub-map"
     )
-    title, checks = f"Lottery, {version}", requirements(found)
-    return Table(f"lottery_{version}", title, command, COLUMNS, rows, checks, (note,))
+    kind, checks = options.kind, requirements(found, LIMITS[options.kind])
+    title, name = f"Lottery of {kind} drives, {version}", f"lottery_{kind}_{version}"
+    return Table(name, title, options.command, COLUMNS, rows, checks, (note,))
 
 
 def _row(one: Outcome) -> tuple[Any, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from bench.lottery.requirements import requirements
+from bench.lottery.requirements import LIMITS, requirements
 from bench.outcome import Outcome
 
 # Quantiles of a normal distribution: errors as their sigmas say, without the luck of a draw.
@@ -23,8 +23,8 @@ def _good(unit):
 GOOD = [_good(unit) for unit in UNIT.tolist()]
 
 
-def _missed(found):
-    missed = [check.what for check in requirements(found) if not check.passed]
+def _missed(found, kind="plain"):
+    missed = [check.what for check in requirements(found, LIMITS[kind]) if not check.passed]
     return {what.split(":")[0].split(",")[0] for what in missed}
 
 
@@ -50,7 +50,9 @@ def test_one_bad_drive_in_forty_is_seen(fault, missed):
 
 def test_a_drive_without_a_result_counts_as_garbage_and_an_infinite_error():
     failed = Outcome("d", 100.0, 30.0, failed="too dark")
-    checks = {check.what: check for check in requirements([failed, failed, GOOD[0]])}
+    checks = {
+        check.what: check for check in requirements([failed, failed, GOOD[0]], LIMITS["plain"])
+    }
     assert checks["garbage steps, of keyframes not said to be lost, %"].measured > 60
     assert checks["all drives: median ATE, %"].measured == math.inf
     assert not checks["focals called observed with more than 15 degrees of yaw, %"].passed
@@ -59,3 +61,9 @@ def test_a_drive_without_a_result_counts_as_garbage_and_an_infinite_error():
 def test_a_scale_without_a_sigma_meets_no_requirement():
     found = [replace(one, scale_sigma=None) for one in GOOD]
     assert _missed(found) == {"scale of a drive"}
+
+
+def test_less_is_asked_of_real_drives():
+    found = [replace(one, placed=0.96, garbage=0.004) for one in GOOD]
+    assert _missed(found, "real") == set()
+    assert _missed(found) == {"garbage steps", "keyframes neither lost nor bridged"}
