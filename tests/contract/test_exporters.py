@@ -12,17 +12,22 @@ from calm_edge.commands.export import FORMATS
 from calm_edge.interchange.export.registry import EXPORTERS
 from calm_edge.mapping.cloud_file import CloudWriter
 from calm_edge.types import MapTile
-from tests.interchange.export.drives import MARKERS, with_map, write_recording
+from tests.interchange.export.drives import (
+    MARKERS,
+    georeferenced,
+    with_map,
+    write_recording,
+)
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A map, with the recording that it names."""
+    """A map on the Earth, with the recording that it names."""
     folder = tmp_path_factory.mktemp("drive")
     made = with_map(write_recording(folder / "rec"), folder / "map")
     with CloudWriter(made / "map.ply") as cloud:
         cloud.write(MapTile(MARKERS.astype(np.float32), np.zeros((4, 3), np.uint8)))
-    return made
+    return georeferenced(made)
 
 
 def content(folder: Path) -> dict[str, bytes]:

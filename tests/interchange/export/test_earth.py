@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calm_edge.cli import main
-from calm_edge.geometry import local_enu, se3
+from calm_edge.geometry import local_enu
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.export import cloud
 from calm_edge.interchange.export.base import ExportOptions
@@ -24,12 +24,15 @@ from calm_edge.mapping.cloud_file import CloudWriter
 from calm_edge.types import Float, MapTile
 from device.frame import Eye
 from device.gps.gps_file import read_gps_file
-from tests.interchange.export.drives import with_map, write_recording
-
-ORIGIN = np.array([48.1, 11.55, 530.0])
-# the camera looks north-east, z down-turned by a degree
-R = se3.so3_exp(np.array([0.0, 0.0, 0.8])) @ np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-SCALE, SHIFT = 1.25, np.array([3.0, -4.0, 1.5])
+from tests.interchange.export.drives import (
+    ORIGIN,
+    SCALE,
+    SHIFT,
+    R,
+    georeferenced,
+    with_map,
+    write_recording,
+)
 
 
 @pytest.fixture
@@ -39,15 +42,7 @@ def placed(tmp_path: Path) -> Path:
     with CloudWriter(folder / "map.ply") as file:
         points = np.array([[0, 1.5, 10], [2, 0, 40], [-3, 1, 25]], np.float32)
         file.write(MapTile(points, np.full((3, 3), 100, np.uint8)))
-    content = {
-        "origin_deg_deg_m": ORIGIN.tolist(),
-        "T_enu_w": se3.compose(R, SHIFT).tolist(),
-        "scale": SCALE,
-        "tilt_sigma_deg": 0.3,
-        "residual_rms_m": 1.4,
-    }
-    (folder / "gps.json").write_text(json.dumps(content))
-    return folder
+    return georeferenced(folder)
 
 
 def expected(folder: Path) -> Float:
