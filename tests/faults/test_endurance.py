@@ -14,4 +14,4 @@ def test_memory_is_bounded_and_every_loss_is_counted(tmp_path: Path) -> None:
 
 
 def test_the_table_has_all_faults(tmp_path: Path) -> None:
-    assert len(table(tmp_path, tmp_path)) == 23
+    assert len(table(tmp_path, tmp_path)) == 28
