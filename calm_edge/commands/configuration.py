@@ -36,6 +36,11 @@ def add_configuration(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="known calibration (OpenCV, ROS, Kalibr, COLMAP): one file, or one per camera",
     )
+    add_set(parser)
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """Add the argument that overrides keys of the configuration."""
     parser.add_argument(
         "--set",
         action="append",

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calm_edge.commands.configuration import add_set
 from calm_edge.commands.exit_codes import ERROR, OK
 
 if TYPE_CHECKING:
@@ -28,13 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="TOML",
         help=f"configuration to check (default: {SERVICE_CONFIG}, if it is there)",
     )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="SECTION.KEY=VALUE",
-        help="override the configuration",
-    )
+    add_set(parser)
     parser.add_argument(
         "--out",
         type=Path,

@@ -11,6 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calm_edge.commands.configuration import add_set
 from calm_edge.commands.console import print_metre, say, say_no_metre
 from calm_edge.commands.exit_codes import LOSS, OK
 from calm_edge.commands.map_pages import Options
@@ -64,7 +65,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="solve all windows again with this backbone or model, and map what it gives",
     )
-    parser.add_argument("--set", action="append", default=[], metavar="SECTION.KEY=VALUE")
+    add_set(parser)
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument(
         "--no-pictures",

@@ -246,7 +246,10 @@ def _solved_on_road(
     """Solve a window of doubtful scale again with points of the road; None if these do not help."""
     known = kit_belief(replace(hints, kit=product([hints.kit, solved.kit])))
     state = State(se3.inverse(solved.T_s_c), np.zeros((0, 4)), known.mean)
-    gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
+    gray = [
+        np.asarray(cv2.cvtColor(images[k], cv2.COLOR_BGR2GRAY), np.uint8)
+        for k in window.split_eyes(hints)[0]
+    ]
     with suppress(BackboneError), _solvable():
         found = with_road(every, state, gray, hints.travel)
         if found is None:

@@ -69,8 +69,9 @@ def with_road(
     """Measurements with points of the road followed, and the state to solve them from.
 
     every: all points, also those of two views. state: solution of the points of more views, of
-    doubtful scale and direction. pictures: (C,) of the views. travel: (3,) direction of travel in
-    the primary's axes, or None: along the optical axis. None if the road does not show the motion.
+    doubtful scale and direction. pictures: of the primary's views, which come first. travel: (3,)
+    direction of travel in the primary's axes, or None: along the optical axis. None if the road
+    does not show the motion.
     """
     camera, assistant = layout.cameras(state.theta, every.size)
     found = pairs(every, state)
@@ -82,12 +83,11 @@ def with_road(
     normal, on_plane = plane
     T = state.T_c_s[primary]
     step = T[1:] @ se3.inverse(T[:-1])
-    own = [pictures[int(k)] for k in primary]
-    moved = motion(own, step[:, :3, :3], every.t[primary], camera, normal, ahead)
+    moved = motion(pictures, step[:, :3, :3], every.t[primary], camera, normal, ahead)
     if moved is None:
         return None
     step[:, :3, 3] = -(step[:, :3, :3] @ moved[..., None])[..., 0]
-    rows = list(_followed(found.at(on_plane), pictures, primary, step, camera, normal))
+    rows = list(_followed(found.at(on_plane), pictures, step, camera, normal))
     if sum(len(points) for _, points, _, _ in rows) < LEAST_FOUND:
         return None
     m = with_enough_views(_joined(every, rows))
@@ -143,7 +143,6 @@ def _normal(rays: Float, inverse_depth: Float) -> Float:
 def _followed(
     found: Pairs,
     pictures: Sequence[Gray],
-    primary: Int,
     step: Float,
     camera: Camera,
     normal: Float,
@@ -153,13 +152,12 @@ def _followed(
     With the edges (N, 2) there, as in `Measurements.edge`.
     """
     back = se3.inverse(step)
-    for k, view in enumerate(primary):
+    for view, picture in enumerate(pictures):
         own = found.at(found.view == view)
-        neighbours = [(k + 1, step[k])] if k < len(step) else []
-        neighbours += [(k - 1, back[k - 1])] if k else []
-        for other, T in neighbours:
-            there = int(primary[other])
-            matches = _matched(pictures[view], pictures[there], own.uv, T, camera, normal)
+        neighbours = [(view + 1, step[view])] if view < len(step) else []
+        neighbours += [(view - 1, back[view - 1])] if view else []
+        for there, T in neighbours:
+            matches = _matched(picture, pictures[there], own.uv, T, camera, normal)
             sure = matches.measured
             part = Matches(matches.uv[sure], sure[sure], matches.sigma_px[sure], sure[sure])
             yield there, own.point[sure], part, edges(pictures[there], part.uv)

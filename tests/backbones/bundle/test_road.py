@@ -56,8 +56,8 @@ def window():
     state = problem.State(T_c_s, np.zeros((0, 4)), theta)
     texture = road.asphalt()
     pictures = [
-        road.picture(texture, np.linalg.inv(T), cameras[e], seed=k)
-        for k, (T, e) in enumerate(zip(T_c_s, eye, strict=True))
+        road.picture(texture, np.linalg.inv(T), cameras[0], seed=k)
+        for k, T in enumerate(T_c_s[:VIEWS])
     ]
     return every, state, pictures
 
