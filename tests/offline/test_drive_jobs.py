@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
+import threading
 import time
 import warnings
 from pathlib import Path
@@ -60,7 +60,8 @@ def test_the_drive_of_a_lost_worker_is_done_again(tmp_path: Path) -> None:
     distributed = pytest.importorskip(
         "distributed", reason="distributed is not installed (dask extra)"
     )
-    names = ["a", "b", "c"]
+    # one for each worker: a third could be started in the place of the lost one, and wait for ever
+    names = ["a", "b"]
     commands = [["-c", WAITING, str(tmp_path), name] for name in names]
 
     def workers(name: str) -> list[int]:
@@ -73,8 +74,6 @@ def test_the_drive_of_a_lost_worker_is_done_again(tmp_path: Path) -> None:
             n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
         ) as cluster:
             codes = on_dask(commands, cluster.scheduler_address)
-            import threading
-
             found: list[int] = []
             thread = threading.Thread(target=lambda: found.extend(codes))
             thread.start()
@@ -91,4 +90,4 @@ def test_the_drive_of_a_lost_worker_is_done_again(tmp_path: Path) -> None:
             thread.join(60)
     assert found == [0, 0, 0]
     assert all((tmp_path / f"{name}.done").exists() for name in names)
-    assert len(set(workers(lost))) == 2 and sys.executable
+    assert len(set(workers(lost))) == 2
