@@ -18,10 +18,8 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import loop_view, overlap, solution, window
 from calm_edge.backbones.bundle.apart import solved_apart
 from calm_edge.backbones.bundle.matching import Matching
-from calm_edge.backbones.bundle.motion import motion_prior
 from calm_edge.backbones.bundle.problem import Measurements, State, rig_ties
 from calm_edge.backbones.bundle.road import with_road
-from calm_edge.backbones.bundle.solver import PosePrior
 from calm_edge.backbones.bundle.starts import Known, initial_states
 from calm_edge.config import BackboneConfig, Config
 from calm_edge.geometry import se3
@@ -130,9 +128,9 @@ class BundleBackbone:
         with _solvable():
             ties, before = rig_ties(m), overlap.prior(hints, solution.TEMPERING)
             # the previous window leads the start; whether it is right is judged later
-            poses: list[PosePrior] = [motion_prior(m, 1 / solution.TEMPERING)]
+            poses = solution.car_priors(m, hints.travel)
             if before is not None:
-                poses.append(before)
+                poses = (*poses, before)
             kits = [
                 solution.kit_prior(solution.stiffened(belief, solution.HELD), ties)
                 for belief in beliefs.values()

@@ -17,12 +17,13 @@ from calm_edge.backbones.bundle.evidence import kit_evidence
 from calm_edge.backbones.bundle.motion import motion_prior
 from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State
+from calm_edge.backbones.bundle.sideways import sideways_prior
 from calm_edge.backbones.bundle.solver import PosePrior, Solution, robust_weights, solve
 from calm_edge.geometry import se3
 from calm_edge.geometry.car_motion import contradiction
 from calm_edge.kit import layout
 from calm_edge.kit.belief import blurred, gaussian, product, sigmas
-from calm_edge.types import Hints, KitBelief, Prediction
+from calm_edge.types import Float, Hints, KitBelief, Prediction
 
 # Factor on the pixels' information in the overlap, which is computed as if all observations were
 # independent; those along a track or within a texture are correlated.
@@ -102,7 +103,7 @@ def solved(
     second pass.
     """
     before = overlap.prior(hints, TEMPERING)
-    solution, ties, mismatch = _solve(start, m, ties, held, before, factor)
+    solution, ties, mismatch = _solve(start, m, ties, held, before, hints.travel, factor)
     prior = kit_prior(stiffened(held, factor), ties)
     found = _prediction(m, belief, solution, ties, prior, factor)
     if mismatch is not None and mismatch > MAX_MISMATCH:
@@ -118,6 +119,11 @@ def solved(
     if before is not None:
         drawn = overlap.drawn(before, normal, state, prior.information)
     return replace(found, overlap=ahead, overlap_mismatch=mismatch, drawn=drawn)
+
+
+def car_priors(m: Measurements, travel: Float | None) -> tuple[PosePrior, ...]:
+    """Priors on how a car moves; travel: (3,) its direction, primary axes, or None: unknown."""
+    return motion_prior(m, 1 / TEMPERING), sideways_prior(m, travel)
 
 
 def stiffened(belief: KitBelief, factor: float) -> KitBelief:
@@ -137,9 +143,12 @@ def _solve(
     ties: RigTies,
     belief: KitBelief,
     before: OverlapPrior | None,
+    travel: Float | None,
     factor: float,
 ) -> tuple[Solution, RigTies, float | None]:
     """Solve a window in two passes; factor: on the belief's information in the second.
+
+    travel: (3,) direction of travel of earlier windows, primary axes, or None.
 
     In the second pass the ties' exposure times are corrected for delay of the stamps (stamps.py),
     and the prior `before`, on the overlap with the previous window, joins if it agrees with the
@@ -148,7 +157,7 @@ def _solve(
     Returns the solution, the rig ties of the second pass, and the overlap's mismatch, if any.
     """
     mismatch = None
-    priors: tuple[PosePrior, ...] = (motion_prior(m, 1 / TEMPERING),)
+    priors = car_priors(m, travel)
     passes = zip(
         ROBUST_SCALES, TOLERANCES, (HELD, factor), (stamps.freed, stamps.corrected), strict=True
     )
