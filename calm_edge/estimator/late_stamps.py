@@ -37,11 +37,16 @@ SYSTEMATIC_SIGMA_S = 0.005
 # (`kit/layout`: TIME_OFFSET_SIGMA_S), if its sigma is below MAX_SIGMA_S.
 SIGNIFICANT_SIGMAS, LEAST_S, MAX_SIGMA_S = 4.0, 0.01, 0.02
 LEAST_DRIFT = 5e-4
+# Windows that show a drift: in fewer, a lens that is still being learned passes for one.
+DRIFT_WINDOWS = 6
 MIN_VIEWS = 4
 # An offset is tried only if this share of the views then lies in its window.
 LEAST_SHARE = 0.5
 # Sigma of the prior on an offset that is looked for, and the largest that a drift may reach.
 OFFSET_SIGMA_S, LARGEST_S = 0.3, 3.0
+# Largest angle [rad] between the rays of a pixel in windows that are compared. A wrong lens turns
+# the assistant's poses with the scene, as a wrong stamp does.
+OTHER_LENS_RAD = 0.03
 # Time on either side over which turn rates are averaged.
 SPAN_S = 0.3
 
@@ -51,13 +56,15 @@ class Views:
     """Poses of one window that do not depend on the assistant's stamps, in any unit.
 
     t_p (N,), T_s_p (N, 4, 4): of the primary, increasing seconds. t_a (A,), T_s_a (A, 4, 4): of the
-    assistant, by its stamps without any correction.
+    assistant, by its stamps without any correction. rays: (N, 3) unit rays of the same pixels of
+    both pictures, of the lenses that the poses are solved with.
     """
 
     t_p: Float
     T_s_p: Float
     t_a: Float
     T_s_a: Float
+    rays: Float
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +112,12 @@ class LateStampsEstimator:
         self.result = LateStamps()
 
     def add(self, views: Views) -> None:
-        """Estimate again with the views of one more window."""
+        """Estimate again with the views of one more window; forget those of other lenses."""
         if len(views.t_p) < 2 or len(views.t_a) < MIN_VIEWS:
             return
+        for k in reversed(range(len(self._views))):
+            if _apart_rad(self._views[k].rays, views.rays) > OTHER_LENS_RAD:
+                del self._views[k], self._tried[k]
         self._views.append(views)
         self._tried.append(
             _Stack.of([views]).rotations(np.repeat(GRID[:, None], len(views.t_a), 1))
@@ -119,9 +129,14 @@ class LateStampsEstimator:
             starts.append((float(self.result.at(middle)), self.result.drift))
         fits = [_fit(stack, middle, *start, DRIFT_SIGMA) for start in starts]
         found = min(fits, key=lambda fit: fit[0])[1]
-        if not found.drifts:
+        if not found.drifts or len(self._views) < DRIFT_WINDOWS:
             found = _fit(stack, middle, found.offset_s, 0.0, NO_DRIFT_SIGMA)[1]
         self.result = found
+
+
+def _apart_rad(a: Float, b: Float) -> float:
+    """Largest angle [rad] between unit rays (N, 3), of those that both lenses have."""
+    return float(np.nanmax(np.linalg.norm(a - b, axis=1)))
 
 
 @dataclass(frozen=True, slots=True)

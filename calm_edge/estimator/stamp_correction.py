@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.estimator.late_stamps import LEAST_S, LateStamps, LateStampsEstimator, Views
+from calm_edge.kit import layout
 from calm_edge.types import Float, Hints
 
 # The correction follows the estimate if that has moved by the larger of this and its sigma.
@@ -12,6 +13,8 @@ MOVED_S = 0.004
 # Once the offset is known to SETTLED_S, or after FIRST_WINDOWS on straight roads, only every
 # CHECK_EVERY-th window is examined: for a drift, and because the poses take time.
 SETTLED_S, FIRST_WINDOWS, CHECK_EVERY = 0.007, 30, 4
+# Pixels of a picture at which lenses are compared; sizes [px] of pictures that are not known.
+GRID, NOMINAL_SIZES = (9, 7), np.array([[640, 360]] * 2)
 # An offset is told again if it has changed by this.
 TOLD_S = 0.05
 
@@ -67,7 +70,10 @@ class StampCorrection:
         eyes, t = np.asarray(hints.eyes)[:n], self._seconds(hints)[:n]
         primary = eyes == 0
         placed = ~primary & np.isfinite(T_s_c_apart[:, 0, 0])
-        self._estimator.add(Views(t[primary], T_s_c_apart[primary], t[placed], T_s_c_apart[placed]))
+        views = Views(
+            t[primary], T_s_c_apart[primary], t[placed], T_s_c_apart[placed], _rays(hints)
+        )
+        self._estimator.add(views)
         return self._decide(float(t[-1]))
 
     def _decide(self, now_s: float) -> bool:
@@ -96,6 +102,14 @@ class StampCorrection:
         if self._start_ns is None:
             self._start_ns = int(hints.t_ns[0])
         return np.asarray((hints.t_ns - self._start_ns) * 1e-9)
+
+
+def _rays(hints: Hints) -> Float:
+    """Unit rays (N, 3) of pixels of both pictures under the belief on the kit."""
+    kit = layout.prior(hints.hfov_deg, hints.sizes) if hints.kit is None else hints.kit
+    sizes = NOMINAL_SIZES if hints.sizes is None else hints.sizes
+    cameras = layout.cameras(kit.mean, sizes)
+    return np.concatenate([camera.rays(camera.pixel_grid(*GRID)) for camera in cameras])
 
 
 def _stamps_are(found: LateStamps) -> str:

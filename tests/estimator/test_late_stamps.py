@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -6,6 +8,7 @@ from calm_edge.geometry import se3
 
 T_P_A = se3.exp(np.array([0.55, 0.03, 0.05, 0.02, 0.07, -0.01]))
 NOISE_RAD = 1e-3
+RAYS = np.array([[-0.6, 0.0, 0.8], [0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
 FRAMES_HZ = 10.0
 
 
@@ -34,7 +37,7 @@ def windows(yaw_rate, late_s, drift=0.0, *, seed=0, seconds=12.0, noise=NOISE_RA
             T @ se3.exp(np.c_[0.01 * rng.normal(size=(15, 3)), noise * rng.normal(size=(15, 3))])
             for T in (T_p, T_a)
         ]
-        out.append(Views(stamps, shaken[0], stamps, shaken[1]))
+        out.append(Views(stamps, shaken[0], stamps, shaken[1], RAYS))
     return out
 
 
@@ -94,9 +97,20 @@ def test_windows_with_wrong_poses_do_not_spoil_the_estimate():
     rng = np.random.default_rng(9)
     for k in (2, 5):
         spoilt = views[k].T_s_a @ se3.exp(0.2 * rng.normal(size=(15, 6)))
-        views[k] = Views(views[k].t_p, views[k].T_s_p, views[k].t_a, spoilt)
+        views[k] = replace(views[k], T_s_a=spoilt)
     found = estimated(views)
     assert found.found and found.offset_s == pytest.approx(0.2, abs=3 * found.sigma_s)
+
+
+@pytest.mark.parametrize(("turned_rad", "remembered"), [(0.02, True), (0.1, False)])
+def test_windows_solved_with_another_lens_are_forgotten(turned_rad, remembered):
+    """Right stamps; the rig of the first windows is turned by a wrong lens, as it is not later."""
+    views = windows(town, 0.0, seconds=8.0)
+    turn = se3.exp(np.array([0, 0, 0, 0, turned_rad, 0]))
+    rays = RAYS @ turn[:3, :3].T
+    early = [replace(each, T_s_a=each.T_s_a @ turn, rays=rays) for each in views[:3]]
+    alone, after = estimated(views[3:]), estimated([*early, *views[3:]])
+    assert (alone.offset_s != after.offset_s) == remembered
 
 
 def test_nothing_is_known_before_the_first_window():

@@ -27,8 +27,8 @@ SOUGHT_FROM, SOUGHT_BESIDE = 5.5, 1.8
 EVENED_CELLS, NOISE, BLUR_PX = 9, 2.0, 0.7
 # Cost of a change of the log speed within a second, as a correlation, by its square.
 STEADY = 0.5
-# Correlation at which a step is found; least share of the steps that must be.
-FOUND, LEAST_SHARE = 0.25, 0.5
+# Least mean correlation of the steps; of a road without texture it is 0.15.
+FOUND = 0.25
 # A pattern that repeats, such as a kerb's, correlates at several speeds: the correlation at those
 # that differ by more than this in log, and by OTHER_CELLS a step, must be below this share.
 OTHER_SPEED, OTHER_CELLS, MOST_ALIKE = 0.25, 3, 0.75
@@ -78,7 +78,7 @@ def _chosen(score: Float, seconds: Float) -> tuple[Int, Int] | None:
     elsewhere = np.where(other, highest, 0.0)
     rival = elsewhere[steps, _steadiest(elsewhere, speed, seconds)]
     chosen = highest[steps, best]
-    if np.mean(chosen > FOUND) < LEAST_SHARE or rival.sum() > MOST_ALIKE * chosen.sum():
+    if chosen.mean() < FOUND or rival.sum() > MOST_ALIKE * chosen.sum():
         return None
     return best, score[steps, best].argmax(1)
 
