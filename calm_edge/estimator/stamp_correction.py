@@ -15,8 +15,8 @@ MOVED_S = 0.004
 SETTLED_S, FIRST_WINDOWS, CHECK_EVERY = 0.007, 30, 4
 # Pixels of a picture at which lenses are compared; sizes [px] of pictures that are not known.
 GRID, NOMINAL_SIZES = (9, 7), np.array([[640, 360]] * 2)
-# An offset is told again if it has changed by this.
-TOLD_S = 0.05
+# A notice is given again if the offset has changed by this.
+NOTICED_S = 0.05
 
 
 class StampCorrection:
@@ -31,7 +31,7 @@ class StampCorrection:
         self._applied: LateStamps | None = None
         self._seen: set[int] = set()
         self._start_ns: int | None = None
-        self._told: LateStamps | None = None
+        self._noticed: LateStamps | None = None
         self.notice = ""
         self.objection: str | None = None
 
@@ -90,10 +90,10 @@ class StampCorrection:
         if moved < max(MOVED_S, found.sigma_s):
             return False
         self._applied = found
-        told = self._told
-        changed = told is None or abs(told.offset_s - found.offset_s) > TOLD_S
-        if changed or (told is not None and found.drifts != told.drifts):
-            self._told = found
+        noticed = self._noticed
+        changed = noticed is None or abs(noticed.offset_s - found.offset_s) > NOTICED_S
+        if changed or (noticed is not None and found.drifts != noticed.drifts):
+            self._noticed = found
             self.notice = f"{_stamps_are(found)}: corrected"
         return True
 

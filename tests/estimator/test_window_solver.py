@@ -45,7 +45,7 @@ class Closing(LoopClosing):
 
 
 class Counting(ScriptedBackbone):
-    """Counts the views of each batch; fails if told so."""
+    """Counts the views of each batch; fails if asked to."""
 
     fails = False
 

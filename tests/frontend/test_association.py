@@ -143,7 +143,7 @@ def test_an_impossible_overlap_raises() -> None:
 def late_pairs(late_ms: float, known_after: int) -> list[tuple[int, float]]:
     """Frame numbers of assistant minus primary, in order, with stamps `late_ms` after exposure.
 
-    The builder is told of it at keyframe `known_after`.
+    The builder learns of it at keyframe `known_after`.
     """
     builder = WindowBuilder(FrontendConfig())
     events = [(100.0 * i, 0, i) for i in range(60)]

@@ -52,7 +52,7 @@ def test_a_picture_sent_again_is_a_repeat_also_coded_anew(quality: int) -> None:
 
 def test_ten_pictures_a_second_sent_at_thirty_are_ten() -> None:
     sent = [jpeg(gray, q) for gray in moving(6) for q in (92, 85, 92)]
-    # the first of all has no motion before it by which a new coding could be told
+    # the first of all has no motion before it that would show a new coding
     assert repeats(sent, 33)[3:] == [False, True, True] * 5
 
 

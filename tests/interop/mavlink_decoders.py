@@ -193,7 +193,7 @@ def stream(messages: list[Message]) -> bytes:
 
 
 def answer(request: bytes) -> tuple[bytes, int]:
-    """What our publisher answers to bytes that come in on the line, and the time it told."""
+    """What our publisher answers to bytes that come in on the line, and the time it gave."""
     line, now_ns = Line(), 987_654_321_000_000
     publisher = PosePublisher(
         line.port, PoseOutputConfig(), spacing_known=True, now_ns=lambda: now_ns

@@ -1,4 +1,4 @@
-"""What `map` computes again is told with the batch it was computed from."""
+"""What `map` computes again names the batch it was computed from."""
 
 from __future__ import annotations
 

@@ -77,8 +77,8 @@ def raw_outputs(scene: RawScene, fits, reduced: int = 1) -> dict:
         raw[f"{name}_xyzw"] = np.concatenate([T[:, :3, 3], 3.0 * q], 1)
         raw[f"{name}_wxyz"] = np.concatenate([T[:, :3, 3], -q[:, [3, 0, 1, 2]]], 1)
         raw[f"{name}_9"] = np.concatenate([T[:, :3, 3], q, raw["fov"]], 1)
-    believed = np.linspace(-3, 3, n * raw["z"][0].size).reshape(raw["z"].shape)
-    raw["logit"], raw["expp1"], raw["score"] = believed, 1 + np.exp(believed), believed / 7 + 40
+    log_odds = np.linspace(-3, 3, n * raw["z"][0].size).reshape(raw["z"].shape)
+    raw["logit"], raw["expp1"], raw["score"] = log_odds, 1 + np.exp(log_odds), log_odds / 7 + 40
     return raw
 
 
