@@ -150,7 +150,11 @@ def normals(points: Float32, path: Float, tree: cKDTree) -> Float32:
     if k < 3:
         n = to_camera
     else:
-        around = p[cKDTree(p).query(p, k)[1]]
+        own = cKDTree(p)
+        # in the order of the tree, neighbours lie near in memory: a third of the time
+        near = np.empty((len(p), k), np.intp)
+        near[own.indices] = own.query(p[own.indices], k)[1]
+        around = p[near]
         around -= around.mean(1, keepdims=True)
         n = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
     n = n * np.where((n * to_camera).sum(1) < 0, -1.0, 1.0)[:, None]

@@ -24,6 +24,10 @@ MAX_DISAGREEMENT = np.radians(10)
 SLOPE_SIGMA, ROLL_SIGMA, MOUNT_SIGMA = np.radians(2), np.radians(2), np.radians(5)
 # a path that ends this near to its start, as a share of its length, neither climbs nor descends
 CLOSED = 0.1
+# rad: a direction this near to an axis is along it
+ALONG = np.radians(10)
+# rad: sigma of a vertical that may be upside down
+EITHER_WAY = np.radians(90)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +54,7 @@ def level(T_w_c: Float, spacing: float) -> Level:
     steps = np.diff(p, axis=0)
     length = float(np.linalg.norm(steps, axis=1).sum())
     if length < LEAST_SPACINGS * spacing:
-        axes = _axes(-R[0, :, 1], R[0, :, 2])
+        axes = _axes(-R[0, :, 1], T_w_c)
         doubt = "the drive is too short to show the mount"
         return Level(axes, "the camera's picture", doubt, float(np.degrees(MOUNT_SIGMA)))
     up_c, turned = mounted(R, steps)
@@ -69,10 +73,13 @@ def level(T_w_c: Float, spacing: float) -> Level:
         up, method = normal, "the plane through the path"
         sigma = float(np.arctan2(spread[2], spread[1]))
     doubt = ""
-    if np.linalg.norm(p[-1] - p[0]) > CLOSED * length:
+    if _along(up_c, np.array([0.0, 0.0, 1.0])):
+        doubt = "the camera looks straight up or down: which of the two, pictures do not show"
+        sigma = float(EITHER_WAY)
+    elif np.linalg.norm(p[-1] - p[0]) > CLOSED * length:
         doubt = "a drive that climbs or descends on the whole cannot be levelled by it"
         sigma = float(np.hypot(sigma, SLOPE_SIGMA))
-    return Level(_axes(up, R[0, :, 2]), method, doubt, float(np.degrees(sigma)))
+    return Level(_axes(up, T_w_c), method, doubt, float(np.degrees(sigma)))
 
 
 def best_level(T_w_c: Float, spacing: float, R_up_w: Float | None, sigma_deg: float) -> Level:
@@ -84,29 +91,55 @@ def best_level(T_w_c: Float, spacing: float, R_up_w: Float | None, sigma_deg: fl
     found = level(T_w_c, spacing)
     if R_up_w is None or sigma_deg >= found.sigma_deg:
         return found
-    return Level(_axes(R_up_w[2], T_w_c[0, :3, 2]), "GPS heights", "", sigma_deg)
+    return Level(_axes(R_up_w[2], T_w_c), "GPS heights", "", sigma_deg)
 
 
 def mounted(R: Float, steps: Float) -> tuple[Float, bool]:
     """Car's vertical in camera axes (3,), and whether turns gave its roll.
 
-    R: (K, 3, 3) camera->world. steps: (K - 1, 3) motion from each pose to the next.
+    R: (K, 3, 3) camera->world. steps: (K - 1, 3) motion from each pose to the next. The sign is
+    that of the picture's vertical; of a camera that looks straight up or down it is not known.
     """
-    travel = _unit(np.einsum("kji,kj->i", R[:-1], steps))
+    travel = _travel(R, steps)
     turns = se3.so3_log(np.swapaxes(R[:-1], 1, 2) @ R[1:])
     turns -= turns @ travel[:, None] * travel
     axis = np.linalg.svd(turns, full_matrices=False)[2][0]
     turned = bool(np.abs(turns @ axis).sum() > LEAST_TURNING)
-    up = axis if turned else np.array([0.0, -1.0, 0.0])
+    up = axis
+    if not turned:
+        # perpendicular to the travel also where this is along the picture's vertical
+        up = np.array([0.0, 0.0, 1.0] if _along(travel, np.array([0.0, 1.0, 0.0])) else [0, -1.0, 0])
     up = up - (up @ travel) * travel
     return _unit(up * (1.0 if up[1] < 0 else -1.0)), turned
 
 
-def _axes(up: Float, ahead: Float) -> Float:
-    """Rows x ahead, y left, z up (3, 3); the first as near to `ahead` as `up` allows."""
+def _travel(R: Float, steps: Float) -> Float:
+    """Mean direction of travel in camera axes (3,); arguments as of `mounted`."""
+    return _unit(np.einsum("kji,kj->i", R[:-1], steps))
+
+
+def _axes(up: Float, T_w_c: Float) -> Float:
+    """Rows x ahead, y left, z up (3, 3).
+
+    Ahead is the camera's axis at the start; the direction of travel, if that axis is vertical;
+    the top of the picture, if the car stood too.
+    """
+    R, steps = T_w_c[:, :3, :3], np.diff(T_w_c[:, :3, 3], axis=0)
+    ahead = R[0, :, 2]
+    if _along(ahead, up):
+        ahead = -R[0, :, 1]
+        if steps.any():
+            moved = R[0] @ _travel(R, steps)
+            ahead = ahead if _along(moved, up) else moved
     x = _unit(ahead - (ahead @ up) * up)
     return np.stack([x, np.cross(up, x), up])
 
 
+def _along(a: Float, b: Float) -> bool:
+    """Whether two unit vectors are along one axis, within ALONG."""
+    return bool(abs(a @ b) > np.cos(ALONG))
+
+
 def _unit(v: Float) -> Float:
+    """Unit vector of v (3,)."""
     return np.asarray(v / np.linalg.norm(v))

@@ -13,7 +13,7 @@ from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.export import cloud
 from calm_edge.interchange.export.base import ExportOptions
 from calm_edge.interchange.export.drive import read_drive
-from calm_edge.interchange.export.level import level
+from calm_edge.interchange.export.level import best_level, level
 from calm_edge.mapping.cloud_file import CloudWriter
 from calm_edge.types import Float, MapTile
 from tests.interchange.export.drives import with_map, write_recording
@@ -69,6 +69,35 @@ def test_a_standing_camera_is_not_levelled_by_its_path() -> None:
     T = np.tile(np.eye(4), (5, 1, 1))
     found = level(T, 0.5)
     assert "too short" in found.doubt and found.R_l_w[2] == pytest.approx([0, -1, 0])
+
+
+# about the camera's axis: the travel is along the picture's vertical, or across it; the latter on a
+# straight road is as of a camera that looks to the side
+@pytest.mark.parametrize(("turn", "roll"), [(0.0, 0.0), (0.9, 0.0), (0.9, np.pi / 2)])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_camera_that_looks_straight_up_or_down_is_said(
+    side: int, turn: float, roll: float
+) -> None:
+    heading = turn * np.sin(np.linspace(0, 2 * np.pi, 150))
+    T, up = driven(heading, np.zeros(150), side * np.pi / 2, 0.0)
+    T = T @ se3.compose(se3.so3_exp(np.array([0.0, 0.0, roll])), np.zeros(3))
+    T = se3.inverse(T[0]) @ T
+    up = se3.so3_exp(np.array([0.0, 0.0, -roll])) @ up
+    found = level(T, 0.5)
+    assert abs(found.R_l_w[2] @ up) > 0.99
+    assert "straight up or down" in found.doubt and found.sigma_deg >= 90
+    forward = T[1, :3, 3] / np.linalg.norm(T[1, :3, 3])
+    assert found.R_l_w[0] @ forward == pytest.approx(1, abs=0.02)
+
+
+def test_a_camera_that_looks_straight_up_is_levelled_by_gps_heights() -> None:
+    T, _ = driven(np.zeros(150), np.zeros(150), np.pi / 2, 0.0)
+    found = best_level(T, 0.5, np.eye(3), 0.3)
+    assert found.method == "GPS heights"
+    assert np.linalg.det(found.R_l_w) == pytest.approx(1)
+    stood = best_level(np.tile(np.eye(4), (5, 1, 1)), 0.5, np.eye(3), 0.3)
+    # the top of the picture
+    assert stood.R_l_w[0] == pytest.approx([0, -1, 0])
 
 
 @pytest.fixture
