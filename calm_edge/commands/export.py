@@ -21,6 +21,7 @@ FORMATS = (
     "geojson",
     "gpx",
     "kml",
+    "pictures",
 )
 
 
@@ -39,6 +40,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="pictures as recorded, with the lens (OPENCV, OPENCV_FISHEYE); default: undistorted",
     )
+    parser.add_argument(
+        "--every-frame",
+        action="store_true",
+        help="colmap and transforms: all frames that have a pose, not the keyframes alone",
+    )
     parser.add_argument("--binary", action="store_true", help="COLMAP's .bin files")
     parser.add_argument("--force", action="store_true", help="replace files in the output folder")
 
@@ -46,14 +52,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Export; print what was written, assumed and left out."""
     from calm_edge.interchange.export.base import ExportOptions
-    from calm_edge.interchange.export.drive import read_drive
+    from calm_edge.interchange.export.drive import RecordedDrive, read_drive, read_recorded
     from calm_edge.interchange.export.output import output_folder
+    from calm_edge.interchange.export.pictures import Pictures
     from calm_edge.interchange.export.registry import EXPORTERS
 
-    options = ExportOptions(arguments.distorted, arguments.binary)
+    options = ExportOptions(
+        arguments.distorted, arguments.binary, every_frame=arguments.every_frame
+    )
     with output_folder(arguments.out, force=arguments.force) as folder:
-        drive = read_drive(arguments.source, arguments.recording)
-        written = EXPORTERS[arguments.to].write(drive, folder, options)
+        source = arguments.source, arguments.recording
+        drive: RecordedDrive
+        if arguments.to == Pictures.name:
+            drive = read_recorded(*source)
+            written = Pictures().write(drive, folder, options)
+        else:
+            drive = placed = read_drive(*source)
+            written = EXPORTERS[arguments.to].write(placed, folder, options)
     for line in written.wrote:
         print(f"wrote       {arguments.out}/{line}")
     for line in written.assumed:

@@ -162,9 +162,10 @@ def of_sequence(folder: Path, paced: bool) -> Source:
 def of_recording(recording: Recording, paced: bool) -> Source:
     """Source that replays the frames of a recording; raises RecordingError, SequenceError."""
     path = recording.path
+    recording.check_cameras()
     stamps = [recording.frame_times(eye) for eye in Eye]
     if not all(len(t) for t in stamps):
-        raise RecordingError(f"{path}: lacks frames of one camera; choose another recording")
+        raise RecordingError(f"{path}: holds no pictures; choose another recording")
     epoch_ns = min(int(t.min()) for t in stamps)
     check_common_time(path, [eye.name.lower() for eye in Eye], stamps)
     # damage that was found on opening

@@ -132,6 +132,16 @@ class Recording:
         """Number of messages of a topic."""
         return sum(len(rows) for index in self._segments for _, rows in index.topic_rows(topic))
 
+    def check_cameras(self) -> None:
+        """Raise RecordingError, with what is possible, if one camera alone has frames."""
+        eyes = [eye for eye in Eye if self.count(schema.IMAGE_TOPICS[eye])]
+        if len(eyes) == 1:
+            raise RecordingError(
+                f"{self.path}: holds pictures of the {eyes[0].name.lower()} camera alone; poses "
+                "and maps need two. Export its pictures (calm-edge export --to pictures), or "
+                "import or record both cameras"
+            )
+
     def frames(self, eye: Eye | None = None) -> Iterator[Frame]:
         """Iterate over the frames of one eye in the order written, or of both merged by t_ns."""
         if eye is None:

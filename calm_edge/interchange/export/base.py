@@ -16,12 +16,14 @@ class ExportOptions:
 
     distorted: keep the pictures as recorded and export the lens with its distortion; by default
     they are undistorted to a pinhole camera. binary: of formats that have a text and a binary form.
-    quality: of JPEG pictures that have to be encoded.
+    quality: of JPEG pictures that have to be encoded. every_frame: of formats with pictures, all
+    frames that have a pose instead of the keyframes alone.
     """
 
     distorted: bool = False
     binary: bool = False
     quality: int = JPEG_QUALITY
+    every_frame: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,7 +57,7 @@ class Colmap:
         frames = rig_frames(drive, scene)
         rows = model_rows(scene, color, drive.keyframes.T_p_a, frames)
         (write_binary if options.binary else write_text)(model, rows)
-        pictures = f"{IMAGES}: {len(scene.pictures)} keyframes of {len(scene.cameras)} cameras"
+        pictures = f"{IMAGES}: {len(scene.pictures)} of {len(scene.cameras)} cameras"
         error = scene.error_px.mean() if len(scene.error_px) else 0.0
         kinds = ", ".join(each.model for each in rows.cameras)
         points = f"{len(scene.points_w)} landmarks, mean reprojection error {error:.2f} px"

@@ -28,28 +28,45 @@ MAP, TUM, SUMMARY = "map.ply", "trajectory.tum", "summary.json"
 
 
 @dataclass(frozen=True, slots=True)
-class ExportedDrive:
-    """A drive with its final poses.
+class RecordedDrive:
+    """A recording, whose poses may be unknown. path: as the user gave it.
 
-    keyframes: optimised poses of the primary's keyframes, t_ns on the recording's clock.
-    stamp_ns: added to a time of that clock, it gives the user's own; stamps: what these are, in
-    words. spacing: world units per map unit. metre: how well lengths are known. lateness: (S, 2)
-    time and time offset [ns] of each sub-map. cloud: file of the map. place: where the world lies
-    on the Earth, if known. assumed: lines for the user.
+    stamp_ns: added to a time of the recording's clock, it gives the user's own; stamps: what these
+    are, in words.
     """
 
     path: Path
     recording: Recording
+    stamp_ns: int
+    stamps: str
+
+    @property
+    def eyes(self) -> tuple[Eye, ...]:
+        """Cameras with frames."""
+        return tuple(eye for eye in Eye if self.recording.count(schema.IMAGE_TOPICS[eye]))
+
+    def own_ns(self, t_ns: Int) -> Int:
+        """Convert times of the recording's clock to the user's own stamps."""
+        return np.asarray(t_ns + self.stamp_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedDrive(RecordedDrive):
+    """A drive with its final poses.
+
+    keyframes: optimised poses of the primary's keyframes, t_ns on the recording's clock. spacing:
+    world units per map unit. metre: how well lengths are known. lateness: (S, 2) time and time
+    offset [ns] of each sub-map. cloud: file of the map. place: where the world lies on the Earth,
+    if known.
+    """
+
     keyframes: Trajectory
     last: LocalizerUpdate
     lateness: Int
-    stamp_ns: int
-    stamps: str
     spacing_m: float
     metre: Metre
     cloud: Path | None = None
     place: Georeference | None = None
-    assumed: tuple[str, ...] = ()
 
     @property
     def spacing(self) -> float:
@@ -64,15 +81,6 @@ class ExportedDrive:
         if self.metre.metric:
             return f"metres, sigma of the scale {100 * self.metre.log_sigma:.1f} %"
         return f"metres of unknown scale ({self.metre.reason or 'not metric'})"
-
-    @property
-    def eyes(self) -> tuple[Eye, ...]:
-        """Cameras with frames."""
-        return tuple(eye for eye in Eye if self.recording.count(schema.IMAGE_TOPICS[eye]))
-
-    def own_ns(self, t_ns: Int) -> Int:
-        """Convert times of the recording's clock to the user's own stamps."""
-        return np.asarray(t_ns + self.stamp_ns)
 
     def exposed_ns(self, t_ns: Int) -> Int:
         """Times of exposure of the assistant's frames stamped t_ns (F,), on the primary's clock."""
@@ -108,10 +116,23 @@ def read_drive(path: Path, recording: Path | None = None) -> ExportedDrive:
 
     recording: that of the map, if it is not where it was. Raises InterchangeError, RecordingError.
     """
+    named, summary = _named(path, recording)
+    drive = _of_recording(named)
+    return drive if summary is None else _of_map(path, summary, drive)
+
+
+def read_recorded(path: Path, recording: Path | None = None) -> RecordedDrive:
+    """Open a recording, or that of a map folder, without its poses; raises as `read_drive`."""
+    stored = Recording(_named(path, recording)[0])
+    return RecordedDrive(path, stored, *_clock(stored))
+
+
+def _named(path: Path, recording: Path | None) -> tuple[Path, dict[str, Any] | None]:
+    """Recording of a recording or of a map folder, and the latter's summary."""
     if not path.exists():
         raise InterchangeError(f"{path}: not found; give a recording or a folder made by map")
     if not (path.is_dir() and (path / SUMMARY).is_file() and (path / TUM).is_file()):
-        return _of_recording(path)
+        return path, None
     summary = _summary(path / SUMMARY)
     named = recording or (Path(summary["recording"]) if summary.get("recording") else None)
     if named is None or not named.exists():
@@ -119,7 +140,7 @@ def read_drive(path: Path, recording: Path | None = None) -> ExportedDrive:
         raise InterchangeError(
             f"{path}: a map is exported with its recording, and {where}; give it by --recording"
         )
-    return _of_map(path, summary, _of_recording(named))
+    return named, summary
 
 
 def _of_recording(path: Path) -> ExportedDrive:
@@ -135,6 +156,7 @@ def _of_recording(path: Path) -> ExportedDrive:
         last = update
     keyframes = folded(trajectories)
     if last is None or keyframes is None or not len(keyframes.t_ns):
+        recording.check_cameras()
         raise InterchangeError(
             f"{path}: holds no solved window; run calm-edge map first, or record with a backbone"
         )
@@ -145,15 +167,13 @@ def _of_recording(path: Path) -> ExportedDrive:
         t_ns=keyframes.t_ns[order],
         T_w_c=keyframes.T_w_c[order],
     )
-    stamp_ns, stamps = _clock(recording)
     return ExportedDrive(
         path,
         recording,
+        *_clock(recording),
         keyframes,
         last,
         np.array(list(lateness.values()), np.int64),
-        stamp_ns,
-        stamps,
         recording.config.scale.spacing_m or 0.0,
         last.metre,
     )

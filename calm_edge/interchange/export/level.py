@@ -105,10 +105,13 @@ def mounted(R: Float, steps: Float) -> tuple[Float, bool]:
     turns -= turns @ travel[:, None] * travel
     axis = np.linalg.svd(turns, full_matrices=False)[2][0]
     turned = bool(np.abs(turns @ axis).sum() > LEAST_TURNING)
-    up = axis
-    if not turned:
-        # perpendicular to the travel also where this is along the picture's vertical
-        up = np.array([0.0, 0.0, 1.0] if _along(travel, np.array([0.0, 1.0, 0.0])) else [0, -1.0, 0])
+    if turned:
+        up = axis
+    else:
+        up = np.array([0.0, -1.0, 0.0])
+        if _along(travel, up):
+            # the picture's vertical is along the road: the camera looks up or down
+            up = np.array([0.0, 0.0, 1.0])
     up = up - (up @ travel) * travel
     return _unit(up * (1.0 if up[1] < 0 else -1.0)), turned
 

@@ -9,6 +9,7 @@ from calm_edge.interchange.export.geojson import GeoJson
 from calm_edge.interchange.export.gpx import Gpx
 from calm_edge.interchange.export.kitti import Kitti
 from calm_edge.interchange.export.kml import Kml
+from calm_edge.interchange.export.pictures import Pictures
 from calm_edge.interchange.export.ros2 import Ros2
 from calm_edge.interchange.export.table import Table
 from calm_edge.interchange.export.transforms import Transforms
@@ -28,5 +29,6 @@ EXPORTERS: dict[str, Exporter] = {
         GeoJson(),
         Gpx(),
         Kml(),
+        Pictures(),
     )
 }

@@ -1,4 +1,4 @@
-"""Pictures of keyframes with their poses, cameras and landmarks, for reconstruction programs."""
+"""Pictures with their poses, cameras and landmarks, for reconstruction programs."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ class Scene:
 
 
 def read_scene(drive: ExportedDrive, options: ExportOptions) -> Scene:
-    """Place the keyframes of both eyes, and triangulate the landmarks from their poses.
+    """Place the pictures of both eyes, and triangulate the landmarks from their poses.
 
-    Raises InterchangeError if no keyframe has a pose.
+    Landmarks are seen in keyframes alone. Raises InterchangeError if no frame has a pose.
     """
     assumed: list[str] = []
     left_out: list[str] = []
@@ -74,7 +74,7 @@ def read_scene(drive: ExportedDrive, options: ExportOptions) -> Scene:
             for eye in cameras
             if maps[eye].cut > 1e-3
         ]
-    pictures = _pictures(drive, set(learned), left_out)
+    pictures = _pictures(drive, set(learned), options, assumed, left_out)
     index = {(each.eye, each.t_ns): i for i, each in enumerate(pictures)}
     poses = np.array([each.T_w_c for each in pictures])
     parts: list[tuple[Float, Int, Int, Float]] = []
@@ -171,8 +171,14 @@ def lenses(last: LocalizerUpdate, assumed: list[str]) -> dict[Eye, Camera]:
     return lenses
 
 
-def _pictures(drive: ExportedDrive, eyes: set[Eye], left_out: list[str]) -> tuple[Picture, ...]:
-    """Keyframes of the given eyes that have poses."""
+def _pictures(
+    drive: ExportedDrive,
+    eyes: set[Eye],
+    options: ExportOptions,
+    assumed: list[str],
+    left_out: list[str],
+) -> tuple[Picture, ...]:
+    """Keyframes, or all frames, of the given eyes that have poses."""
     wanted: dict[Eye, set[int]] = {eye: set() for eye in eyes}
     wanted[Eye.PRIMARY] |= set(drive.keyframes.t_ns.tolist())
     for update in drive.recording.updates():
@@ -184,15 +190,21 @@ def _pictures(drive: ExportedDrive, eyes: set[Eye], left_out: list[str]) -> tupl
     for eye, poses in drive.frame_poses().items():
         if eye not in eyes:
             continue
-        chosen = np.flatnonzero(np.isin(poses.t_ns, list(wanted[eye])) & poses.known)
-        name = eye.name.lower()
+        name, shown = eye.name.lower(), poses.known
+        if options.every_frame:
+            assumed.append(f"{name}: poses {poses.counts()}; landmarks are seen in keyframes alone")
+        else:
+            shown = shown & np.isin(poses.t_ns, list(wanted[eye]))
+        chosen = np.flatnonzero(shown)
         found += [
             Picture(eye, int(poses.t_ns[i]), poses.T_w_c[i], f"{name}/{k:06d}.jpg")
             for k, i in enumerate(chosen.tolist())
         ]
-        left_out.append(f"{len(poses.t_ns) - len(chosen)} frames of the {name}: not keyframes")
+        why = "without a pose" if options.every_frame else "not keyframes (--every-frame)"
+        if missing := len(poses.t_ns) - len(chosen):
+            left_out.append(f"{missing} frames of the {name}: {why}")
     if not found:
-        raise InterchangeError(f"{drive.path}: no keyframe has a pose")
+        raise InterchangeError(f"{drive.path}: no frame has a pose; run calm-edge map first")
     return tuple(found)
 
 

@@ -51,7 +51,7 @@ class Transforms:
         (folder / FILE).write_text(json.dumps({"frames": frames}, indent=1) + "\n")
         return Written(
             (
-                f"{IMAGES}: {len(scene.pictures)} keyframes of {len(scene.cameras)} cameras",
+                f"{IMAGES}: {len(scene.pictures)} of {len(scene.cameras)} cameras",
                 f"{FILE}: their poses and cameras",
             ),
             (

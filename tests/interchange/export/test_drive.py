@@ -32,7 +32,8 @@ def test_stamps_of_live_cameras_are_dated_by_the_wall_clock(tmp_path: Path) -> N
 
 def test_without_a_solved_window_there_is_nothing_to_export(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "rec", Config(), lossless=True) as writer:
-        writer.write_frame(Frame(Eye.PRIMARY, 0, 10**9, jpeg(np.zeros((8, 8, 3), np.uint8))))
+        for eye in Eye:
+            writer.write_frame(Frame(eye, 0, 10**9, jpeg(np.zeros((8, 8, 3), np.uint8))))
     with pytest.raises(InterchangeError, match=r"rec: holds no solved window; run calm-edge map"):
         read_drive(tmp_path / "rec")
 

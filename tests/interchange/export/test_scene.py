@@ -155,6 +155,30 @@ def test_pictures_that_need_no_undistortion_are_copied(recording: Path, tmp_path
     assert len(pictures) == 2 * N and all(p.read_bytes() in stored for p in pictures)
 
 
+def test_every_frame_has_its_picture_with_the_pose_of_the_trajectory(
+    recording: Path, tmp_path: Path
+) -> None:
+    pycolmap = pytest.importorskip("pycolmap", reason="pycolmap is not installed (dev extra)")
+    written = export("colmap", recording, tmp_path / "out", ExportOptions(every_frame=True))
+    model = pycolmap.Reconstruction(str(tmp_path / "out" / "sparse" / "0"))
+    assert model.is_valid() and len(model.points3D) == len(MARKERS)
+    poses = read_drive(recording).frame_poses()
+    known = sum(int(each.known.sum()) for each in poses.values())
+    assert 2 * N < known == model.num_images() and known > 1.5 * FRAMES
+    found = 0
+    for image in model.images.values():
+        for marker in MARKERS:
+            uv = image.project_point(marker)
+            at = None if uv is None else spot(tmp_path / "out/images" / image.name, uv - 0.5)
+            if at is not None:
+                # between keyframes: by the exact live poses
+                assert at + 0.5 == pytest.approx(uv, abs=0.3), image.name
+                found += 1
+    assert found >= known
+    assert any("tracked" in line and "keyframes alone" in line for line in written.assumed)
+    assert any("without a pose" in line for line in written.left_out) == (known < 2 * FRAMES)
+
+
 def test_an_unobserved_focal_length_is_called_a_guess(tmp_path: Path) -> None:
     source = write_recording(tmp_path / "rec", sigma=0.3)
     written = export("colmap", source, tmp_path / "out", ExportOptions())
