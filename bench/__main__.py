@@ -30,6 +30,7 @@ COMMANDS = {
     "cost.start": ("bench.cost.start", "time until --help and --version answer"),
     "cost.pipes": ("bench.cost.pipes", "bytes between the processes of `record`"),
     "cost.mapping": ("bench.cost.mapping", "processor time of anchors and mapping by stage"),
+    "cost.clouds": ("bench.cost.clouds", "memory and time of exported clouds, by their points"),
     "cost.search": ("bench.cost.focal_search", "focal errors of the intrinsic search over sigma"),
     "consistency": ("bench.consistency", "pose errors of the joint graph over their covariances"),
     "lottery": ("bench.lottery.command", "drives drawn by lot: steps, scale, focal and sigmas"),
