@@ -116,16 +116,17 @@ def run(arguments: argparse.Namespace) -> int:
     from calm_edge.report.blur import Blur
     from calm_edge.types import CalmEdgeError
 
-    if len(arguments.recording) > 1:
-        return several(arguments)
-    (path,) = arguments.recording
     # what cannot be done is said before anything is computed
     blur = Blur(arguments.blur_models) if arguments.blur else None
     options = Options(arguments.quality, not arguments.no_pictures, blur)
+    if len(arguments.recording) > 1:
+        return several(arguments, options)
+    (path,) = arguments.recording
     out: Path = arguments.out
     unfinished = check_folder(out, force=arguments.force, resume=arguments.resume)
     truth = read_truth(arguments.truth) if arguments.truth is not None else None
     recording = Recording(path)
+    recording.check_cameras()
     fixes = fixes_of(recording, arguments.gps)
     again = arguments.rerun_model is not None
     config = merge(recording.config, PRESETS[arguments.quality])
@@ -139,7 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.force:
         shutil.rmtree(unfinished, ignore_errors=True)
     leftover = unfinished if out.exists() else out
-    made_of = {**plan(path, config), "solved_again": again}
+    made_of = plan(path, config, again=again)
     with interrupted_by_sigterm(), Unfinished(unfinished, config, made_of) as work:
         try:
             started = time.monotonic()
@@ -161,17 +162,17 @@ def run(arguments: argparse.Namespace) -> int:
             raise
 
 
-def several(arguments: argparse.Namespace) -> int:
+def several(arguments: argparse.Namespace, options: Options) -> int:
     """Map several drives; raises CalmEdgeError for options that are for one."""
     from calm_edge.commands import map_drives
     from calm_edge.types import CalmEdgeError
 
-    for option in ("truth", "gps", "part", "rerun_model", "blur", "quality"):
+    for option in ("truth", "gps", "part", "rerun_model", "quality"):
         if getattr(arguments, option) not in (None, False, "normal"):
             name = option.replace("_", "-")
             raise CalmEdgeError(f"--{name}: is for a map of one recording")
     check_folder(arguments.out, force=arguments.force, resume=arguments.resume)
-    return map_drives.run(arguments)
+    return map_drives.run(arguments, options)
 
 
 def make_map(
@@ -190,7 +191,6 @@ def make_map(
     Raises CalmEdgeError; what was computed is then in `work`.
     """
     from calm_edge.commands.map_pages import write_map_page, write_report
-    from calm_edge.estimator.gaps import described
     from calm_edge.mapping.cloud_file import read_cloud
     from calm_edge.mapping.seams import summary
     from calm_edge.offline.georeference import ENU_TUM, GPS_SUMMARY, georeference
@@ -207,16 +207,9 @@ def make_map(
         print(f"GPS         {out / ENU_TUM}, {out / GPS_SUMMARY}")
     points_w, color = read_cloud(out / MAP)
     estimate = replace(estimate, points_w=points_w)
-    losses = [*recording.losses, *drive.losses]
-    if (gaps := drive.gaps(config)) and drive.trajectory is not None:
-        metric = bool(config.scale.spacing_m)
-        losses.append(described(gaps, int(drive.trajectory.t_ns[0]), metric=metric))
+    losses = [*recording.losses, *drive.missing(config)]
     if not n_points:
         losses.append("the map has no points: no depth was found in any sub-map")
-    if drive.unsolved:
-        losses.append(
-            f"windows {drive.unsolved} could not be solved; constant velocity is assumed there"
-        )
     with times.stage("map.html"):
         page = write_map_page(recording, config, drive, estimate, color, tiles, found, out, options)
     losses += write_report(recording, drive, estimate, color, truth, losses, out, times, options)
@@ -311,10 +304,7 @@ def print_files(
 
     print(f"map         {out / MAP} ({n_points:,} points)")
     if seams is not None:
-        print(
-            f"seams       {seams.n_seams}; sub-maps apart by {seams.median_before:.3g} before,"
-            f" {seams.median_after:.3g} after deformation (median of {seams.n_anchors:,} anchors)"
-        )
+        print(f"seams       {seams}")
     print(f"trajectory  {out / TUM}, {out / KITTI} ({len(estimate.t_ns)} keyframes)")
     print(f"walk        {out / PAGE} ({page})")
     print(f"report      {out / REPORT}")

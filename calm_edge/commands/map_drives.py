@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,19 +14,19 @@ from calm_edge.commands.exit_codes import ERROR, LOSS, OK
 from calm_edge.processes import interrupted_by_sigterm
 
 if TYPE_CHECKING:
+    from calm_edge.commands.map_pages import Options
     from calm_edge.config import Config
-    from calm_edge.offline.drive_part import DrivePart
-    from calm_edge.offline.joined_drives import Joined
 
-# folders of the output: of the finished drives, and of what is computed of each
-DRIVES, PARTS = "drives", "parts"
+# folder of what is computed of each drive, and in it of what is computed of all
+PARTS, SCRATCH = "parts", "joined"
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, options: Options) -> int:
     """Map each drive by a command of its own, then join them; 3 if a drive is apart or lacks parts.
 
     The output folder holds no map, or one to be replaced. Raises CalmEdgeError.
     """
+    from calm_edge.commands.joined_outputs import write
     from calm_edge.offline import drive_jobs
     from calm_edge.offline.drive_part import read_part
     from calm_edge.offline.joined_drives import join
@@ -69,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
             return LOSS
         drives = [part.placed for part in read]
         joined = join(drives, closures(drives, configs[0], say), configs[0])
-        code = write(read, [names[i] for i in known], joined, out)
+        code = write(read, [names[i] for i in known], joined, out, parts / SCRATCH, options)
     for i, name in enumerate(names):
         if i not in known:
             say(f"loss: {name}: no window of it could be solved")
@@ -106,7 +104,9 @@ def agreed_configs(recordings: Sequence[Path], settings: Sequence[str]) -> list[
         raise CalmEdgeError("a recording is named twice; name each once")
     found = []
     for recording in recordings:
-        config = Recording(recording).config
+        opened = Recording(recording)
+        opened.check_cameras()
+        config = opened.config
         for text in settings:
             config = merge(config, parse_assignment(text))
         found.append(config)
@@ -117,83 +117,3 @@ def agreed_configs(recordings: Sequence[Path], settings: Sequence[str]) -> list[
             f"{without}: has no scale.spacing_m, others have one; their lengths cannot be joined"
         )
     return found
-
-
-def write(parts: Sequence[DrivePart], names: Sequence[str], joined: Joined, out: Path) -> int:
-    """Write the cloud, the trajectory of each drive and the summary; print what was written."""
-    from calm_edge.estimator.gaps import described
-    from calm_edge.mapping.cloud_file import CloudWriter
-    from calm_edge.mapping.mapper import Mapper
-    from calm_edge.offline.drive_part import depth_of
-    from calm_edge.offline.map_drive import MAP, SUMMARY, TUM, write_trajectory
-    from calm_edge.offline.map_times import MapTimes
-    from calm_edge.offline.shared_places import STRIDE
-
-    config = parts[0].config
-    scratch = out / PARTS / "joined"
-    shutil.rmtree(scratch, ignore_errors=True)
-    mapper = Mapper(config.mapping, config.scale.spacing, scratch, config.backbone.seed)
-    losses: list[str] = []
-    for n, drive in joined.drives.items():
-        part = parts[n]
-        losses += [f"{names[n]}: {line}" for line in drive.losses]
-        for record, update in zip(drive.windows, drive.updates, strict=True):
-            depth = depth_of(part, update.submap.id)
-            if depth is None:
-                continue
-            window = part.placed.recording.window(record)
-            shift = STRIDE * n
-            submap = replace(
-                update.submap,
-                id=update.submap.id + shift,
-                primary_ids=tuple(i + shift for i in update.submap.primary_ids),
-                assistant_ids=tuple(i + shift for i in update.submap.assistant_ids),
-            )
-            mapper.add(submap, *depth, [k.frame.bgr() for k in window.keyframes()])
-    say("fusing and deforming the sub-maps")
-    points = 0
-    with CloudWriter(out / MAP, replace=True) as cloud:
-        for tile in mapper.finish():
-            cloud.write(tile)
-            points += len(tile.points_w)
-    print(f"map         {out / MAP} ({points:,} points)")
-    losses += joined.notes
-    rows = []
-    for n, part in enumerate(parts):
-        drive = joined.drives.get(n, part.placed.drive)
-        folder = out / DRIVES / names[n]
-        folder.mkdir(parents=True, exist_ok=True)
-        times = MapTimes()
-        recording = part.placed.recording
-        estimate = write_trajectory(recording, part.config, drive, folder, None, times)
-        losses += [f"{names[n]}: {line}" for line in recording.losses]
-        if (gaps := drive.gaps(part.config)) and drive.trajectory is not None:
-            metric = bool(part.config.scale.spacing_m)
-            start_ns = int(drive.trajectory.t_ns[0])
-            losses.append(f"{names[n]}: {described(gaps, start_ns, metric=metric)}")
-        apart = n in joined.apart
-        where = "in a world of its own" if apart else "in the common frame"
-        print(f"trajectory  {folder / TUM} ({len(estimate.t_ns)} keyframes, {where})")
-        if apart:
-            losses.append(f"{names[n]}: is apart: no place of the others was recognised in it")
-        rows.append(
-            {
-                "name": names[n],
-                "apart": apart,
-                "scale": joined.scales.get(n, 1.0),
-                "recording": str(recording.path.resolve()),
-            }
-        )
-    closures = []
-    for (a, b), count in sorted(joined.used.items()):
-        closures.append({"drives": [names[a], names[b]], "closures": count})
-        print(f"joined      {names[a]} and {names[b]} by {count} places")
-    # the files of the first drive stand for the map in `export` and `eval`
-    first = out / DRIVES / names[0]
-    shutil.copyfile(first / TUM, out / TUM)
-    content = json.loads((first / SUMMARY).read_text())
-    content |= {"drives": rows, "joined": closures}
-    (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n")
-    for line in losses:
-        say(f"loss: {line}")
-    return LOSS if losses else OK

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from calm_edge.recording.reader import Recording
     from calm_edge.report.blur import Blur
     from calm_edge.report.keyframe_pictures import KeyframePictures
-    from calm_edge.report.map_page import Written
+    from calm_edge.report.map_page import MapView, Written
     from calm_edge.types import Bytes, Int
 
 
@@ -51,24 +51,42 @@ def write_map_page(
     out: Path,
     options: Options,
 ) -> Written:
-    """Write map.html.
-
-    color: (P, 3) RGB of the estimate's points. tiles: rows (sub-map id, points).
-    """
+    """Write map.html; arguments as of `drive_view`."""
     from calm_edge.offline.map_drive import PAGE
     from calm_edge.report import map_page
+
+    view = drive_view(recording, config, drive, estimate, color, tiles, seams, options)
+    return map_page.write_map_page(out / PAGE, view)
+
+
+def drive_view(
+    recording: Recording,
+    config: Config,
+    drive: Drive,
+    estimate: Estimate,
+    color: Bytes,
+    tiles: Int,
+    seams: Sequence[Seam],
+    options: Options,
+    most: int | None = None,
+) -> MapView:
+    """What map.html shows of a drive.
+
+    color: (P, 3) RGB of the estimate's points. tiles: rows (sub-map id, points). most: number of
+    keyframes with pictures; None: as many as one page has.
+    """
     from calm_edge.report.drive_view import map_view
-    from calm_edge.report.keyframe_pictures import keyframe_pictures
+    from calm_edge.report.keyframe_pictures import MAX_PAIRS, keyframe_pictures
 
     origin = recording.origin_ns
     stamps = estimate.t_ns + origin
     shown: Sequence[KeyframePictures] = ()
     if options.pictures:
-        shown = keyframe_pictures(recording, drive.windows, stamps, options.blur)
+        pairs = MAX_PAIRS if most is None else most
+        shown = keyframe_pictures(recording, drive.windows, stamps, options.blur, pairs)
     submaps = [update.submap for update in drive.updates]
     grain = config.mapping.cloud_voxel * config.scale.spacing
-    view = map_view(title(recording), estimate, color, tiles, submaps, origin, grain, shown, seams)
-    return map_page.write_map_page(out / PAGE, view)
+    return map_view(title(recording), estimate, color, tiles, submaps, origin, grain, shown, seams)
 
 
 def write_report(

@@ -42,6 +42,12 @@ class SeamSummary:
     p95_before: float
     p95_after: float
 
+    def __str__(self) -> str:
+        return (
+            f"{self.n_seams}; sub-maps apart by {self.median_before:.3g} before,"
+            f" {self.median_after:.3g} after deformation (median of {self.n_anchors:,} anchors)"
+        )
+
 
 def summary(found: Sequence[Seam]) -> SeamSummary | None:
     """Statistics over the anchors of all seams, equally weighted; None without a seam."""

@@ -39,6 +39,18 @@ class Drive:
         sigma = gaps.acceleration(scale.spacing, metric=bool(scale.spacing_m))
         return gaps.find(submaps, loops, sigma)
 
+    def missing(self, config: Config) -> list[str]:
+        """A line for each loss, for the gaps, and for the windows that could not be solved."""
+        lines = list(self.losses)
+        if (found := self.gaps(config)) and self.trajectory is not None:
+            metric = bool(config.scale.spacing_m)
+            lines.append(gaps.described(found, int(self.trajectory.t_ns[0]), metric=metric))
+        if self.unsolved:
+            lines.append(
+                f"windows {self.unsolved} could not be solved; constant velocity is assumed there"
+            )
+        return lines
+
 
 @dataclass(frozen=True, slots=True)
 class Logged:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from calm_edge.geometry.gps_alignment import Alignment, GpsAlignmentError, align
 from calm_edge.geometry.local_enu import enu
 from calm_edge.offline.gps_fixes import GpsFixes
 from calm_edge.trajectories import write_tum
+from calm_edge.types import Float
 
 ENU_TUM, GPS_SUMMARY = "trajectory.enu.tum", "gps.json"
 # lengths of GPS and of the spacing that differ by more sigmas disagree
@@ -22,14 +25,42 @@ DISAGREE_SIGMAS = 3.0
 SPACING_LOG_SIGMA = 0.01
 
 
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where the world of a map lies on the Earth. T_m_w: (4, 4) world -> axes with z up.
+
+    alignment: of these axes to east, north, up. content: of GPS_SUMMARY.
+    """
+
+    alignment: Alignment
+    T_m_w: Float
+    content: dict[str, Any]
+
+    def write(self, estimate: Estimate, out: Path) -> None:
+        """Write ENU_TUM, the poses of an estimate in east, north, up, and GPS_SUMMARY."""
+        write_tum(out / ENU_TUM, estimate.t_ns, self.alignment.apply(self.T_m_w @ estimate.T_w_c))
+        (out / GPS_SUMMARY).write_text(json.dumps(self.content, indent=2) + "\n")
+
+
 def georeference(
     estimate: Estimate, fixes: GpsFixes, out: Path, say: Callable[[str], None]
 ) -> Alignment | None:
-    """Write ENU_TUM, poses in east, north, up of the fixes' median position, and GPS_SUMMARY.
+    """Place an estimate by fixes and write the files; None, with a line for the user, if not."""
+    placement = place(estimate, fixes, say)
+    if placement is None:
+        return None
+    placement.write(estimate, out)
+    return placement.alignment
+
+
+def place(
+    estimate: Estimate, fixes: GpsFixes, say: Callable[[str], None], *, one_kit: bool = True
+) -> Placement | None:
+    """Align an estimate's world to fixes, with the fixes' median position as origin.
 
     estimate: with the user's stamps, as the fixes. The scale is that of the spacing, if lengths
-    are metric, and otherwise of GPS. None, with a line for the user, if the fixes do not determine
-    it or contradict it.
+    are metric, and otherwise of GPS. one_kit: there is one spacing. None, with a line for the user,
+    if the fixes do not determine it or contradict it.
     """
     origin = np.median(fixes.lla, axis=0)
     positions = enu(fixes.lla, origin)
@@ -43,12 +74,11 @@ def georeference(
     try:
         free = chosen = align(path_s, path, fix_s, positions, fixes.sigma_m, free_scale=True)
         if metric:
-            agreement = _agreement(estimate, free)
+            agreement = _agreement(estimate, free, one_kit=one_kit)
             chosen = align(path_s, path, fix_s, positions, fixes.sigma_m, free_scale=False)
     except GpsAlignmentError as error:
         say(f"{fixes.path}: not aligned to GPS: {agreement or error}")
         return None
-    write_tum(out / ENU_TUM, estimate.t_ns, chosen.apply(T_m_c))
     refused = chosen.inside & ~chosen.used
     content = {
         "source": str(fixes.path),
@@ -70,7 +100,6 @@ def georeference(
         "residual_rms_m": float(np.sqrt(np.mean(chosen.residual_m[chosen.used] ** 2))),
         "disagreement": agreement,
     }
-    (out / GPS_SUMMARY).write_text(json.dumps(content, indent=2) + "\n")
     say(
         f"{fixes.path}: {content['used']} fixes used, {content['refused']} refused, "
         f"{content['outside_the_path']} outside the path; {content['residual_rms_m']:.2f} m apart "
@@ -78,18 +107,18 @@ def georeference(
     )
     if agreement:
         say(agreement)
-    return chosen
+    return Placement(chosen, T_m_w, content)
 
 
-def _agreement(estimate: Estimate, free: Alignment) -> str | None:
+def _agreement(estimate: Estimate, free: Alignment, *, one_kit: bool) -> str | None:
     """Sentence on a disagreement of GPS and the spacing on lengths; None without one."""
     metre = estimate.metre
     own = SPACING_LOG_SIGMA if metre is None or not metre.metric else metre.log_sigma
     off = float(np.log(free.scale))
     if abs(off) <= DISAGREE_SIGMAS * float(np.hypot(own, free.scale_log_sigma)):
         return None
+    text = f"GPS disagrees with scale.spacing_m: its lengths are {100 * np.expm1(off):+.1f} %"
+    if not one_kit:
+        return text
     assert estimate.spacing_m is not None
-    return (
-        f"GPS disagrees with scale.spacing_m: its lengths are {100 * np.expm1(off):+.1f} %; the "
-        f"spacing would be {estimate.spacing_m * free.scale:.3f} m"
-    )
+    return f"{text}; the spacing would be {estimate.spacing_m * free.scale:.3f} m"

@@ -63,7 +63,7 @@ def join(drives: Sequence[PlacedDrive], found: Sequence[LoopClosure], config: Co
     for n in order:
         for k, update in enumerate(drives[n].drive.updates):
             apart = T_0_n[n] @ update.submap.T_w_s if n and not k else None
-            atlas.add(_numbered(update.submap, n), apart)
+            atlas.add(numbered(update.submap, n), apart)
     for n in order:
         for update in drives[n].drive.updates:
             if (loop := update.loop) is not None:
@@ -173,7 +173,7 @@ def _stretched(T: Float, factor: float) -> Float:
     return stretched
 
 
-def _numbered(submap: Submap, n: int) -> Submap:
+def numbered(submap: Submap, n: int) -> Submap:
     """The sub-map with ids that are unique over all drives."""
     shift = STRIDE * n
     return replace(

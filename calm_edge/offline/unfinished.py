@@ -33,13 +33,17 @@ class UnfinishedError(CalmEdgeError):
     """An unfinished map is of something else, or cannot be read or written."""
 
 
-def plan(recording: Path, config: Config) -> dict[str, Any]:
-    """What a map is made of: the recording's files, the configuration and the version."""
+def plan(recording: Path, config: Config, *, again: bool = False) -> dict[str, Any]:
+    """What a map is made of: the recording's files, the configuration and the version.
+
+    again: all windows are solved again, also those that `record` solved.
+    """
     stats = [(file, file.stat()) for file in recording_files(recording)]
     return {
         "version": calm_edge.__version__,
         "files": [[str(f.resolve()), s.st_size, s.st_mtime_ns] for f, s in stats],
         "config": config.to_dict(),
+        "solved_again": again,
     }
 
 

@@ -27,7 +27,8 @@ def render(a: Side, b: Side, rows: list[Row], overlay: Overlay) -> str:
         parts.append(page.section("Not complete", "", f"<ul>{items}</ul>", "warn"))
     if len(overlay.path_a) and len(overlay.path_b):
         R = map_image.level_rotation(a.estimate.T_w_c)
-        drawn = curves.overlaid(overlay.path_a @ R.T, overlay.path_b @ R.T, rows_unit(rows))
+        paths = overlay.path_a @ R.T, overlay.path_b @ R.T
+        drawn = curves.overlaid(paths, NAMES, rows_unit(rows))
         parts.append(page.section("Both paths from above", apart(overlay, rows_unit(rows)), drawn))
     for group, members in groupby(rows, key=lambda row: row.figure.group):
         cells = [row.cells() for row in members]

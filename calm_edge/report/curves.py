@@ -47,20 +47,24 @@ def trajectory(
     return both_widths(draw, "trajectory from above")
 
 
-def overlaid(first: Float, second: Float, unit: str) -> str:
-    """Top view of two paths (N, 3), (M, 3), in the level frame of the first."""
-    joined = np.concatenate([first, second])
-    x, y = limits(joined[:, 0]), limits(joined[:, 1])
+def overlaid(paths: Sequence[Float], names: Sequence[str], unit: str) -> str:
+    """Top view of paths (N, 3), with their names; in a level frame. The first one is broad."""
+    every = np.concatenate(paths)
+    x, y = limits(every[:, 0]), limits(every[:, 1])
+    colors = (ESTIMATE, TRUTH, ASSISTANT)
 
     def draw(width: int) -> Chart:
         chart = Chart(x, y, (unit, unit), plan_height(x, y, width), width=width, equal=True)
-        chart.line(first[:, 0], first[:, 1], ESTIMATE, "A", width=4.5, opacity=0.5)
-        chart.line(second[:, 0], second[:, 1], TRUTH, "B", width=2)
-        for path, color in ((first, ESTIMATE), (second, TRUTH)):
-            chart.dot(float(path[0, 0]), float(path[0, 1]), color)
+        for number, (path, name) in enumerate(zip(paths, names, strict=True)):
+            again, color = divmod(number, len(colors))
+            ink, dash = colors[color], f"{9 * again} 5" if again else ""
+            broad, opacity = (4.5, 0.5) if number == 0 else (2.0, 1.0)
+            x_y = path[:, 0], path[:, 1]
+            chart.line(*x_y, ink, name, width=broad, dash=dash, opacity=opacity)
+            chart.dot(float(path[0, 0]), float(path[0, 1]), ink)
         return chart
 
-    return both_widths(draw, "both paths from above")
+    return both_widths(draw, "paths from above")
 
 
 def plan_height(x: tuple[float, float], y: tuple[float, float], width: int) -> int:

@@ -60,14 +60,15 @@ def keyframe_pictures(
     windows: Sequence[WindowRecord],
     stamps_ns: Int,
     change: Change | None = None,
+    most: int = MAX_PAIRS,
 ) -> list[KeyframePictures]:
-    """Read and reduce the pictures of at most MAX_PAIRS keyframes.
+    """Read and reduce the pictures of at most `most` keyframes.
 
     stamps_ns: (K,) of the trajectory, on the recording's clock. change: applied to each picture
     (H, W, 3) BGR before it is reduced. Pictures that are lost are None.
     """
     all_pairs = pairs(windows, stamps_ns)
-    chosen = [all_pairs[i] for i in even(len(all_pairs), MAX_PAIRS)] if all_pairs else []
+    chosen = [all_pairs[i] for i in even(len(all_pairs), most)] if all_pairs else []
     return [
         KeyframePictures(
             index,

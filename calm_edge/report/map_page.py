@@ -51,6 +51,7 @@ class MapView:
     (P, 3), color: (P, 3) RGB, submap: (P,) index of each point's sub-map. submap_s: (S,) and t_s:
     (K,) seconds since the start of sub-maps and keyframes. T_w_c: (K, 4, 4) of keyframes, K >= 1.
     seams: (M, 4) of common anchors of two sub-maps: place in the world, and how far these disagree.
+    drives: name and first keyframe of each drive of a map of several, none of one.
     """
 
     title: str
@@ -64,6 +65,7 @@ class MapView:
     t_s: Float
     pictures: Sequence[KeyframePictures] = ()
     seams: Float32 = field(default_factory=lambda: np.zeros((0, 4), np.float32))
+    drives: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +120,7 @@ def _drive(
         "path": path.round(4).tolist(),
         "heading": np.arctan2(forward[:, 1], forward[:, 0]).round(4).tolist(),
         "seconds": view.t_s.round(3).tolist(),
+        "drives": view.drives,
         "submapSeconds": view.submap_s[::group].round(3).tolist(),
     }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -33,27 +34,31 @@ def _bar_length(span: float) -> float:
     return float(max(power * k for k in (1, 2, 5) if power * k <= span / 5 * 1.0001))
 
 
-def _map_from_above(view: map_image.TopDown, path: Float, unit: str) -> str:
+def _map_from_above(view: map_image.TopDown, paths: Sequence[Float], unit: str) -> str:
     height, width = view.image.shape[:2]
-    line = " ".join(f"{u:.1f},{v:.1f}" for u, v in view.to_pixels(path))
     bar = _bar_length(width * view.pixel)
     share = 100 * bar / (width * view.pixel)
     stroke = f'fill="none" stroke="{chart.ESTIMATE}" stroke-linejoin="round"'
+    lines = ""
+    for path in paths:
+        line = " ".join(f"{u:.1f},{v:.1f}" for u, v in view.to_pixels(path))
+        lines += f'<polyline points="{line}" {stroke} stroke-width="3" stroke-opacity=".85"/>'
     # the length beside the bar is the page's text, which does not shrink with the picture
     return (
         f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="map from above">'
         f'<image width="{width}" height="{height}" href="{photo(view.image, empty=True)}"/>'
-        f'<polyline points="{line}" {stroke} stroke-width="3" stroke-opacity=".85"/></svg>'
+        f"{lines}</svg>"
         f'<div class="scale"><i style="width:{share:.2f}%"></i>{bar:g} {html.escape(unit)}</div>'
     )
 
 
 def sections(
-    points_w: Float32 | None, color: Bytes | None, R: Float, path: Float, unit: str
+    points_w: Float32 | None, color: Bytes | None, R: Float, paths: Sequence[Float], unit: str
 ) -> list[str]:
-    """Both sections; none without points.
+    """Both sections; none without points. The street is shown along the longest path.
 
-    points_w: (P, 3), color: (P, 3) RGB. R: (3, 3) world -> level frame. path: (N, 3), level.
+    points_w: (P, 3), color: (P, 3) RGB. R: (3, 3) world -> level frame. paths: (N, 3) of each
+    drive, level.
     """
     if points_w is None or color is None:
         return []
@@ -62,8 +67,9 @@ def sections(
         return []
     kept = finite[:: max(len(finite) // MAX_DRAWN_POINTS, 1)]
     points, paint = np.asarray(points_w[kept], np.float64) @ R.T, color[kept]
-    above = _map_from_above(map_image.top_down(points, paint, path), path, unit)
-    views = map_image.best_chases(points, paint, path)
+    view = map_image.top_down(points, paint, np.concatenate(paths))
+    above = _map_from_above(view, paths, unit)
+    views = map_image.best_chases(points, paint, max(paths, key=len))
     photos = "".join(
         f'<img alt="map along the street" src="{photo(v, empty=True)}">' for v in views
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
+from pathlib import Path
 
 _STYLE = """
 :root{color-scheme:light dark;--paper:#f5f6f8;--card:#fff;--line:#e3e7eb;--soft:#eef1f4;
@@ -61,3 +62,10 @@ def whole(title: str, parts: Sequence[str]) -> str:
         f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head>"
         f"<body><main>{''.join(parts)}</main></body></html>\n"
     )
+
+
+def write(path: Path, text: str) -> None:
+    """Write a page as UTF-8, replacing an earlier one at once."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(text, encoding="utf-8", errors="replace")
+    part.replace(path)

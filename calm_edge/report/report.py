@@ -120,7 +120,7 @@ def _path(data: ReportData) -> list[str]:
     if len(path) > 1:
         note = "Along the camera's mean up axis, from the first keyframe."
         parts.append(page.section("Height", note, curves.height(path, truth, data.unit)))
-    parts += map_sections.sections(data.points_w, data.color, R, path, data.unit)
+    parts += map_sections.sections(data.points_w, data.color, R, [path], data.unit)
     if data.loops:
         found = [
             (minutes(loop.t_s), minutes(loop.match_s), f"{loop.apart:.2f} {data.unit}")
@@ -208,6 +208,4 @@ def _health(log: DriveLog) -> str:
 
 def write_report(path: Path, data: ReportData) -> None:
     """Write the rendered page as UTF-8, replacing an earlier one at once."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(render(data, path), encoding="utf-8", errors="replace")
-    part.replace(path)
+    page.write(path, render(data, path))

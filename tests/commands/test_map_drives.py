@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from calm_edge.cli import build_parser, main
-from calm_edge.commands.map_drives import part_command, unique_names
+from calm_edge.commands import map as map_command
+from calm_edge.commands.map_drives import agreed_configs, part_command, unique_names
 from calm_edge.config import Config, merge
+from calm_edge.offline import drive_part
+from calm_edge.offline.drive import Drive
+from calm_edge.offline.drive_part import depth_of, read_part
+from calm_edge.offline.unfinished import Unfinished
+from calm_edge.recording.window_record import WindowRecord
 from calm_edge.recording.writer import RecordingWriter
+from device.frame import Eye
+from tests.interchange.export.drives import EVERY, FRAMES, LENSES, update, write_recording
 
 
 @pytest.fixture
@@ -69,3 +79,36 @@ def test_drives_of_equal_names_are_numbered_and_parts_are_commands(tmp_path: Pat
     arguments = build_parser().parse_args(command[2:])
     assert arguments.part and arguments.resume and arguments.set == ["mapping.grid=20"]
     assert arguments.recording == [tmp_path / "rec"]
+
+
+def test_the_part_that_the_command_makes_is_the_one_that_is_joined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_recording(tmp_path / "rec")
+    solved = update(LENSES, 0.01)
+    n = len(solved.submap.t_ns)
+    window = WindowRecord(
+        *(0, solved.submap.n_primary, 0, False),
+        ids=np.arange(n),
+        eyes=np.repeat(list(Eye), n // 2),
+        sequences=np.tile(np.arange(0, FRAMES, EVERY), 2),
+        t_ns=solved.submap.t_ns,
+    )
+    drive = Drive([window], [solved], solved.trajectory)
+
+    def placed(_recording: Any, _config: Any, work: Unfinished, *, again: bool) -> Drive:
+        work.place(drive)
+        return drive
+
+    depth = np.ones((n, 4, 6), np.float32)
+    monkeypatch.setattr(map_command, "placed_drive", placed)
+    monkeypatch.setattr(drive_part, "densified", lambda *_: iter([(depth, depth)]))
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    settings = ["mapping.grid=20"]
+    command = part_command(path, tmp_path / "part", settings)
+    assert main(command[2:]) == 0
+    (config,) = agreed_configs([path], settings)
+    part = read_part(tmp_path / "part", path, config)
+    assert [update.submap.id for update in part.placed.drive.updates] == [0]
+    found = depth_of(part, 0)
+    assert found is not None and found[0].shape == depth.shape

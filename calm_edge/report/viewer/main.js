@@ -12,7 +12,8 @@ function start() {
   const points = new Points(gl, DRIVE, MOST);
   const path = new Lines(gl), stops = new Lines(gl), here = new Lines(gl), ruler = new Lines(gl);
   const seams = new Seams(gl);
-  path.set(DRIVE.path.slice(1).map((p, i) => [DRIVE.path[i], p]));
+  const firsts = new Set(DRIVE.drives.map(([, k]) => k));
+  path.set(DRIVE.path.slice(1).map((p, i) => [DRIVE.path[i], p]).filter((_, i) => !firsts.has(i + 1)));
   stops.set(DRIVE.path.map((p) => [p, p]));
   const began = performance.now(), stats = {firstPicture: null, frames: 0, drawn: 0, loaded: 0};
   let view = initial(), colors = 0, moved = true, drawn = 0, budget = COARSE ? 150_000 : 250_000;

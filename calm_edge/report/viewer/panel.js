@@ -26,8 +26,12 @@ class Panel {
   /** Put the slider on a keyframe. */
   place(k) {
     this.element.along.value = k;
-    const t = this.drive.seconds[k];
-    this.element.place.textContent = `keyframe ${k + 1} of ${this.drive.path.length}, ${t.toFixed(1)} s`;
+    // of a map of several drives: the time since the start of the drive
+    const [name, first] = this.drive.drives.findLast(([, start]) => start <= k) || ["", 0];
+    const t = this.drive.seconds[k] - this.drive.seconds[first];
+    const own = name ? `, ${name}` : "";
+    this.element.place.textContent =
+      `keyframe ${k + 1} of ${this.drive.path.length}${own}, ${t.toFixed(1)} s`;
   }
 
   /** Show both cameras' pictures at keyframe k, or at the nearest that has some; null: hide them. */
