@@ -41,6 +41,7 @@ class Display:
         self._path: dict[int, Float] = {}
         self._path_ns: int | None = None
         self._cloud_ns: int | None = None
+        self._newest_ns: int | None = None
 
     def pose(self, sample: PoseSample) -> list[LogMessage]:
         """Transforms and odometry of a live pose; none of a lost one, which has no values.
@@ -74,9 +75,18 @@ class Display:
             found.append(schema.protobuf_message(schema.POSE_LIVE, sample.t_ns, odometry))
         return found
 
+    def time_of(self, update: LocalizerUpdate) -> int:
+        """Time of the messages of an update: its newest keyframe, but never before earlier ones.
+
+        An update of a window that was solved again tells what is known now, not at its time.
+        """
+        t_ns = int(update.submap.t_ns.max())
+        self._newest_ns = t_ns if self._newest_ns is None else max(t_ns, self._newest_ns)
+        return self._newest_ns
+
     def update(self, update: LocalizerUpdate) -> list[LogMessage]:
         """Path, cloud, cameras and kit after an update."""
-        t_ns = int(update.submap.t_ns.max())
+        t_ns = self.time_of(update)
         stamp_ns = t_ns - self._origin_ns
         if np.isfinite(update.trajectory.T_p_a).all():
             self._T_p_a = update.trajectory.T_p_a

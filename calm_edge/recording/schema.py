@@ -11,7 +11,7 @@
 | /kit | JSON: focal lengths, their sigmas, rig ... | as /submap |
 | /primary/calibration | foxglove.CameraCalibration, once the focal is observed | as /submap |
 | /assistant/calibration | the same of the other camera | as /submap |
-| /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of the sub-map |
+| /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of all sub-maps so far |
 | /window | calm_edge.Window: keys of the window's frames | its newest keyframe |
 | /clock, /status, /health | JSON | time of writing |
 | /gps | foxglove.LocationFix with its covariance, none while there is no position | its arrival |
@@ -166,8 +166,11 @@ def read_pose(data: bytes) -> PoseSample:
     return record.unflatten(PoseSample, *record.decode("PoseSample", data))
 
 
-def update_message(update: LocalizerUpdate, log_depth: bool) -> LogMessage:
-    """Encode an update exactly except depth (see the module); for viewers, see `display`."""
+def update_message(update: LocalizerUpdate, log_depth: bool, t_ns: int) -> LogMessage:
+    """Encode an update exactly except depth (see the module); for viewers, see `display`.
+
+    t_ns: time of the message.
+    """
     header, arrays = record.flatten(update)
     depth = arrays.pop("prediction.depth", None)
     confidence = arrays.pop("prediction.confidence", None)
@@ -177,7 +180,6 @@ def update_message(update: LocalizerUpdate, log_depth: bool) -> LogMessage:
         if confidence is not None:
             steps = np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 255)
             arrays["prediction.confidence"] = steps.astype(np.uint8)
-    t_ns = int(update.submap.t_ns.max())
     return LogMessage(SUBMAP, t_ns, record.encode("Submap", header, arrays))
 
 

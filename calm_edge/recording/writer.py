@@ -152,7 +152,8 @@ class RecordingWriter:
         size = array_bytes(update)
 
         def encode() -> list[LogMessage]:
-            return [schema.update_message(update, log_depth), *self._display.update(update)]
+            stored = schema.update_message(update, log_depth, self._display.time_of(update))
+            return [stored, *self._display.update(update)]
 
         self._put(encode, size)
 

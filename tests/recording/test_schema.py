@@ -37,12 +37,12 @@ def test_pose_and_update_round_trip() -> None:
     for i in range(3):
         message = schema.pose_message(samples.pose(i))
         assert samples.same(schema.read_pose(message.data), samples.pose(i))
-    message = schema.update_message(samples.update(), log_depth=True)
+    message = schema.update_message(samples.update(), log_depth=True, t_ns=0)
     assert samples.same(schema.read_update(message.data, unasked), samples.update())
 
 
 def test_depth_is_left_out_unless_requested() -> None:
-    message = schema.update_message(samples.update(), log_depth=False)
+    message = schema.update_message(samples.update(), log_depth=False, t_ns=0)
     assert samples.same(schema.read_update(message.data, unasked), samples.update(depth=False))
 
 
@@ -52,11 +52,11 @@ def test_depth_beyond_half_precision_becomes_unknown() -> None:
     depth[0, 0, :3] = [1e6, np.inf, np.nan]
     prediction = dataclasses.replace(update.prediction, depth=depth)
     update = dataclasses.replace(update, prediction=prediction)
-    once = schema.read_update(schema.update_message(update, True).data, unasked)
+    once = schema.read_update(schema.update_message(update, True, 0).data, unasked)
     assert once.prediction.depth is not None
     np.testing.assert_array_equal(once.prediction.depth[0, 0, :3], 0)
     np.testing.assert_allclose(once.prediction.depth[1], 10.004, rtol=2**-11)
-    twice = schema.read_update(schema.update_message(once, True).data, unasked)
+    twice = schema.read_update(schema.update_message(once, True, 0).data, unasked)
     assert samples.same(once, twice)
 
 

@@ -46,7 +46,9 @@ def recorded(folder: Path) -> Path:
                 writer.write_frame(samples.frame(eye, k))
             writer.write_pose(samples.pose(k))
             writer.write_log(20, "line")
-        writer.write_update(samples.update())
+        writer.write_update(samples.update(2))
+        # of a window that was solved again
+        writer.write_update(samples.update(1))
         writer.write_status({"pose_age_ms": math.nan, "tick": {"p50_ms": 1.0}}, schema.HEALTH)
         writer.write_event(samples.T0_NS, "here")
     return folder / "0000.mcap"
@@ -57,9 +59,13 @@ def test_every_message_decodes_in_order_of_log_time_and_holds_no_nan(tmp_path: P
     with recorded(tmp_path).open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
         previous_ns = time_base.DATED_NS
+        published: dict[str, int] = {}
         for kind, channel, message in reader.iter_messages(log_time_order=False):
             assert kind is not None and message.log_time >= previous_ns
             previous_ns = message.log_time
+            # viewers that sort by it must not have to: rerun's check requires that
+            assert message.publish_time >= published.get(channel.topic, 0), channel.topic
+            published[channel.topic] = message.publish_time
             seen[channel.topic] = seen.get(channel.topic, 0) + 1
             if kind.encoding == "jsonschema":
                 json.loads(kind.data)
