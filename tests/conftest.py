@@ -1,10 +1,17 @@
-"""Order of the tests over the workers of `make test`."""
+"""Threads of the tests, and their order over the workers of `make test`."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
+
+from calm_edge.processes import CHILD_ENVIRONMENT
+
+# As in the processes of the product, and set before NumPy is imported. With the small matrices
+# here, a second thread of OpenBLAS uses as much CPU as the first, most of it waiting.
+os.environ.update(CHILD_ENVIRONMENT)
 
 HERE = Path(__file__).parent
 # Drives through the real daemon and commands of the documentation: minutes in few files.
