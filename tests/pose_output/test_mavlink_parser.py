@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from typing import Any
 
 import pytest
@@ -107,21 +108,20 @@ SOUND = b"".join(
 )
 
 
-@st.composite
-def mutated(draw: st.DrawFn) -> bytes:
+def mutated(rng: random.Random) -> bytes:
     """A valid stream with bytes flipped, removed, repeated or inserted."""
     data = bytearray(SOUND)
-    for _ in range(draw(st.integers(1, 6))):
-        at = draw(st.integers(0, max(0, len(data) - 1)))
-        match draw(st.integers(0, 3)):
+    for _ in range(rng.randint(1, 6)):
+        at = rng.randint(0, max(0, len(data) - 1))
+        match rng.randint(0, 3):
             case 0 if data:
-                data[at] = draw(st.sampled_from([0, 1, 0x6F, 0xFD, 0xFE, 0xFF]))
+                data[at] = rng.choice([0, 1, 0x6F, 0xFD, 0xFE, 0xFF])
             case 1:
-                del data[at : at + draw(st.integers(1, 30))]
+                del data[at : at + rng.randint(1, 30)]
             case 2:
-                data[at:at] = data[at : at + draw(st.integers(1, 60))]
+                data[at:at] = data[at : at + rng.randint(1, 60)]
             case _:
-                data[at:at] = draw(st.binary(max_size=40))
+                data[at:at] = rng.randbytes(rng.randint(0, 40))
     return bytes(data)
 
 
@@ -129,13 +129,19 @@ def mutated(draw: st.DrawFn) -> bytes:
 _hardened = MavlinkParser((Timesync, Heartbeat))
 
 
-@given(mutated())
-@settings(max_examples=10_000, deadline=None, database=None, derandomize=True)
-def test_arbitrary_bytes_do_not_harm_the_parser(data: bytes) -> None:
-    for message in _hardened.feed(data):
-        assert message.message_id in (Timesync.ID, Heartbeat.ID)
-        Timesync.from_payload(message.payload)
-    assert len(_hardened._pending) < 300
+def test_arbitrary_bytes_do_not_harm_the_parser() -> None:
+    # not by hypothesis, whose bookkeeping takes ten times as long as 10,000 examples do
+    rng = random.Random(0)
+    parsed = 0
+    for _ in range(10_000):
+        data = mutated(rng)
+        for message in _hardened.feed(data):
+            assert message.message_id in (Timesync.ID, Heartbeat.ID), data.hex()
+            Timesync.from_payload(message.payload)
+            parsed += 1
+        assert len(_hardened._pending) < 300, data.hex()
+    # most of the streams have a message left whole
+    assert parsed > 10_000
 
 
 def test_the_parser_still_works_after_arbitrary_bytes() -> None:

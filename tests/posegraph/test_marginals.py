@@ -9,7 +9,8 @@ from calm_edge.types import LoopClosure
 from tests.drives import T_P_A, curved
 from tests.posegraph.graphs import CONFIG, graph_of, optimised
 
-N = 27
+# keyframes of the drive, of a sub-map, and from one sub-map to the next
+N, SIZE, STEP = 15, 9, 6
 
 
 def submaps(T, moved=None):
@@ -19,8 +20,8 @@ def submaps(T, moved=None):
     """
     graph = JointGraph(CONFIG)
     graph.set_rig_prior(T_P_A)
-    for k, start in enumerate(range(0, len(T) - 3, 12)):
-        ids = tuple(range(start, min(start + 15, len(T))))
+    for k, start in enumerate(range(0, len(T) - 3, STEP)):
+        ids = tuple(range(start, min(start + SIZE, len(T))))
         eyes = [T[list(ids)], T[list(ids)] @ T_P_A]
         T_s = se3.inverse(T[start])
         eyes = [T_s @ views for views in eyes]
@@ -46,12 +47,12 @@ def shifts(T, moved, row, origins):
 
 
 def test_the_covariance_is_the_sum_over_all_single_errors():
-    T, row, origins, h = curved(N, turn=0.1), 20, [0, 9], 1e-4
+    T, row, origins, h = curved(N, turn=0.1), 11, [0, 5], 1e-4
     noise = Noise(translation=0.01, rotation=0.002, scale=0.03)
     sigma = np.repeat([noise.translation, noise.rotation], 3)
     answers = []
     for k in (0, 1):
-        for eye, view in np.ndindex(2, 15):
+        for eye, view in np.ndindex(2, SIZE):
             for axis in np.eye(6):
                 answers.append(shifts(T, (k, eye, view, axis * h), row, origins) * (axis @ sigma))
         answers.append(shifts(T, (k, h), row, origins) * noise.scale)

@@ -89,7 +89,7 @@ def test_the_cheapest_start_has_lenses_of_the_true_families(families):
     theta[layout.DISTORTION[wide]] = 0.01, -0.004
     theta[layout.DISTORTION[~wide]] = -0.1, 0.03
     # as wide pictures show: points far off the axis
-    made = window(turn(N), theta, n_points=400, noise_px=0.3, wide=2.0)
+    made = window(turn(5), theta, n_points=400, noise_px=0.3, wide=2.0)
     kits = [layout.prior((None, None), families=each) for each in FAMILIES]
     first = next(starts.initial_states(made.m, made.ties, known(made, kits=kits)))
     assert layout.families(first.theta) == families
