@@ -75,7 +75,7 @@ def test_turns_show_a_drift(drift):
 
 @pytest.mark.parametrize("late_s", [-0.4, 0.0, 0.2])
 def test_a_straight_road_shows_nothing(late_s):
-    for seed in range(5):
+    for seed in range(3):
         found = estimated(windows(straight, late_s, seed=seed))
         assert not found.significant
         assert found.sigma_s > 0.02
@@ -86,9 +86,10 @@ def test_right_stamps_are_not_suspected_and_the_sigma_holds(degrees_per_s):
     def bends(t):
         return np.radians(degrees_per_s) * np.sin(2 * np.pi * t / 6.0)
 
-    found = [estimated(windows(bends, 0.0, seed=seed, seconds=8.0)) for seed in range(12)]
+    found = [estimated(windows(bends, 0.0, seed=seed, seconds=8.0)) for seed in range(8)]
     assert not any(each.significant for each in found)
     normalised = np.array([each.offset_s / each.sigma_s for each in found])
+    # the rms of eight has a sigma of 25 %; that of a sigma half as large as it should be is two
     assert np.sqrt((normalised**2).mean()) < 1.3
 
 
