@@ -7,6 +7,7 @@ import itertools
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -145,15 +146,36 @@ def heat(root: Path, celsius: float, throttled: bool) -> None:
             (root / name / file).write_text(text)
 
 
+def _degraded(message: dict[str, Any]) -> bool:
+    """Whether a message on /health that reports work left out says so in its state.
+
+    DEGRADED, or what comes before it: STARTING until the first sub-map, which a slow computer makes
+    after the heat, or LOST.
+    """
+    shed = message["shed"]
+    if shed == Shed.NOTHING.words:
+        return True
+    named = any(reason.startswith(shed) for reason in message["reasons"])
+    return named and message["state"] in ("STARTING", "LOST", "DEGRADED")
+
+
 def throttling(drive: Path, n: int, folder: Path) -> Row:
-    """Run hot for the first half of the drive, then cool."""
+    """Run hot until all that can be left out is left out, then cool.
+
+    Windows are long, so that few wait for the estimator: what is judged is the heat, and a queue
+    would put off the end of the shedding for as long as the estimator takes to start.
+    """
     tree = folder / "thermal"
     heat(tree, 92.0, True)
     step_s = n / 160
     degrade = {"thermal_root": str(tree), "step_s": step_s}
     changes = {"degrade": degrade, "recording": {"log_depth": True}}
-    config = merge(config_for(drive), changes)
-    during = AfterFrames((n // 2, lambda _: heat(tree, 50.0, False)))
+    config = merge(config_for(drive, n_max=12), changes)
+
+    def during(hub: Hub, _: str) -> None:
+        if hub._shed is Shed.ALL_WINDOWS:
+            heat(tree, 50.0, False)
+
     # updates are a second apart on a drive of half a minute, and closer on a shorter one
     with mock.patch("calm_edge.daemon.monitor.PERIOD_S", min(1.0, step_s / 2)):
         result, lines = record(drive, folder / "rec", lockstep=False, config=config, during=during)
@@ -173,5 +195,5 @@ def throttling(drive: Path, n: int, folder: Path) -> Row:
         and up == sorted(up, reverse=True)
         and len(up) >= 1
         and any("92 °C, processor throttled" in line for line in lines)
-        and "DEGRADED" in " ".join(str(m) for m in health(folder / "rec")),
+        and all(_degraded(message) for message in health(folder / "rec")),
     )
