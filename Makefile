@@ -54,10 +54,11 @@ readers: .venv/.stamp-dev
 faults: .venv/.stamp-dev
 	.venv/bin/python -m tests.faults.table $(FAULTS)
 
-# report.html and map.html used in headless Chromium with software rendering; skips without it
+# report.html, map.html, the live page and that of setup used in headless Chromium with software rendering; skips without it
 browser: .venv/.stamp-dev
 	.venv/bin/python -m pytest -rs tests/browser/report_in_browser.py \
-		tests/browser/map_in_browser.py tests/browser/live_in_browser.py
+		tests/browser/map_in_browser.py tests/browser/live_in_browser.py \
+		tests/browser/setup_in_browser.py
 
 # what we send over the serial line, read by a Rust and a Node decoder; skips what is not here
 interop: .venv/.stamp-dev

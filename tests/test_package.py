@@ -26,7 +26,7 @@ CALM_GEO = {
 } | {"calm_edge/models/calm-geo/refine.onnx"}
 VIEWER = {
     f"calm_edge/{folder}/{path.name}"
-    for folder in ("report/viewer", "live/page")
+    for folder in ("report/viewer", "live/page", "live/shared", "commands/setup_files")
     for path in (ROOT / "calm_edge" / folder).iterdir()
     if path.suffix in (".css", ".html", ".js")
 }

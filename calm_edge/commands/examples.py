@@ -6,6 +6,7 @@ from __future__ import annotations
 EXAMPLES: dict[str, list[tuple[str, str]]] = {
     "setup": [
         ("calm-edge setup", "answer the questions; writes kit.toml"),
+        ("calm-edge setup --page", "the same on a page: open the address that it prints"),
         ("calm-edge setup --yes --spacing-m 0.52", "ask nothing; the first camera is the primary"),
         ("calm-edge setup --sequence demo/drive", "try it without cameras"),
     ],

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import signal
-import threading
 from pathlib import Path
 
 from calm_edge.commands.console import say
 from calm_edge.commands.exit_codes import OK
+from calm_edge.commands.page_address import add_address, given_access, print_address, serve
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -17,56 +16,29 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--socket", type=Path, metavar="PATH", help="where the recording offers its results"
     )
-    parser.add_argument(
-        "--address",
-        default="127.0.0.1:8600",
-        metavar="HOST:PORT",
-        help="where to serve the page: %(default)s reaches this computer alone, 0.0.0.0:8600 is "
-        "all its addresses; beyond this computer a token is required",
-    )
-    parser.add_argument(
-        "--token-file",
-        type=Path,
-        metavar="FILE",
-        help="file that holds the token, made if it is missing; without it each start has another",
-    )
+    add_address(parser, "127.0.0.1:8600")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve until SIGINT or SIGTERM."""
     from calm_edge.config import load
-    from calm_edge.live import access
     from calm_edge.live.board import Board
-    from calm_edge.live.server import Server
+    from calm_edge.live.server import Server, live_page
     from calm_edge.live.socket_path import check_length, default_socket
     from calm_edge.live.source import Source
     from calm_edge.live.wire import Message
 
-    address = access.parse_address(arguments.address)
-    token = ""
-    if arguments.token_file is not None:
-        token = access.token_of(arguments.token_file)
-    elif not address.loopback:
-        token = access.new_token()
+    address, access = given_access(arguments)
     path = arguments.socket or load(arguments.config).live.socket
     path = Path(path) if path else default_socket()
     check_length(path)
     board: Board[Message] = Board()
     source = Source(path, board)
-    server = Server(address, access.Access(token), board, source.ask)
-    end = f"?token={token}" if token else ""
-    hosts = access.own_addresses() if address.any else [address.host]
-    for host in hosts or [address.host]:
-        print(f"page        {access.url(host, server.port)}{end}", flush=True)
+    server = Server(address, access, live_page(), board, source.ask)
+    print_address(address, server)
     if not source.connected:
         say(f"no recording at {path} yet: record --live offers one; the page waits for it")
-    serving = threading.Thread(target=server.serve_forever, name="live-server", daemon=True)
-    serving.start()
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopped.set())
-    stopped.wait()
-    server.shutdown()
+    serve(server).wait()
     source.close()
-    server.server_close()
+    server.close()
     return OK

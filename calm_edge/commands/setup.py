@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import os
-import shlex
-import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calm_edge.commands.configuration import metres
+from calm_edge.commands.console import say
 from calm_edge.commands.doctor import SERVICE_CONFIG
 from calm_edge.commands.exit_codes import ERROR, LOSS, OK
+from calm_edge.commands.page_address import add_address, given_access, print_address, serve
+from calm_edge.commands.service_start import BY_HAND, COMMAND, record_command, run_as_root
 
 if TYPE_CHECKING:
     from calm_edge.commands.dialogue import Dialogue
+    from calm_edge.commands.finding import Finding
+    from calm_edge.commands.setup_choices import Choices
 
 KIT = Path("kit.toml")
 
@@ -58,22 +61,33 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="try it without cameras, on cam0/ cam1/ of a folder; no address is written",
     )
+    parser.add_argument(
+        "--page", action="store_true", help="set up on a page in a browser instead of here"
+    )
+    add_address(parser, "127.0.0.1:8601")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Go through the steps; the file is written at the end."""
+    """Go through the steps, here or on a page; the file is written at the end."""
     from calm_edge.commands.configuration import check
-    from calm_edge.commands.dialogue import opened
-    from calm_edge.commands.finding import Level
-    from calm_edge.commands.surroundings import service_state
-    from calm_edge.commands.wizard import Wizard
+    from calm_edge.commands.setup_choices import Choices
     from calm_edge.config import Config, load, merge
 
     if arguments.spacing_m is not None:
         check(merge(Config(), {"scale": {"spacing_m": arguments.spacing_m}}))
-    dialogue = opened(yes=arguments.yes)
     path = arguments.config or (SERVICE_CONFIG if SERVICE_CONFIG.is_file() else KIT)
-    wizard = Wizard(dialogue, load(path if path.exists() else None))
+    choices = Choices(load(path if path.exists() else None))
+    steps = _on_page if arguments.page else _in_terminal
+    return steps(arguments, choices, path)
+
+
+def _in_terminal(arguments: argparse.Namespace, choices: Choices, path: Path) -> int:
+    from calm_edge.commands.dialogue import opened
+    from calm_edge.commands.surroundings import service_state
+    from calm_edge.commands.wizard import Wizard
+
+    dialogue = opened(yes=arguments.yes)
+    wizard = Wizard(dialogue, choices)
     primary, assistant = arguments.primary, arguments.assistant
     if arguments.sequence is None and not wizard.choose_cameras(primary, assistant):
         return ERROR
@@ -94,28 +108,66 @@ def run(arguments: argparse.Namespace) -> int:
     if path == SERVICE_CONFIG and service.installed:
         _start(dialogue, wanted=arguments.start)
     else:
-        name = shlex.quote(str(path))
-        dialogue.say(f"to record: calm-edge record --config {name} --out drives/1")
+        dialogue.say(f"to record: {record_command(path)}")
+    return _code(found)
+
+
+def _on_page(arguments: argparse.Namespace, choices: Choices, path: Path) -> int:
+    """Serve the page until it finishes, or until SIGINT or SIGTERM."""
+    from calm_edge.commands.setup_page import SetupPage
+    from calm_edge.commands.surroundings import service_state
+    from calm_edge.config import ConfigError
+    from calm_edge.live.board import Board
+    from calm_edge.live.server import Page, Server, page_files
+    from calm_edge.live.wire import Message
+
+    for option in ("yes", "cover", "picture", "start"):
+        if getattr(arguments, option):
+            raise ConfigError(f"--page with --{option}: the page has that; leave one out")
+    if arguments.spacing_m is not None:
+        choices.set_spacing(arguments.spacing_m)
+    port, receiver = arguments.port, arguments.gps
+    if port is not None or receiver is not None:
+        base = choices.base
+        choices.set_ports(
+            base.pose_output.port if port is None else port,
+            base.gps.source if receiver is None else receiver,
+        )
+    board: Board[Message] = Board()
+    page = SetupPage(
+        choices,
+        path,
+        board,
+        sequence=arguments.sequence,
+        given=(arguments.primary, arguments.assistant),
+        startable=path == SERVICE_CONFIG and service_state().installed,
+    )
+    files = page_files("calm_edge.commands", "setup_files")
+    # it writes a file and may start a service: not for other users of this computer
+    address, access = given_access(arguments, always=True)
+    content = Page(files, page.requests, "calm-edge setup")
+    server = Server(address, access, content, board, page.ask)
+    print_address(address, server)
+    page.run(serve(server))
+    server.close()
+    if not page.written:
+        say("nothing was written")
+        return ERROR
+    say(f"wrote {path}; to record: {record_command(path)}")
+    return _code(page.findings)
+
+
+def _code(found: Iterable[Finding]) -> int:
+    from calm_edge.commands.finding import Level
+
     return LOSS if any(finding.level is Level.BAD for finding in found) else OK
 
 
 def _start(dialogue: Dialogue, *, wanted: bool) -> None:
     """Enable the service and start it with the new configuration, if wanted."""
-    from calm_edge.commands.surroundings import UNIT
-
-    command = f"systemctl enable {UNIT} && systemctl restart {UNIT}"
     if not dialogue.silent:
         wanted = dialogue.confirm("Start the service now and at each boot", True)
-    if wanted and run_as_root(command):
+    if wanted and run_as_root(COMMAND, ask=True):
         dialogue.say("started; to watch it: systemctl status calm-edge")
     else:
-        dialogue.say(f"to start it: sudo sh -c {shlex.quote(command)}")
-
-
-def run_as_root(command: str) -> bool:
-    """Run a shell command, with sudo for other users; whether it succeeded."""
-    words = ["sh", "-c", command] if os.geteuid() == 0 else ["sudo", "sh", "-c", command]
-    try:
-        return subprocess.run(words, check=False).returncode == 0
-    except OSError:
-        return False
+        dialogue.say(f"to start it: {BY_HAND}")

@@ -1,10 +1,12 @@
-"""HTTP server of the live page: its files, the stream of what is new, and two requests."""
+"""HTTP server of a page: its files, the stream of what is new, and its requests."""
 
 from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from functools import cache
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
@@ -19,6 +21,7 @@ from calm_edge.live import picture
 from calm_edge.live.access import Access, Address
 from calm_edge.live.board import Board
 from calm_edge.live.wire import Message
+from calm_edge.types import CalmEdgeError
 
 COOKIE, PAGE_HEADER = "calm_edge_token", "X-Calm-Edge"
 # pages at a time; silence on a stream is broken so that a page notices a lost connection
@@ -37,20 +40,35 @@ _HEADERS = {
 Ask = Callable[[str, Mapping[str, Any]], bool]
 
 
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What is served. files: path -> type and content. requests: the names that it may send.
+
+    command: the one that prints its address, for messages.
+    """
+
+    files: Mapping[str, tuple[str, bytes]]
+    requests: Collection[str]
+    command: str
+
+
 class Server(ThreadingHTTPServer):
     """Server of the page, a thread a connection.
 
-    address: to listen on. access: who may use it. board: what the page shows. ask: sends a request
-    to the recording, False if there is none. Raises ConfigError if the address cannot be used.
+    address: to listen on. access: who may use it. page: what is served. board: what it shows.
+    ask: passes a request on, False if there is no recording; raises CalmEdgeError with why a
+    request is refused. Raises ConfigError if the address cannot be used.
     """
 
     daemon_threads = True
     block_on_close = False
     request_queue_size = 16
 
-    def __init__(self, address: Address, access: Access, board: Board[Message], ask: Ask) -> None:
+    def __init__(
+        self, address: Address, access: Access, page: Page, board: Board[Message], ask: Ask
+    ) -> None:
         self.address_family = AF_INET6 if ":" in address.host else AF_INET
-        self.access, self.board, self.ask = access, board, ask
+        self.access, self.page, self.board, self.ask = access, page, board, ask
         self.streams = threading.BoundedSemaphore(MAX_STREAMS)
         self.pictures = Pictures()
         try:
@@ -64,6 +82,15 @@ class Server(ThreadingHTTPServer):
     @property
     def port(self) -> int:
         return int(self.server_address[1])
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Send what is on the board, and end; pages that take longer get less of it."""
+        self.board.close()
+        end = time.monotonic() + timeout_s
+        for _ in range(MAX_STREAMS):
+            self.streams.acquire(timeout=max(0.0, end - time.monotonic()))
+        self.shutdown()
+        self.server_close()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore browsers that go away; report other errors."""
@@ -116,13 +143,13 @@ class Handler(BaseHTTPRequestHandler):
             )
         elif path == "/stream":
             self._stream()
-        elif found := page_files().get("/index.html" if path == "/" else path):
+        elif found := self.server.page.files.get("/index.html" if path == "/" else path):
             self._answer(HTTPStatus.OK, found[1], found[0])
         else:
             self._answer(HTTPStatus.NOT_FOUND, b"There is no such page.\n")
 
     def do_POST(self) -> None:
-        """Pass a request to the recording: `/event` or `/keep`, with a JSON object."""
+        """Pass a request on, a path such as `/event` with a JSON object."""
         if not self._allowed():
             return
         # only a page of ours can set the header: browsers ask us first before another site may
@@ -131,9 +158,15 @@ class Handler(BaseHTTPRequestHandler):
             return
         kind = urlsplit(self.path).path.removeprefix("/")
         content = self._body()
-        if kind not in ("event", "keep") or content is None:
+        if kind not in self.server.page.requests or content is None:
             self._answer(HTTPStatus.BAD_REQUEST, b"No such request.\n")
-        elif self.server.ask(kind, content):
+            return
+        try:
+            passed = self.server.ask(kind, content)
+        except CalmEdgeError as error:
+            self._answer(HTTPStatus.CONFLICT, f"{error}\n".encode())
+            return
+        if passed:
             self._answer(HTTPStatus.ACCEPTED, b"Passed on.\n")
         else:
             self._answer(HTTPStatus.SERVICE_UNAVAILABLE, b"No recording runs here.\n")
@@ -151,7 +184,8 @@ class Handler(BaseHTTPRequestHandler):
             return True
         self._answer(
             HTTPStatus.UNAUTHORIZED,
-            b"The token is missing or wrong: open the whole address that calm-edge live printed.\n",
+            b"The token is missing or wrong: open the whole address that "
+            + f"{self.server.page.command} printed.\n".encode(),
         )
         return False
 
@@ -186,8 +220,10 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Type", "text/event-stream")
             self.send_header("Cache-Control", "no-store")
             self.end_headers()
-            version, pause = 0, threading.Event()
-            while not server.board.closed:
+            version, pause, ended = 0, threading.Event(), False
+            while not ended:
+                # what was put before the end is still sent
+                ended = server.board.closed
                 version, new = server.board.changes(version, BEAT_S)
                 # a picture nobody can decode is left out
                 events = [text for _, message in new if (text := self._event(message))]
@@ -223,12 +259,17 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @cache
-def page_files() -> dict[str, tuple[str, bytes]]:
-    """Path -> type and content of the page's files."""
-    folder = files("calm_edge.live") / "page"
+def page_files(package: str, folder: str) -> Mapping[str, tuple[str, bytes]]:
+    """Path -> type and content of a page's files, and of those that all pages share."""
     found = {}
-    for entry in folder.iterdir():
-        dot, end = entry.name.rpartition(".")[1:]
-        if kind := _TYPES.get(dot + end):
-            found[f"/{entry.name}"] = kind, entry.read_bytes()
+    for place in (files("calm_edge.live") / "shared", files(package) / folder):
+        for entry in place.iterdir():
+            dot, end = entry.name.rpartition(".")[1:]
+            if kind := _TYPES.get(dot + end):
+                found[f"/{entry.name}"] = kind, entry.read_bytes()
     return found
+
+
+def live_page() -> Page:
+    """The page that shows a recording."""
+    return Page(page_files("calm_edge.live", "page"), ("event", "keep"), "calm-edge live")

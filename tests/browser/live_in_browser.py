@@ -20,7 +20,7 @@ from calm_edge.daemon.result import RecordResult
 from calm_edge.daemon.state import Standing, State
 from calm_edge.live.access import Access, Address
 from calm_edge.live.board import Board
-from calm_edge.live.server import Server
+from calm_edge.live.server import Server, live_page
 from calm_edge.live.source import Source
 from calm_edge.live.wire import Message
 from calm_edge.recording.health import Space, WriterHealth
@@ -53,7 +53,8 @@ class Car:
         self.output = LiveOutput(config, time.monotonic_ns)
         self.board: Board[Message] = Board()
         self.source = Source(path, self.board)
-        self.server = Server(Address("127.0.0.1", 0), Access(token), self.board, self.source.ask)
+        address = Address("127.0.0.1", 0)
+        self.server = Server(address, Access(token), live_page(), self.board, self.source.ask)
         threading.Thread(target=self.server.serve_forever, args=(0.05,), daemon=True).start()
         self.until(lambda: self.output.readers == 1)
 

@@ -13,21 +13,16 @@ import numpy as np
 import pytest
 
 from calm_edge.cli import main
-from calm_edge.commands import doctor, setup, speed, surroundings, wizard
+from calm_edge.commands import doctor, setup, setup_views, speed, surroundings, wizard
 from calm_edge.commands.speed import Speed
 from calm_edge.commands.surroundings import Service
 from calm_edge.config import Config, load
-from calm_edge.daemon.source import Source, replayed
+from calm_edge.daemon.source import Source
 from calm_edge.types import Bytes
 from device.camera import FoundCamera
 from device.errors import CameraError
-from device.frame import Eye, Frame, jpeg
-from tests.frontend.plane_world import PlaneWorld
-
-LEFT = FoundCamera("v4l2:usb-1", "Left", "/dev/video0")
-RIGHT = FoundCamera("v4l2:usb-2", "Right", "/dev/video2")
-RATE_HZ, SECONDS = 20, 4
-NEVER = SECONDS * RATE_HZ
+from device.frame import jpeg
+from tests.commands.camera_bench import LEFT, RIGHT, Bench, sharp_world
 
 
 class Terminal(io.StringIO):
@@ -35,59 +30,16 @@ class Terminal(io.StringIO):
         return True
 
 
-def sharp_world(seed: int) -> PlaneWorld:
-    """A wall with finer texture than usual."""
-    world = PlaneWorld(seed)
-    size = world.texture.shape
-    noise = np.random.default_rng(seed).integers(0, 255, (size[0] // 2, size[1] // 2), np.uint8)
-    fine = cv2.resize(noise, size, interpolation=cv2.INTER_CUBIC)
-    world.texture = np.asarray(cv2.addWeighted(world.texture, 0.6, fine, 0.4, 0), np.uint8)
-    return world
-
-
-class Bench:
-    """Two cameras in front of a wall, by address. alter: of a picture, by address."""
-
-    def __init__(self) -> None:
-        self.found = [RIGHT, LEFT]
-        self.alter: dict[str, Callable[[Bytes], Bytes]] = {}
-        self.dark_from: dict[str, int] = {}
-        self.opened: list[tuple[str, str]] = []
-        world = sharp_world(0)
-        self.views = {}
-        for address, x in ((LEFT.address, 0.0), (RIGHT.address, 0.5)):
-            T_w_c = np.eye(4)
-            T_w_c[0, 3] = x
-            gray = world.render(T_w_c)
-            self.views[address] = np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), np.uint8)
-
-    def live(self, config: Config) -> Source:
-        pair = config.capture.primary, config.capture.assistant
-        self.opened.append(pair)
-
-        def frames(eye: Eye) -> list[Frame]:
-            address = pair[eye]
-            bright = jpeg(self.alter.get(address, np.asarray)(self.views[address]))
-            dark = jpeg(np.zeros((48, 64, 3), np.uint8))
-            start = self.dark_from.get(address, NEVER)
-            return [
-                Frame(eye, k, k * 10**9 // RATE_HZ, dark if k >= start else bright)
-                for k in range(SECONDS * RATE_HZ)
-            ]
-
-        return replayed(frames, 0, True, "two cameras")
-
-
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
     made = Bench()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(wizard, "discover", lambda details: (list(made.found), []))
+    monkeypatch.setattr(wizard, "discover", made.discover)
     monkeypatch.setattr(wizard, "live", made.live)
-    monkeypatch.setattr(wizard, "SETTLE_S", 0.1)
+    monkeypatch.setattr(setup_views, "SETTLE_S", 0.1)
     monkeypatch.setattr(wizard, "WATCH_S", 0.5)
-    monkeypatch.setattr(wizard, "COVER_POLL_S", 0.1)
+    monkeypatch.setattr(setup_views, "COVER_POLL_S", 0.1)
     monkeypatch.setattr(wizard, "COVER_POLLS", 25)
     monkeypatch.setattr(speed, "measure", lambda config: Speed(1.0, 3.6, 0.0))
     return made
@@ -304,7 +256,9 @@ def test_the_service_is_started_if_wanted(
     state = Service("inactive", "disabled")
     monkeypatch.setattr(surroundings, "service_state", lambda: state)
     commands: list[str] = []
-    monkeypatch.setattr(setup, "run_as_root", lambda command: (commands.append(command), True)[1])
+    monkeypatch.setattr(
+        setup, "run_as_root", lambda command, ask: (commands.append(command), True)[1]
+    )
     run = partial(main, ["setup", "--yes", "--no-speed"])
     assert run() == 0 and not commands
     assert "to start it: " in capsys.readouterr().err

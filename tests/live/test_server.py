@@ -16,7 +16,7 @@ from calm_edge.config import ConfigError
 from calm_edge.live import server as server_module
 from calm_edge.live.access import Access, Address
 from calm_edge.live.board import Board
-from calm_edge.live.server import COOKIE, Server, page_files
+from calm_edge.live.server import COOKIE, Server, live_page
 from calm_edge.live.wire import Message
 
 TOKEN = "a-token-of-this-test"
@@ -30,7 +30,9 @@ class Page:
         self.asked: list[tuple[str, Mapping[str, Any]]] = []
         self.recording = True
         self._opened: list[HTTPConnection | HTTPResponse] = []
-        self.server = Server(Address("127.0.0.1", 0), Access(token), self.board, self.ask)
+        self.server = Server(
+            Address("127.0.0.1", 0), Access(token), live_page(), self.board, self.ask
+        )
         threading.Thread(target=self.server.serve_forever, args=(0.05,), daemon=True).start()
 
     def ask(self, kind: str, content: Mapping[str, Any]) -> bool:
@@ -84,8 +86,10 @@ def test_every_file_of_the_page_is_served_and_asks_for_nothing_elsewhere(page: P
     answer = page.request("GET", "/")
     assert answer.status == 200 and answer.headers["Content-Type"].startswith("text/html")
     assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
-    assert {"/index.html", "/live.css", "/main.js"} <= set(page_files())
-    for path, (kind, content) in page_files().items():
+    assert {"/index.html", "/live.css", "/main.js", "/page.css", "/connection.js"} <= set(
+        live_page().files
+    )
+    for path, (kind, content) in live_page().files.items():
         answer = page.request("GET", path)
         assert answer.status == 200 and answer.read() == content
         assert answer.headers["Content-Type"].startswith(kind)
@@ -174,4 +178,4 @@ def test_a_token_is_required_and_moves_from_the_address_to_a_cookie(closed_page:
 def test_an_address_in_use_is_refused_in_one_line(page: Page) -> None:
     taken = Address("127.0.0.1", page.server.port)
     with pytest.raises(ConfigError, match="choose an address of this computer and another port"):
-        Server(taken, Access(), Board(), page.ask)
+        Server(taken, Access(), live_page(), Board(), page.ask)

@@ -1,12 +1,11 @@
 // Takes the messages of the stream and shows each in its place.
+import { listen, request } from "./connection.js";
 import { drawFocal } from "./focal.js";
 import { drawPicture } from "./picture.js";
 import { drawPlan } from "./plan.js";
 
 const at = (id) => document.getElementById(id);
 const newest = {};
-const SILENT_MS = 6000;
-let heard = 0;
 
 function count(n) { return Math.round(n).toLocaleString("en"); }
 
@@ -133,48 +132,25 @@ function lost(text) {
   at("word").textContent = "NO CONNECTION";
 }
 
-function listen() {
-  const stream = new EventSource("stream");
-  for (const [kind, action] of Object.entries(show)) {
-    stream.addEventListener(kind, (event) => {
-      heard = Date.now();
-      newest[kind] = JSON.parse(event.data);
-      action(newest[kind]);
-    });
-  }
-  stream.addEventListener("beat", () => { heard = Date.now(); });
-  stream.onopen = () => { heard = Date.now(); };
-  stream.onerror = () => {
-    if (stream.readyState === EventSource.CLOSED) {
-      lost("The page is refused; open the address that calm-edge live printed.");
-    }
-  };
+async function press(kind, content, done) {
+  at("answer").textContent = await request(kind, content) || done;
+  clearTimeout(press.timer);
+  press.timer = setTimeout(() => { at("answer").textContent = ""; }, 6000);
 }
 
-async function request(kind, content, done) {
-  let text = done;
-  try {
-    const answer = await fetch(kind, { method: "POST", body: JSON.stringify(content),
-      headers: { "Content-Type": "application/json", "X-Calm-Edge": "page" } });
-    if (!answer.ok) text = (await answer.text()).trim();
-  } catch { text = "Not passed on: no connection."; }
-  at("answer").textContent = text;
-  clearTimeout(request.timer);
-  request.timer = setTimeout(() => { at("answer").textContent = ""; }, 6000);
-}
-
-at("mark").onclick = () => request("event", { text: "" }, "Event marked.");
+at("mark").onclick = () => press("event", { text: "" }, "Event marked.");
 at("keep").onclick = () => {
   const kept = at("keep").getAttribute("aria-pressed") !== "true";
-  request("keep", { kept }, kept ? "This drive will not be deleted." : "No longer protected.");
+  press("keep", { kept }, kept ? "This drive will not be deleted." : "No longer protected.");
 };
-setInterval(() => {
-  if (heard && Date.now() - heard > SILENT_MS) lost("No connection to the computer in the car.");
-}, 1000);
 addEventListener("resize", () => { showPlan(); if (newest.kit) showKit(newest.kit); });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   showPlan();
   if (newest.kit) showKit(newest.kit);
 });
 showPlan();
-listen();
+const takes = Object.entries(show).map(([kind, action]) => [kind, (content) => {
+  newest[kind] = content;
+  action(content);
+}]);
+listen(Object.fromEntries(takes), "calm-edge live", lost);
