@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from calm_edge.offline.densify import densified
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.writer import RecordingWriter
 from calm_edge.types import Submap
+from device.frame import Eye
 from tests.replay.small_drive import write_drive
 
 HEAVY = ("cv2", "numpy", "scipy", "gtsam", "mcap", "depthai", "serial")
@@ -264,6 +266,8 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
     reads: list[Path] = []
     read_cloud = cloud_file.read_cloud
     monkeypatch.setattr(cloud_file, "read_cloud", lambda p: (reads.append(p), read_cloud(p))[1])
+    marked = [(int(Recording(recorded).frame_times(Eye.PRIMARY)[9]), "tram crosses")]
+    monkeypatch.setattr(Recording, "events", lambda self: iter(marked))
     assert main(["map", str(recorded), "--out", str(out), "--truth", str(drive)]) == 0
     captured = capsys.readouterr()
     # a long drive's cloud is large
@@ -280,9 +284,13 @@ def test_map_uses_what_record_logged_and_eval_reads_all_three(
         assert figures["ate_sim3_m"] < 0.01
     assert main(["eval", str(out), "--truth", str(drive)]) == 0
     assert "ate_sim3_m" in capsys.readouterr().out
-    assert "The trajectory from above" in (out / "report.html").read_text()
+    report = (out / "report.html").read_text()
+    assert "The trajectory from above" in report
+    # what was marked while driving is listed, and leads to its place in the map
+    keyframe = re.search(r'tram crosses</td><td><a href="map.html#k=(\d+)"', report)
     walk = (out / "map.html").read_text()
     assert "calmEdgeMap.points(" in walk and "calmEdgeMap.pictures([[0," in walk
+    assert keyframe and f'"events":[[{int(keyframe[1]) - 1},"0:0' in walk
     assert main(["map", str(recorded), "--out", str(out)]) == 1
     assert "already holds" in only_line(capsys)
 

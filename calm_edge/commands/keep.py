@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 from calm_edge.commands.exit_codes import OK
@@ -14,6 +15,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--release", action="store_true", help="remove the mark: it may be deleted to make room"
     )
+    parser.add_argument("--json", action="store_true", help="what was done as JSON on stdout")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -22,5 +24,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     for drive in arguments.recording:
         set_kept(drive, not arguments.release)
-        print(f"{'released' if arguments.release else 'kept':9}{drive}")
+        if not arguments.json:
+            print(f"{'released' if arguments.release else 'kept':9}{drive}")
+    if arguments.json:
+        names = [str(drive) for drive in arguments.recording]
+        print(json.dumps({"recordings": names, "kept": not arguments.release}, indent=1))
     return OK

@@ -76,6 +76,7 @@ def drive_view(
     keyframes with pictures; None: as many as one page has.
     """
     from calm_edge.report.drive_view import map_view
+    from calm_edge.report.events import marked_events
     from calm_edge.report.keyframe_pictures import MAX_PAIRS, keyframe_pictures
 
     origin = recording.origin_ns
@@ -86,7 +87,10 @@ def drive_view(
         shown = keyframe_pictures(recording, drive.windows, stamps, options.blur, pairs)
     submaps = [update.submap for update in drive.updates]
     grain = config.mapping.cloud_voxel * config.scale.spacing
-    return map_view(title(recording), estimate, color, tiles, submaps, origin, grain, shown, seams)
+    events = marked_events(recording.events(), stamps, estimate.T_w_c)
+    return map_view(
+        title(recording), estimate, color, tiles, submaps, origin, grain, shown, seams, events
+    )
 
 
 def write_report(
@@ -105,9 +109,10 @@ def write_report(
     color: (P, 3) RGB of the estimate's points. losses: lines that the page names.
     """
     from calm_edge.offline.georeference import ENU_TUM, GPS_SUMMARY
-    from calm_edge.offline.map_drive import OUTPUTS, REPORT
+    from calm_edge.offline.map_drive import OUTPUTS, PAGE, REPORT
     from calm_edge.report.drive_log import read_log
     from calm_edge.report.drive_report import compared, report_data
+    from calm_edge.report.events import marked_events
     from calm_edge.report.keyframe_pictures import late_pictures
     from calm_edge.report.report import write_report as write
 
@@ -129,8 +134,9 @@ def write_report(
         pictures,
         read_log(recording, zero_ns, poses),
         origin,
+        marked_events(recording.events(), estimate.t_ns + origin, estimate.T_w_c),
     )
     written = [name for name in (*OUTPUTS, ENU_TUM, GPS_SUMMARY) if name != REPORT]
     files = (*(out / name for name in written), recording.path)
-    write(out / REPORT, replace(data, map_s=times.seconds, files=files))
+    write(out / REPORT, replace(data, map_s=times.seconds, files=files, map_page=PAGE))
     return missing

@@ -6,7 +6,8 @@ import argparse
 import json
 import math
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from calm_edge.commands.console import say
 from calm_edge.commands.exit_codes import ERROR, OK
@@ -20,7 +21,10 @@ LIMIT_S = 30.0
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    actions.add_parser("list", help="list the models with the result of `check` on this machine")
+    listed = actions.add_parser(
+        "list", help="list the models with the result of `check` on this machine"
+    )
+    listed.add_argument("--json", action="store_true", help="the list as JSON on stdout")
     check = actions.add_parser("check", help="test a model folder on this machine")
     check.add_argument("name", metavar="NAME", help="a model's name, or the path of its folder")
     check.add_argument("--json", action="store_true", help="the report as JSON on stdout")
@@ -45,27 +49,54 @@ def _size(text: str) -> tuple[int, int]:
 
 def run(arguments: argparse.Namespace) -> int:
     """List the models, or check one; return 1 if it fails the check."""
-    return _list() if arguments.action == "list" else _check(arguments)
+    return _list(arguments) if arguments.action == "list" else _check(arguments)
 
 
-def _list() -> int:
+def _list(arguments: argparse.Namespace) -> int:
     from calm_edge.backbones.base import BackboneError
     from calm_edge.backbones.onnx import verdict
     from calm_edge.backbones.onnx.model_folder import find_model, model_names, read_manifest
 
+    rows: list[dict[str, object]] = []
     for name in model_names():
         try:
             manifest = read_manifest(find_model(name))
         except BackboneError as error:
-            print(f"{name:14} {error}")
+            rows.append({"name": name, "error": str(error)})
             continue
         found = verdict.load(manifest)
-        result = "not checked here"
-        if found is not None:
-            result = f"refused: {found.refusal}" if found.refusal else f"passed; runs {found.why}"
-        precisions = "/".join(manifest.precisions())
-        print(f"{name:14} {manifest.kind:11} {precisions:14} {manifest.license:14} {result}")
+        rows.append(
+            {
+                "name": name,
+                "kind": manifest.kind,
+                "precisions": manifest.precisions(),
+                "license": manifest.license,
+                # null: not checked on this machine
+                "passed": None if found is None else not found.refusal,
+                "result": found and (found.refusal or found.why),
+            }
+        )
+    print(json.dumps({"models": rows}, indent=1) if arguments.json else _table(rows))
     return OK
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Format the list of models, a line each."""
+    lines = []
+    for row in rows:
+        if "error" in row:
+            lines.append(f"{row['name']:14} {row['error']}")
+            continue
+        result = "not checked here"
+        if row["passed"] is not None:
+            result = (
+                f"passed; runs {row['result']}" if row["passed"] else f"refused: {row['result']}"
+            )
+        precisions = "/".join(row["precisions"])
+        lines.append(
+            f"{row['name']:14} {row['kind']:11} {precisions:14} {row['license']:14} {result}"
+        )
+    return "\n".join(lines)
 
 
 def _check(arguments: argparse.Namespace) -> int:

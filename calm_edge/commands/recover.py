@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from calm_edge.commands.validate import add_json, print_report
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
@@ -12,12 +14,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, help="a new folder, or a new file; by default beside the recording"
     )
+    add_json(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Copy the intact messages; return 3 if some were lost, 1 if nothing could be read."""
-    from calm_edge.commands.validate import print_report
     from calm_edge.recording.recovery import default_target, recover
 
     source: Path = arguments.recording
-    return print_report(recover(source, arguments.out or default_target(source)))
+    report = recover(source, arguments.out or default_target(source))
+    return print_report(report, as_json=arguments.json)

@@ -155,6 +155,7 @@ def unfinished(out: Path) -> Iterator[Finding]:
             f"{drive} was not closed, by a power cut perhaps",
             "map, export and replay read it; `calm-edge recover` copies what is intact",
         )
+    yield from events(out)
     for plan in sorted(out.glob("*/unfinished/plan.json")):
         folder = plan.parent.parent
         yield note(
@@ -162,3 +163,20 @@ def unfinished(out: Path) -> Iterator[Finding]:
         )
     if out.is_dir() and not open_drives:
         yield good("drives", f"{len(drives(out))} in {out}, all closed")
+
+
+def events(out: Path) -> Iterator[Finding]:
+    """Yield how many events were marked in the newest drive under `out` that has some."""
+    from calm_edge.recording import RecordingError
+    from calm_edge.recording.reader import Recording
+    from calm_edge.recording.retention import drives
+    from calm_edge.recording.schema import EVENT
+
+    for drive in reversed(drives(out)):
+        with suppress(RecordingError, OSError):
+            if count := Recording(drive).count(EVENT):
+                page = drive / "report.html"
+                where = str(page) if page.exists() else f"calm-edge report {drive}"
+                marked = "1 event was" if count == 1 else f"{count} events were"
+                yield good("events", f"{marked} marked in {drive}: {where} lists them")
+                return

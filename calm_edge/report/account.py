@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -14,6 +14,7 @@ from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
 from calm_edge.recording.time_base import WallClock
 from calm_edge.report.chart import minutes
 from calm_edge.report.drive_log import DriveLog, Lost
+from calm_edge.report.events import MarkedEvent, sentence
 
 # times without a pose that are named one by one
 NAMED = 3
@@ -31,8 +32,10 @@ def unit(estimate: Estimate) -> str:
     return "m" if estimate.metric else "units" if estimate.spacing_m else "spacings"
 
 
-def account(estimate: Estimate, log: DriveLog, loops: int) -> tuple[str, ...]:
-    """Sentences on path, loops, focal lengths, metre, lost poses, frames and temperature.
+def account(
+    estimate: Estimate, log: DriveLog, loops: int, events: Sequence[MarkedEvent] = ()
+) -> tuple[str, ...]:
+    """Sentences on path, loops, focal lengths, metre, lost poses, frames, temperature and events.
 
     loops: number of loops closed. What is not known has no sentence: see `drive_report.unobserved`.
     """
@@ -43,8 +46,9 @@ def account(estimate: Estimate, log: DriveLog, loops: int) -> tuple[str, ...]:
         _lost(log.lost),
         _frames(log),
         _heat(log),
+        sentence(events),
     )
-    return tuple(sentence for sentence in found if sentence)
+    return tuple(text for text in found if text)
 
 
 def when(log: DriveLog) -> str:

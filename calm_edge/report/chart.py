@@ -16,6 +16,7 @@ from calm_edge.types import Float
 INK, MUTED, GRID = "var(--ink,#1f2933)", "var(--muted,#6b7785)", "var(--grid,#e3e7eb)"
 ESTIMATE, TRUTH = "var(--estimate,#0b6bcb)", "var(--truth,#d9822b)"
 ASSISTANT = "var(--assistant,#a03d8f)"
+BAD = "var(--bad,#c42318)"
 
 # of a page and of a phone: a chart is drawn in both widths, since text must not shrink with it
 WIDTH, NARROW = 960, 400

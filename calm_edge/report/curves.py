@@ -6,7 +6,17 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from calm_edge.report.chart import ASSISTANT, ESTIMATE, MUTED, NARROW, TRUTH, WIDTH, Chart, limits
+from calm_edge.report.chart import (
+    ASSISTANT,
+    BAD,
+    ESTIMATE,
+    MUTED,
+    NARROW,
+    TRUTH,
+    WIDTH,
+    Chart,
+    limits,
+)
 from calm_edge.types import Float
 
 EYES = (ESTIMATE, ASSISTANT)
@@ -20,12 +30,23 @@ def both_widths(draw: Callable[[int], Chart], alt: str) -> str:
     return f'<div class="wide">{wide}</div><div class="narrow">{narrow}</div>'
 
 
+def driven(path: Float) -> Float:
+    """Distance driven (N,) at each of the positions (N, 3)."""
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
 def trajectory(
-    path: Float, truth: Float | None, unit: str, loops: Sequence[tuple[Float, Float]] = ()
+    path: Float,
+    truth: Float | None,
+    unit: str,
+    loops: Sequence[tuple[Float, Float]] = (),
+    events: Sequence[Float] = (),
 ) -> str:
     """Top view of a trajectory (N, 3) and of the ground truth (M, 3), in the level frame.
 
-    unit: of the axis labels. loops: positions (3,) of two keyframes that show one place.
+    unit: of the axis labels. loops: positions (3,) of two keyframes that show one place. events:
+    positions (3,) of what was marked.
     """
     shown = path if truth is None or len(truth) == 0 else np.concatenate([path, truth])
     x, y = limits(shown[:, 0]), limits(shown[:, 1])
@@ -42,6 +63,8 @@ def trajectory(
         (x0, y0), (x1, y1) = path[0, :2], path[-1, :2]
         chart.dot(x0, y0, ESTIMATE, "start")
         chart.dot(x1, y1, ESTIMATE, "end", square=True)
+        for number, mark in enumerate(events):
+            chart.dot(mark[0], mark[1], BAD, "event" if number == 0 else "")
         return chart
 
     return both_widths(draw, "trajectory from above")
@@ -79,24 +102,23 @@ def height(path: Float, truth: Float | None, unit: str) -> str:
     """
 
     def profile(p: Float) -> tuple[Float, Float]:
-        steps = np.linalg.norm(np.diff(p, axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(steps)]), p[:, 2] - p[0, 2]
+        return driven(p), p[:, 2] - p[0, 2]
 
-    driven, z = profile(path)
+    along, z = profile(path)
     true = None if truth is None or len(truth) == 0 else profile(truth)
     shown = [z] if true is None else [z, true[1]]
     low, high = limits(*shown)
     # a level street must not fill the chart with its noise
-    least = 0.02 * float(driven[-1])
+    least = 0.02 * float(along[-1])
     more = max(least - (high - low), 0.0) / 2
-    far = driven if true is None else np.concatenate([driven, true[0]])
+    far = along if true is None else np.concatenate([along, true[0]])
 
     def draw(width: int) -> Chart:
         labels = f"distance driven, {unit}", f"height, {unit}"
         chart = Chart(limits(far, margin=0.0), (low - more, high + more), labels, 260, width=width)
         if true is not None:
             chart.line(*true, TRUTH, "ground truth", width=4.5, opacity=0.6)
-        chart.line(driven, z, ESTIMATE, "calm-edge", width=2)
+        chart.line(along, z, ESTIMATE, "calm-edge", width=2)
         return chart
 
     return both_widths(draw, "height over distance")

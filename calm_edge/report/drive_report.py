@@ -25,6 +25,7 @@ from calm_edge.geometry.similarity import align
 from calm_edge.kit.estimated import cameras
 from calm_edge.report.account import account, unit, when
 from calm_edge.report.drive_log import DriveLog
+from calm_edge.report.events import MarkedEvent
 from calm_edge.report.lens_image import LensImage, lens_image
 from calm_edge.report.mask_image import shaded
 from calm_edge.report.report import LoopRow, ReportData
@@ -183,12 +184,14 @@ def report_data(
     pictures: Sequence[Bytes | None] = (),
     log: DriveLog | None = None,
     origin_ns: int = 0,
+    events: Sequence[MarkedEvent] = (),
 ) -> ReportData:
     """Assemble the data of the report page.
 
     color: (P, 3) RGB of estimate.points_w. figures: from `results.compare`. notes: sentences to
     add to those of `unobserved`. pictures: one (H, W, 3) BGR of each eye, to show its mask and
     lens in. log: facts of the recording. origin_ns: stamps of the updates minus the estimate's.
+    events: what was marked.
     """
     figures, log = dict(figures or {}), log or DriveLog()
     truth_w = windows = None
@@ -217,7 +220,7 @@ def report_data(
         estimate.T_w_c,
         unit(estimate),
         ", ".join(filter(None, (when(log), f"calm-edge {__version__}"))),
-        account(estimate, log, len(loops)),
+        account(estimate, log, len(loops), events),
         estimate.points_w,
         color,
         truth_w,
@@ -237,6 +240,7 @@ def report_data(
         lenses=_lenses(updates, pictures),
         loops=loops,
         log=log,
+        events=tuple(events),
     )
 
 

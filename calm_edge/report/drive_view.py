@@ -9,6 +9,7 @@ import numpy as np
 from calm_edge.evaluation.estimate import Estimate
 from calm_edge.mapping.seams import Seam
 from calm_edge.report.account import unit
+from calm_edge.report.events import MarkedEvent
 from calm_edge.report.keyframe_pictures import KeyframePictures
 from calm_edge.report.map_page import MapView
 from calm_edge.types import Bytes, Int, Submap
@@ -24,6 +25,7 @@ def map_view(
     grain: float,
     pictures: Sequence[KeyframePictures] = (),
     seams: Sequence[Seam] = (),
+    events: Sequence[MarkedEvent] = (),
 ) -> MapView:
     """The page's content; points and poses are those of the estimate, whose stamps begin at origin.
 
@@ -45,4 +47,5 @@ def map_view(
         (estimate.t_ns - estimate.t_ns[0]) / 1e9,
         pictures,
         np.concatenate([np.zeros((0, 4), np.float32), *(seam.marks for seam in seams)]),
+        events,
     )

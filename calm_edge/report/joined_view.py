@@ -38,5 +38,10 @@ def joined(title: str, names: Sequence[str], views: Sequence[MapView]) -> MapVie
             for picture in view.pictures
         ],
         seams=np.concatenate([view.seams for view in views]),
+        events=[
+            replace(event, keyframe=event.keyframe + k, text=f"{event.text} ({name})".strip())
+            for name, (view, k, _, _) in zip(names, each, strict=True)
+            for event in view.events
+        ],
         drives=tuple(zip(names, keyframe.tolist(), strict=False)),
     )

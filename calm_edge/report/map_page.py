@@ -20,6 +20,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from calm_edge.report import map_image, point_records
+from calm_edge.report.events import MarkedEvent, time
 from calm_edge.report.keyframe_pictures import KeyframePictures
 from calm_edge.types import Bytes, Float, Float32, Int
 
@@ -52,6 +53,7 @@ class MapView:
     (K,) seconds since the start of sub-maps and keyframes. T_w_c: (K, 4, 4) of keyframes, K >= 1.
     seams: (M, 4) of common anchors of two sub-maps: place in the world, and how far these disagree.
     drives: name and first keyframe of each drive of a map of several, none of one.
+    events: what was marked while driving.
     """
 
     title: str
@@ -66,6 +68,7 @@ class MapView:
     pictures: Sequence[KeyframePictures] = ()
     seams: Float32 = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     drives: tuple[tuple[str, int], ...] = ()
+    events: Sequence[MarkedEvent] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +124,9 @@ def _drive(
         "heading": np.arctan2(forward[:, 1], forward[:, 0]).round(4).tolist(),
         "seconds": view.t_s.round(3).tolist(),
         "drives": view.drives,
+        "events": [
+            [event.keyframe, f"{time(event)} {event.text}".strip()] for event in view.events
+        ],
         "submapSeconds": view.submap_s[::group].round(3).tolist(),
     }
 

@@ -12,6 +12,7 @@ from calm_edge.recording.retention import TRAJECTORY_FILE
 from calm_edge.recording.segment import recording_files
 from calm_edge.report.drive_log import read_log
 from calm_edge.report.drive_report import compared, report_data
+from calm_edge.report.events import marked_events
 from calm_edge.report.keyframe_pictures import late_pictures
 from calm_edge.report.report import ReportData
 
@@ -36,6 +37,7 @@ def recording_report(recording: Recording, truth: Truth | None, page: Path) -> R
         notes=list(dict.fromkeys(notes)),
         pictures=late_pictures(recording, list(recording.windows())),
         log=log,
+        events=marked_events(recording.events(), estimate.t_ns, estimate.T_w_c),
     )
     maps = () if recording.path.is_file() else (recording.path / TRAJECTORY_FILE,)
     return replace(data, files=(*recording_files(recording.path), *maps))

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.report import curves, map_image, map_sections, page, tables
+from calm_edge.report import curves, events, map_image, map_sections, page, tables
 from calm_edge.report.chart import minutes
 from calm_edge.report.drive_log import DriveLog
+from calm_edge.report.events import MarkedEvent
 from calm_edge.report.lens_image import LensImage
 from calm_edge.report.map_sections import photo
 from calm_edge.types import Bytes, Float, Float32
@@ -49,7 +50,8 @@ class ReportData:
     focal_log_sigma: (S, 2). truth_focal_px: (2,). scale_windows: (W, 2) of (t, scale against the
     truth). stage_ms: mean per sub-map. map_s: seconds of `map` by stage. headline: pairs (number,
     caption). figures: name -> value. notes: sentences on what could not be determined. left_out:
-    pictures (h, w, 3) RGB of `mask_image`. files: to link to.
+    pictures (h, w, 3) RGB of `mask_image`. files: to link to. map_page: name of the map beside the
+    page, empty without one.
     """
 
     title: str
@@ -78,6 +80,8 @@ class ReportData:
     loops: tuple[LoopRow, ...] = ()
     log: DriveLog = field(default_factory=DriveLog)
     files: tuple[Path, ...] = ()
+    events: tuple[MarkedEvent, ...] = ()
+    map_page: str = ""
 
 
 def render(data: ReportData, path: Path = Path("report.html")) -> str:
@@ -114,9 +118,15 @@ def _path(data: ReportData) -> list[str]:
     path = data.T_w_c[:, :3, 3] @ R.T
     truth = None if data.truth_w is None else data.truth_w @ R.T
     loops = [(R @ loop.p_w, R @ loop.match_p_w) for loop in data.loops]
-    drawn = curves.trajectory(path, truth, data.unit, loops)
+    marks = [R @ event.p_w for event in data.events]
+    drawn = curves.trajectory(path, truth, data.unit, loops, marks)
     against = "With the ground truth." if truth is not None else "No truth was given."
     parts = [page.section("The trajectory from above", against, drawn)]
+    if data.events:
+        note = "Marked while driving; times since the first keyframe, min:s."
+        driven = curves.driven(path)
+        table = events.table(data.events, driven, data.unit, data.map_page)
+        parts.append(page.section("Events", note, table))
     if len(path) > 1:
         note = "Along the camera's mean up axis, from the first keyframe."
         parts.append(page.section("Height", note, curves.height(path, truth, data.unit)))

@@ -10,7 +10,9 @@ import pytest
 from calm_edge.cli import main
 from calm_edge.commands import report
 from calm_edge.commands.record import write_page
+from calm_edge.recording.reader import Recording
 from calm_edge.recording.retention import REPORT_FILE
+from device.frame import Eye
 from tests.replay.small_drive import write_drive
 
 
@@ -36,6 +38,18 @@ def test_record_writes_it_and_report_writes_it_again(recorded: Path) -> None:
     assert "trajectory error" not in text and "trajectory error" in page.read_text()
     assert main(["report", str(out / "0000.mcap")]) == 0
     assert (out / "0000.report.html").is_file()
+
+
+def test_what_was_marked_is_in_the_report(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = Recording(recorded / "rec")
+    marked = [(int(recording.frame_times(Eye.PRIMARY)[9]), "tram crosses")]
+    monkeypatch.setattr(Recording, "events", lambda self: iter(marked))
+    page = tmp_path / "page.html"
+    assert main(["report", str(recorded / "rec"), "--out", str(page)]) == 0
+    text = page.read_text()
+    assert "1 event was marked: at 0:00." in text and "tram crosses" in text
 
 
 def test_the_truth_of_another_drive_is_no_error(recorded: Path, tmp_path: Path) -> None:

@@ -129,3 +129,17 @@ def test_the_state_of_the_service_is_that_of_systemd(
 )
 def test_a_service_that_does_not_run_is_a_note(state: Service, level: Level) -> None:
     assert surroundings.service(state).level is level
+
+
+def test_marked_events_of_the_newest_drive_that_has_some(tmp_path: Path) -> None:
+    for number, texts in (("000001-a", ["x"]), ("000002-b", ["tram", ""]), ("000003-c", [])):
+        writer = RecordingWriter(tmp_path / number, Config())
+        for k, text in enumerate(texts):
+            writer.write_event(k, text)
+        writer.close()
+    (found,) = surroundings.events(tmp_path)
+    assert found.level is Level.GOOD and "2 events were marked" in found.text
+    assert f"calm-edge report {tmp_path / '000002-b'}" in found.text
+    (tmp_path / "000002-b" / "report.html").touch()
+    found = next(iter(surroundings.unfinished(tmp_path)))
+    assert str(tmp_path / "000002-b" / "report.html") in found.text

@@ -12,6 +12,7 @@ import pytest
 
 from calm_edge.geometry import se3
 from calm_edge.report import joined_page
+from calm_edge.report.events import MarkedEvent
 from calm_edge.report.joined_page import DriveRow, JoinedData, write_joined
 from calm_edge.report.joined_view import PAUSE_S, joined
 from calm_edge.report.keyframe_pictures import KeyframePictures
@@ -35,6 +36,7 @@ def view(points: int) -> MapView:
         curve(N),
         np.arange(N) / 2,
         [KeyframePictures(3, b"a", b"b")],
+        events=[MarkedEvent(2.0, "tram", 4, np.zeros(3))],
     )
 
 
@@ -46,6 +48,10 @@ def test_views_follow_each_other_and_the_path_is_cut_between_them(tmp_path: Path
     assert np.all(np.diff(both.t_s) > 0) and both.t_s[N] == 5.5 + PAUSE_S
     assert both.submap_s.tolist() == [0, 2, 4, 6.5, 8.5, 10.5]
     assert [picture.keyframe for picture in both.pictures] == [3, 15]
+    assert [(event.keyframe, event.text) for event in both.events] == [
+        (4, "tram (a)"),
+        (N + 4, "tram (b)"),
+    ]
     write_map_page(tmp_path / "map.html", both)
     found = re.search(r"<script>const DRIVE=(.*?);</script>", (tmp_path / "map.html").read_text())
     assert found and json.loads(found[1])["drives"] == [["a", 0], ["b", N]]

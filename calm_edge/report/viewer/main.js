@@ -11,10 +11,12 @@ const EXTENT = distance(...CORNERS) || 1;
 function start() {
   const points = new Points(gl, DRIVE, MOST);
   const path = new Lines(gl), stops = new Lines(gl), here = new Lines(gl), ruler = new Lines(gl);
+  const marks = new Lines(gl);
   const seams = new Seams(gl);
   const firsts = new Set(DRIVE.drives.map(([, k]) => k));
   path.set(DRIVE.path.slice(1).map((p, i) => [DRIVE.path[i], p]).filter((_, i) => !firsts.has(i + 1)));
   stops.set(DRIVE.path.map((p) => [p, p]));
+  marks.set(DRIVE.events.map(([k]) => [DRIVE.path[k], DRIVE.path[k]]));
   const began = performance.now(), stats = {firstPicture: null, frames: 0, drawn: 0, loaded: 0};
   let view = initial(), colors = 0, moved = true, drawn = 0, budget = COARSE ? 150_000 : 250_000;
   let last = 0, measuring = null, keyframe = 0, waiting = 0, complaint = "", hashTimer = 0;
@@ -39,11 +41,12 @@ function start() {
 
   function fromAddress() {
     const address = new URLSearchParams(location.hash.slice(1));
-    view = View.fromText(address.get("v")) || view;
+    const k = Number(address.get("k")) - 1;
+    // an address with a keyframe alone, such as of the report's events, leads to it
+    view = View.fromText(address.get("v")) || (address.has("k") && DRIVE.path[k] ? behind(k) : view);
     colors = Math.max(0, COLORS.indexOf(address.get("c")));
     panel.element.colors.selectedIndex = colors;
     showSeams(address.get("s") === "1");
-    const k = Number(address.get("k")) - 1;
     if (address.has("k") && DRIVE.path[k]) mark(k);
     redraw();
   }
@@ -96,6 +99,7 @@ function start() {
       path.draw(matrix, [width, height], ink("--estimate"), 2 * scale);
       stops.draw(matrix, [width, height], ink("--estimate"), 4.5 * scale);
       seams.draw(matrix, 3 * scale);
+      marks.draw(matrix, [width, height], ink("--bad"), 8 * scale);
       here.draw(matrix, [width, height], ink("--truth"), 11 * scale);
       ruler.draw(matrix, [width, height], ink("--bad"), 3 * scale);
       label(matrix);

@@ -18,7 +18,18 @@ class Panel {
     share.addEventListener("click", () => this.copy());
     whole.addEventListener("click", () => on.whole());
     hide.addEventListener("click", () => this.show(null));
+    this.fillEvents(on.jump);
     this.place(0);
+  }
+
+  /** List what was marked while driving; choosing one goes there. */
+  fillEvents(jump) {
+    const {events, marked} = this.element;
+    for (const [k, text] of this.drive.events) {
+      events.append(Object.assign(document.createElement("option"), {value: k, textContent: text}));
+    }
+    marked.hidden = !this.drive.events.length;
+    events.addEventListener("change", () => { if (events.value !== "") jump(Number(events.value)); });
   }
 
   say(text) { this.element.status.textContent = text; }
@@ -26,6 +37,8 @@ class Panel {
   /** Put the slider on a keyframe. */
   place(k) {
     this.element.along.value = k;
+    const here = this.drive.events.find(([row]) => row === k);
+    this.element.events.value = here ? String(k) : "";
     // of a map of several drives: the time since the start of the drive
     const [name, first] = this.drive.drives.findLast(([, start]) => start <= k) || ["", 0];
     const t = this.drive.seconds[k] - this.drive.seconds[first];

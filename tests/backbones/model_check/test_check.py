@@ -257,6 +257,11 @@ def test_models_are_listed_with_their_verdicts(tmp_path, capsys, monkeypatch):
     verdict.save(read_manifest(folder), report.verdict())
     main(["model", "list"])
     assert "refused: too slow" in capsys.readouterr().out
+    assert main(["model", "list", "--json"]) == 0
+    first, second = json.loads(capsys.readouterr().out)["models"]
+    assert first["name"] == "broken" and "format = 9" in first["error"]
+    assert second["name"] == "painted" and second["precisions"] == ["fp32"]
+    assert second["passed"] is False and second["result"] == "too slow"
 
 
 @pytest.mark.parametrize("size", ["big", "10x10", "640"])
