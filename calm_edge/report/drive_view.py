@@ -47,5 +47,5 @@ def map_view(
         (estimate.t_ns - estimate.t_ns[0]) / 1e9,
         pictures,
         np.concatenate([np.zeros((0, 4), np.float32), *(seam.marks for seam in seams)]),
-        events,
+        events=events,
     )
