@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import cv2
@@ -38,10 +39,6 @@ class Batch:
     stranger: np.ndarray
     T_w_p: Float
 
-    @property
-    def alone(self):
-        return self.images[:-1], self.hints.without_loop()
-
 
 @pytest.fixture(scope="module")
 def batch() -> Batch:
@@ -64,14 +61,36 @@ def batch() -> Batch:
     return Batch(images[:-1], hints, images[-1], T_w_p)
 
 
-@pytest.fixture(scope="module")
-def alone(batch):
-    return BACKBONE.infer(*batch.alone)
+class Kept(BundleBackbone):
+    """Keeps a copy of what it infers from the window alone, and of the pictures for it."""
+
+    def infer(self, images, hints):
+        found = super().infer(images, hints)
+        if not hints.loop:
+            self.alone, self.seen = deepcopy(found), (list(images), hints)
+        return found
 
 
 @pytest.fixture(scope="module")
-def solved(batch):
-    return BACKBONE.infer(batch.images, batch.hints)
+def both(batch):
+    """The window with the loop view, and without it as the same call has solved it."""
+    backbone = Kept(BackboneConfig())
+    solved = backbone.infer(batch.images, batch.hints)
+    images, hints = backbone.seen
+    # nothing of the loop view goes into the window
+    assert all(a is b for a, b in zip(images, batch.images[:-1], strict=True))
+    assert not hints.loop and len(hints.eyes) == len(hints.t_ns) == 2 * N
+    return solved, backbone.alone
+
+
+@pytest.fixture(scope="module")
+def alone(both):
+    return both[1]
+
+
+@pytest.fixture(scope="module")
+def solved(both):
+    return both[0]
 
 
 @pytest.fixture(scope="module")
