@@ -47,6 +47,9 @@ SHOWN = 0.05
 BIAS_PX = 0.3
 # Least ratio of the errors' variance to the matches' sigmas squared: 0.02 px.
 LEAST_EXCESS = 1e-3
+# Both focals together.
+FOCALS = np.zeros(layout.SIZE)
+FOCALS[layout.LOG_FOCAL] = 1.0
 # Keeps the information regular where a pose is all but free [1 / spacings^2, 1 / rad^2].
 _FLOOR = 1e-9
 # Eigenvalues of the information below this share of the largest count as rounding errors.
@@ -96,14 +99,17 @@ def kit_evidence(
     )
     prior = layout.prior((None, None), families=layout.families(state.theta))
     bounded = np.linalg.inv(kept_information + prior.information)
-    unturned = BIAS_PX / max(_turn_px(state, m), BIAS_PX * 1e-3)
-    focals = np.zeros(layout.SIZE)
-    focals[layout.LOG_FOCAL] = 1.0
-    belief = blurred(belief, focals, unturned)
+    unturned = unturned_sigma(state, m)
+    belief = blurred(belief, FOCALS, unturned)
     variance = common * bounded[layout.LOG_FOCAL, layout.LOG_FOCAL].max() + unturned**2
     hidden = variance / SHOWN**2
     # many windows that hardly show the focal must not outvote one that does
     return scaled(belief, (1 + hidden) ** -2)
+
+
+def unturned_sigma(state: State, m: Measurements) -> float:
+    """Sigma of the log of both focals by a bend of the picture, which only a turn tells apart."""
+    return BIAS_PX / max(_turn_px(state, m), BIAS_PX * 1e-3)
 
 
 def _turn_px(state: State, m: Measurements) -> float:

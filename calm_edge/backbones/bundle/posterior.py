@@ -9,6 +9,7 @@ over
 
 - cells: the outer product of the part of each cell's tracks, which share a surface and its errors;
 - an error that all matches across the cameras share;
+- a bend of the picture that looks like another focal unless the car turns (`evidence`);
 - the rig ties, which have the sigmas that they claim;
 - the prior on the kit.
 """
@@ -19,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.backbones.bundle.evidence import cell_sums
+from calm_edge.backbones.bundle.evidence import FOCALS, cell_sums, unturned_sigma
 from calm_edge.backbones.bundle.normal_equations import (
     Structure,
     normal_equations,
@@ -47,6 +48,8 @@ CELLS_ALIKE = 2.0
 # It is in full at a parallax of NEAR_PX.
 COMMON_SHARE = 0.4
 NEAR_PX = 1.0
+# Largest sigma of the log focal by a bend of the picture: as of a focal that is unknown.
+MOST_BENT = 0.3
 # Observations of less weight are outliers. One of a point near a camera has leverage whatever its
 # weight, and its residual is no sample of the errors of the others.
 LEAST_WEIGHT = 0.01
@@ -114,12 +117,23 @@ def posterior(
     common = track_gradients(m, jac, bare, slope * _common_error(solution, m).T).sum(1)
     B = CELLS_ALIKE * cells @ cells.T + np.outer(common, common)
     B += tie_equations(state, m, ties)[0]
-    B[-layout.SIZE :, -layout.SIZE :] += stiffness * prior.information
+    bent = _by_kit(bare.H, len(A)) @ FOCALS * min(unturned_sigma(state, m), MOST_BENT)
+    B[-layout.SIZE :, -layout.SIZE :] += stiffness * prior.information + np.outer(bent, bent)
 
     covariance = np.zeros_like(A)
     inverse = np.linalg.inv(A[6:, 6:] + _FLOOR * np.eye(len(A) - 6))
     covariance[6:, 6:] = inverse @ B[6:, 6:] @ inverse
     return Posterior(covariance)
+
+
+def _by_kit(H: Float, size: int) -> Float:
+    """Information of the pixels on the kit, poses marginalised out, (SIZE, SIZE).
+
+    H: (size, size), without priors.
+    """
+    poses, kit = slice(6, size - layout.SIZE), slice(size - layout.SIZE, size)
+    held = H[poses, poses] + _FLOOR * np.eye(size - layout.SIZE - 6)
+    return np.asarray(H[kit, kit] - H[kit, poses] @ np.linalg.solve(held, H[poses, kit]))
 
 
 def _common_error(solution: Solution, m: Measurements) -> Float:

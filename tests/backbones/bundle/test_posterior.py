@@ -109,3 +109,23 @@ def test_wrong_matches_are_left_out(monkeypatch):
     # forty tracks are lost, which makes it a little wider
     assert alone < left_out < 1.05 * alone
     assert counted > 1.01 * left_out
+
+
+def test_a_bend_of_the_picture_is_an_error_of_straight_roads(monkeypatch):
+    """It looks like another focal: not where the car turns, nor where the kit is known."""
+
+    def widened(yaw_rad, information):
+        made = window(turn(N, yaw_rad), theta_of(), noise_px=0.1)
+        prior = prior_of(made.truth.theta, information)
+        solution = solver.solve(made.truth, made.m, made.ties, prior, robust_scale=0.5)
+        sigmas = []
+        for most in (0.3, 0.0):
+            monkeypatch.setattr(posterior, "MOST_BENT", most)
+            sigmas.append(scale_sigma((solution, made.m, made.ties, prior, 0.5, STIFFNESS)))
+        return np.sqrt(sigmas[0] ** 2 - sigmas[1] ** 2)
+
+    guessed = layout.prior((None, None)).information.diagonal()
+    straight = widened(1e-3, guessed)
+    assert straight > 0.02
+    assert widened(0.07, guessed) < 0.1 * straight
+    assert widened(1e-3, known(1e-4)) < 0.1 * straight
