@@ -59,6 +59,11 @@ class SegmentChain:
         return self._segment is not None
 
     @property
+    def number(self) -> int:
+        """Number of the next segment."""
+        return self._number
+
+    @property
     def space(self) -> Space:
         """State of the disk when it was last checked."""
         return self._room.space

@@ -67,6 +67,8 @@ class Recording:
                 continue
             self._segments.append(index)
             self.losses += index.losses()
+            if path.is_dir() and file == files[-1]:
+                self.losses += index.missing_end()
         if not self._segments:
             raise RecordingError(
                 f"{path}: none of its {len(files)} files can be read; {self.losses[-1]}"

@@ -70,7 +70,7 @@ def validate(path: Path) -> RecordingReport:
         except RecordingError as error:
             losses.append(str(error))
             continue
-        losses += index.losses()
+        losses += _losses(index, path, files)
         read.append(file)
         for topic, (n, _) in _digest(index).items():
             messages[topic] = messages.get(topic, 0) + n
@@ -106,14 +106,14 @@ def recover(source: Path, target: Path) -> RecordingReport:
         copy = target / file.name.removesuffix(PART) if source.is_dir() else target
         try:
             index = scan(file, check=True)
-            if index.n_messages == 0:
+            if index.n_messages == 0 and (index.damaged or (index.cut and not index.data_ended)):
                 losses += [*index.losses(), f"{file}: holds no intact message; not copied"]
                 continue
             counts = _copy(index, copy)
         except RecordingError as error:
             losses.append(str(error))
             continue
-        losses += index.losses()
+        losses += _losses(index, source, files)
         written.append(copy)
         for topic, n in counts.items():
             messages[topic] = messages.get(topic, 0) + n
@@ -121,6 +121,12 @@ def recover(source: Path, target: Path) -> RecordingReport:
         return RecordingReport(Outcome.FAILED, messages, tuple(losses), ())
     outcome = Outcome.WITH_LOSS if losses else Outcome.ALL
     return RecordingReport(outcome, messages, tuple(losses), tuple(written))
+
+
+def _losses(index: SegmentIndex, source: Path, files: list[Path]) -> list[str]:
+    """Losses of one of the files of a recording, and of the end that the last one lacks."""
+    is_last = source.is_dir() and index.path == files[-1]
+    return [*index.losses(), *(index.missing_end() if is_last else [])]
 
 
 def _messages(index: SegmentIndex) -> Iterator[_Message]:

@@ -23,7 +23,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 
 from calm_edge.recording import RecordingError
-from calm_edge.recording.schema import IMAGE_TOPICS, SESSION_METADATA
+from calm_edge.recording.schema import END_KEY, END_METADATA, IMAGE_TOPICS, SESSION_METADATA
 from calm_edge.recording.time_base import EPOCH_KEY, integer
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -100,11 +100,14 @@ class SegmentIndex:
             if c.topic == topic and i in self.rows
         ]
 
+    def metadata_of(self, name: str) -> dict[str, str] | None:
+        """The first metadata of a name, or None."""
+        return next((m.metadata for m in self.metadata if m.name == name), None)
+
     @property
     def epoch_ns(self) -> int | None:
         """`TimeBase.epoch_ns` of the file; None of an earlier version, whose log_time is t_ns."""
-        session = (m.metadata for m in self.metadata if m.name == SESSION_METADATA)
-        return integer(next(session, {}), EPOCH_KEY)
+        return integer(self.metadata_of(SESSION_METADATA) or {}, EPOCH_KEY)
 
     def t_ns(self, rows: Rows) -> list[int]:
         """Times t_ns of messages, as of frames."""
@@ -121,6 +124,19 @@ class SegmentIndex:
         """
         images = [rows for topic in IMAGE_TOPICS.values() for _, rows in self.topic_rows(topic)]
         return max((max(self.t_ns(rows)) for rows in images or self.rows.values()), default=None)
+
+    def missing_end(self) -> list[str]:
+        """One line if this last segment of a folder is complete and does not end the recording.
+
+        Nothing is known of recordings of versions that did not mark their end.
+        """
+        marks = END_KEY in (self.metadata_of(SESSION_METADATA) or {})
+        if self.cut or not marks or self.metadata_of(END_METADATA) is not None:
+            return []
+        return [
+            f"{self.path}: the end of the recording is not in it, and no segment follows; copy the "
+            "folder again, unless the disk was full or the power failed"
+        ]
 
     def losses(self) -> list[str]:
         """Describe each loss in one line: file, cause, time of the loss, messages recovered."""

@@ -74,6 +74,7 @@ class RecordingWriter:
                 "version": calm_edge.__version__,
                 "backbone": config.backbone.name,
                 "boot_id": boot_id(),
+                schema.END_KEY: "marked",
                 **time_base.metadata(),
                 **(metadata or {}),
             },
@@ -255,6 +256,7 @@ class RecordingWriter:
             if time.monotonic() >= next_tick:
                 next_tick = time.monotonic() + self._config.recording.flush_s
                 self._tick()
+        self._chain.write_metadata(schema.END_METADATA, {"segments": str(self._chain.number)})
         self._chain.finish()
         self._give_up()
 

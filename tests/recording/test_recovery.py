@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 from pathlib import Path
@@ -9,13 +10,19 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from calm_edge.config import RecordingConfig
 from calm_edge.recording import RecordingError, recovery
+from calm_edge.recording.chain import SegmentChain
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.recovery import Outcome, default_target, recover, validate
+from calm_edge.recording.scan import scan
+from calm_edge.recording.schema import END_KEY, END_METADATA, SESSION_METADATA, frame_message
+from calm_edge.recording.segment import Segment
 from device.frame import Eye
 from tests.recording import samples
 
 N = 12
+SESSION = {SESSION_METADATA: {END_KEY: "marked"}}
 
 
 @pytest.fixture(scope="module")
@@ -148,3 +155,53 @@ def test_a_missing_segment_is_a_loss(folder: Path, tmp_path: Path) -> None:
     for report in (validate(source), recover(source, tmp_path / "copy")):
         assert report.outcome == Outcome.WITH_LOSS and "0001.mcap: missing" in report.losses[0]
     assert Recording(source / "0002.mcap").losses == []
+
+
+def _in_segments(folder: Path, n: int) -> Path:
+    """Record a frame in each of n segments."""
+    chain = SegmentChain(folder, RecordingConfig(), SESSION, lambda: 0, os.write, print)
+    folder.mkdir()
+    for k in range(n):
+        chain.open()
+        chain.write([frame_message(samples.frame(Eye.PRIMARY, k))], k)
+        if k == n - 1:
+            chain.write_metadata(END_METADATA, {"segments": str(n)})
+        chain.finish()
+    return folder
+
+
+def test_missing_last_segments_are_a_loss(tmp_path: Path) -> None:
+    source = _in_segments(tmp_path / "rec", 3)
+    assert Recording(source).losses == []
+    assert validate(source).outcome == recover(source, tmp_path / "whole").outcome == Outcome.ALL
+    assert validate(tmp_path / "whole").outcome == Outcome.ALL
+    (source / "0002.mcap").unlink()
+    reports = validate(source), recover(source, tmp_path / "copy"), validate(tmp_path / "copy")
+    for losses in (Recording(source).losses, *(report.losses for report in reports)):
+        assert len(losses) == 1 and "0001.mcap: the end of the recording is not in it" in losses[0]
+    assert all(report.outcome == Outcome.WITH_LOSS for report in reports)
+    assert Recording(source / "0001.mcap").losses == []
+
+
+def test_a_writer_marks_the_end_and_earlier_recordings_lack_no_end(
+    folder: Path, tmp_path: Path
+) -> None:
+    index = scan(folder / "0000.mcap")
+    assert index.metadata_of(END_METADATA) == {"segments": "1"}
+    index.metadata = [m for m in index.metadata if m.name != END_METADATA]
+    assert index.missing_end()
+    for metadata in index.metadata:
+        metadata.metadata.pop(END_KEY, None)
+    assert index.missing_end() == []
+
+
+def test_an_intact_segment_without_messages_is_copied(tmp_path: Path) -> None:
+    source = _in_segments(tmp_path / "rec", 2)
+    for number in (1, 2):
+        (source / f"{number:04d}.mcap").unlink(missing_ok=True)
+        end = {END_METADATA: {"segments": "3"}} if number == 2 else {}
+        Segment(source, number, 8192, {**SESSION, **end}).finish()
+    report = recover(source, tmp_path / "copy")
+    assert (report.outcome, report.losses) == (Outcome.ALL, ())
+    assert [file.name for file in report.files] == ["0000.mcap", "0001.mcap", "0002.mcap"]
+    assert validate(tmp_path / "copy").outcome == Outcome.ALL
