@@ -40,16 +40,20 @@ def folded(pieces: Iterable[Trajectory]) -> Trajectory | None:
     )
 
 
+def seconds(t_ns: int) -> str:
+    """Format ns as seconds, exactly."""
+    whole, rest = divmod(abs(t_ns), 10**9)
+    return f"{'-' if t_ns < 0 else ''}{whole}.{rest:09d}"
+
+
 def tum_text(t_ns: Int, T_w_c: Float) -> str:
     """Format t_ns (N,), T_w_c (N, 4, 4) as TUM rows, seconds exact to the nanosecond."""
     q = se3.quaternions(T_w_c[:, :3, :3])
     lines = []
     for t, p, r in zip(t_ns, T_w_c[:, :3, 3], q, strict=True):
-        seconds, rest = divmod(abs(int(t)), 1_000_000_000)
-        sign = "-" if t < 0 else ""
         # adding 0.0 turns -0.0 into 0.0, so equal poses are equal bytes
         values = " ".join(f"{v + 0.0:.9f}" for v in (*np.round(p, 9), *np.round(r, 9)))
-        lines.append(f"{sign}{seconds}.{rest:09d} {values}\n")
+        lines.append(f"{seconds(int(t))} {values}\n")
     return "".join(lines)
 
 

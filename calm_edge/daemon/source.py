@@ -111,12 +111,15 @@ def replayed(
 
     epoch_ns: stamp of the first frame. paced: True for real time, False for as fast as they are
     read. origin_ns: what was added to the stamps that the user knows. notes, name_of: as of
-    `Source`.
+    `Source`. If the first stamp is not positive, all are shifted: no clock of a live run is
+    negative, and the stamps of ODOMETRY are unsigned.
     """
+    shift_ns = time_base.lift_ns(epoch_ns)
+    epoch_ns += shift_ns
     clock: TimelineClock | StampClock = TimelineClock(epoch_ns) if paced else StampClock(epoch_ns)
 
     def stored(eye: Eye) -> Iterator[Frame | Unusable]:
-        found = _as_camera(frames(eye))
+        found = _later(_as_camera(frames(eye)), shift_ns)
         return clock.following(found) if isinstance(clock, StampClock) else found
 
     def cameras() -> tuple[Camera, Camera]:
@@ -132,7 +135,7 @@ def replayed(
         )
         return primary, assistant
 
-    base = time_base.of_stamps(origin_ns, epoch_ns, lockstep=not paced)
+    base = time_base.of_stamps(origin_ns + shift_ns, epoch_ns, lockstep=not paced)
     return Source(cameras, clock, True, description, base, notes, name_of)
 
 
@@ -142,6 +145,15 @@ def _as_camera(frames: Iterable[Frame | Unusable]) -> Iterator[Frame | Unusable]
         yield from frames
     except CalmEdgeError as error:
         raise CameraError(str(error)) from error
+
+
+def _later(frames: Iterator[Frame | Unusable], shift_ns: int) -> Iterator[Frame | Unusable]:
+    if not shift_ns:
+        return frames
+    return (
+        replace(frame, t_ns=frame.t_ns + shift_ns) if isinstance(frame, Frame) else frame
+        for frame in frames
+    )
 
 
 def of_sequence(folder: Path, paced: bool) -> Source:

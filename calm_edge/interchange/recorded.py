@@ -8,8 +8,10 @@ import shutil
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from typing import TypeVar
 
 from calm_edge.config import Config
 from calm_edge.geometry import se3
@@ -19,11 +21,14 @@ from calm_edge.interchange.calibration import formats
 from calm_edge.recording import time_base
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import IMPORT_METADATA
+from calm_edge.recording.sensors import Sample
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.recording.writer import RecordingWriter
-from calm_edge.trajectories import write_kitti
+from calm_edge.trajectories import seconds, write_kitti
 from device.atomic_file import sync_folder
-from device.frame import Eye
+from device.frame import Eye, Frame
+
+_Timed = TypeVar("_Timed", Frame, Sample)
 
 TRUTH, CALIBRATION = "truth", "calibration"
 # marks a folder that an import has begun; nothing else is ever removed
@@ -73,26 +78,28 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
     frames = heapq.merge(*streams, key=lambda f: (f.t_ns, f.eye))
     samples = deque(imported.samples)
     first = next(frames, None)
-    now = ORIGIN_NS if first is None else first.t_ns
+    times = [item.t_ns for item in (first, *list(samples)[:1]) if item is not None]
+    shift_ns = time_base.lift_ns(min(times, default=ORIGIN_NS))
+    now = shift_ns + (ORIGIN_NS if first is None else first.t_ns)
     writer = RecordingWriter(
         folder,
         config,
         {"cameras": f"imported: {name}"},
         lossless=True,
-        time_base=time_base.of_stamps(ORIGIN_NS, now, lockstep=True),
+        time_base=time_base.of_stamps(ORIGIN_NS + shift_ns, now, lockstep=True),
         now_ns=lambda: now,
     )
     try:
         for frame in chain([] if first is None else [first], frames):
             while samples and samples[0].t_ns <= frame.t_ns:
-                now = max(now, samples[0].t_ns)
-                writer.write_sample(samples.popleft())
-            now = frame.t_ns
-            writer.write_frame(frame)
+                now = max(now, samples[0].t_ns + shift_ns)
+                writer.write_sample(_later(samples.popleft(), shift_ns))
+            now = frame.t_ns + shift_ns
+            writer.write_frame(_later(frame, shift_ns))
             counts[frame.eye] += 1
         for sample in samples:
-            now = max(now, sample.t_ns)
-            writer.write_sample(sample)
+            now = max(now, sample.t_ns + shift_ns)
+            writer.write_sample(_later(sample, shift_ns))
         writer.write_metadata(IMPORT_METADATA, _facts(imported, name))
     finally:
         health = writer.close()
@@ -104,6 +111,10 @@ def write(imported: Imported, config: Config, folder: Path, name: str) -> dict[E
     if imported.truth is not None:
         _write_truth(imported, folder / TRUTH)
     return counts
+
+
+def _later(item: _Timed, shift_ns: int) -> _Timed:
+    return replace(item, t_ns=item.t_ns + shift_ns) if shift_ns else item
 
 
 def _facts(imported: Imported, name: str) -> dict[str, str]:
@@ -136,7 +147,7 @@ def _write_truth(imported: Imported, folder: Path) -> None:
     folder.mkdir()
     write_kitti(folder / "poses0.txt", se3.inverse(imported.truth.T_w_c[0]) @ imported.truth.T_w_c)
     stamps = (imported.truth.t_ns - ORIGIN_NS).tolist()
-    (folder / "times0.txt").write_text("".join(f"{t // 10**9}.{t % 10**9:09d}\n" for t in stamps))
+    (folder / "times0.txt").write_text("".join(f"{seconds(t)}\n" for t in stamps))
     rows = []
     cameras = [] if imported.calibration is None else imported.calibration.cameras
     for camera in (each.camera for each in cameras):

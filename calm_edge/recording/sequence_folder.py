@@ -36,12 +36,12 @@ def read_times(path: Path) -> Int:
     """Read stamps (N,) in ns from a file of times as `stamp_text` does; ORIGIN_NS is added.
 
     Single ones out of order are replaced (`stamp_order`). Raises SequenceError if they do not
-    increase otherwise, or are at or before -ORIGIN_NS.
+    increase otherwise.
     """
     t_ns, _ = ordered(read_stamps(path).t_ns)
     if (np.diff(t_ns) <= 0).any():
         raise SequenceError(f"{path}: its times do not increase from line to line")
-    return _shifted(t_ns, path)
+    return np.asarray(t_ns + ORIGIN_NS)
 
 
 class SequenceFolder:
@@ -63,7 +63,7 @@ class SequenceFolder:
         for camera, file in zip(pair, times, strict=True):
             if not camera.has_times and any(each.has_times for each in pair):
                 raise SequenceError(f"{file}: missing; give times of both cameras, or of neither")
-        self._t_ns = tuple(_shifted(camera.t_ns, camera.folder) for camera in pair)
+        self._t_ns = tuple(camera.t_ns + ORIGIN_NS for camera in pair)
         self.notes = tuple(dict.fromkeys(note for camera in pair for note in camera.notes))
         check_common_time(
             self.path,
@@ -133,11 +133,3 @@ def _holds(folder: Path, suffixes: Sequence[str] | set[str] | frozenset[str]) ->
         )
     except OSError:
         return False
-
-
-def _shifted(t_ns: Int, source: Path) -> Int:
-    if len(t_ns) and t_ns.min() <= -ORIGIN_NS:
-        raise SequenceError(
-            f"{source}: {t_ns.min() / 1e9:g} s: not after -1 s; add a constant to all times"
-        )
-    return np.asarray(t_ns + ORIGIN_NS)

@@ -14,6 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from calm_edge.recording import RecordingError
+
 # keys of the session's metadata
 ORIGIN_KEY, EPOCH_KEY, CLOCK_KEY = "origin_ns", "epoch_ns", "clock"
 
@@ -62,11 +64,24 @@ def live() -> TimeBase:
     return TimeBase(-epoch_ns, epoch_ns, _HOST[synchronised()])
 
 
+def lift_ns(first_ns: int) -> int:
+    """What to add to stamps of a source for the first, first_ns, to be positive; mostly 0."""
+    return 0 if first_ns > 0 else 10**9 - first_ns
+
+
 _HOST = {True: WallClock.SYNCHRONISED, False: WallClock.UNSYNCHRONISED}
 
 
 def of_stamps(origin_ns: int, first_ns: int, *, lockstep: bool) -> TimeBase:
-    """Time base of stored frames. first_ns: t_ns of the first, which has origin_ns added."""
+    """Time base of stored frames. first_ns: t_ns of the first, which has origin_ns added.
+
+    Raises RecordingError for stamps so far below 0 that a recording cannot hold their time.
+    """
+    if first_ns - origin_ns < -DATED_NS:
+        raise RecordingError(
+            f"the first stamp is {(first_ns - origin_ns) / 1e9:.0f} s, before {-DATED_NS // 10**9} "
+            "s, which a recording cannot hold; add a constant to all times"
+        )
     if first_ns - origin_ns >= DATED_NS:
         return TimeBase(origin_ns, -origin_ns, WallClock.SOURCE)
     if lockstep:

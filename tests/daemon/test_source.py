@@ -53,6 +53,22 @@ def test_recorded_cameras_without_common_time_are_refused_with_both_ranges(tmp_p
         of_recording(recording, paced=False)
 
 
+@pytest.mark.parametrize("first_s", [-9.0, -1.0, -0.5, 0.0])
+def test_stamps_below_zero_are_replayed_on_a_positive_clock(tmp_path: Path, first_s: float) -> None:
+    drive = write_drive(tmp_path / "drive", 3)
+    for eye in (0, 1):
+        rows = (f"{first_s + k / 10:.1f}\n" for k in range(3))
+        (drive / f"times{eye}.txt").write_text("".join(rows))
+    source = of_sequence(drive, paced=False)
+    primary, _ = source.open()
+    primary.start()
+    frames = [frame for _ in range(3) if (frame := primary.read(1.0)) is not None]
+    stamps = [frame.t_ns - source.time_base.origin_ns for frame in frames]
+    assert stamps == [round(first_s * S) + k * S // 10 for k in range(3)]
+    assert source.clock.now_ns() >= frames[0].t_ns > 0
+    assert frames[0].t_ns + source.time_base.epoch_ns > 0
+
+
 def test_an_unreadable_message_does_not_end_a_replay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -96,3 +97,20 @@ def test_nothing_of_others_is_overwritten(tmp_path: Path, name: str) -> None:
     ):
         pass
     assert (tmp_path / name / "mine").exists()
+
+
+def test_stamps_below_zero_are_kept(tmp_path: Path) -> None:
+    def early(eye: Eye) -> Iterator[Frame]:
+        return (replace(frame, t_ns=frame.t_ns - 9 * 10**9) for frame in frames(eye))
+
+    sample = ImuSample(ORIGIN_NS - 9_500_000_000, (0.0, 0.0, 0.1), (0.0, 0.0, 9.8))
+    truth = GroundTruth(np.array([-85, 5]) * 10**8 + ORIGIN_NS, np.tile(np.eye(4), (2, 1, 1)))
+    imported = Imported(tuple(Eye), early, samples=[sample], truth=truth)
+    with recorded.unfinished(tmp_path / "rec", print) as folder:
+        recorded.write(imported, CONFIG, folder, "pictures")
+    recording = Recording(tmp_path / "rec")
+    assert recording.frame_times(Eye.PRIMARY)[0] - recording.origin_ns == -9 * 10**9
+    assert next(recording.imu()).t_ns - recording.origin_ns == -9_500_000_000
+    assert next(recording.imu()).t_ns > 0
+    times = (tmp_path / "rec" / recorded.TRUTH / "times0.txt").read_text()
+    assert times == "-8.500000000\n0.500000000\n"

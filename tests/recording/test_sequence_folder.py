@@ -99,11 +99,6 @@ def _apart(drive: Path) -> Path:
     return drive
 
 
-def _long_ago(drive: Path) -> Path:
-    (drive / "times0.txt").write_text("-9.0\n-8.9\n-8.8\n")
-    return drive
-
-
 def _video(drive: Path) -> Path:
     (drive / "front.mp4").write_bytes(b"")
     return drive / "front.mp4"
@@ -148,7 +143,6 @@ def _one_time_file(drive: Path) -> Path:
         (_standing, "times0.txt: its times do not increase"),
         (_words, "times0.txt:2: 'noon'"),
         (_apart, "no time in common: cam0 0.000 to 0.200 s, cam1 64.000 to 64.200 s"),
-        (_long_ago, "not after -1 s"),
         (_video, "front.mp4: a file, not a folder of pictures; use calm-edge import"),
         (_videos, "videos or bags, not pictures; use calm-edge import"),
         (_recording, "record --replay"),

@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from calm_edge.recording import schema, time_base
+from calm_edge.recording import RecordingError, schema, time_base
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.time_base import DATED_NS, TimeBase, WallClock
 from calm_edge.recording.writer import RecordingWriter
@@ -33,6 +33,11 @@ def written(folder: Path, base: TimeBase, **options: object) -> list[tuple[str, 
         topics = [*schema.IMAGE_TOPICS.values(), schema.POSE_LIVE, schema.SUBMAP, schema.TF]
         found = reader.iter_decoded_messages(topics, log_time_order=False)
         return [(c.topic, m.log_time, m.publish_time, d) for _, c, m, d in found]
+
+
+def test_stamps_that_a_recording_cannot_hold_are_refused_with_a_remedy() -> None:
+    with pytest.raises(RecordingError, match=r"-1000000000 s, before .*; add a constant"):
+        time_base.of_stamps(S, S - DATED_NS - 53_315_200 * S, lockstep=True)
 
 
 @pytest.mark.parametrize("lossless", [True, False])

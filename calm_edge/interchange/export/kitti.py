@@ -11,7 +11,7 @@ from calm_edge.interchange.export.base import ExportOptions, Written
 from calm_edge.interchange.export.drive import ExportedDrive
 from calm_edge.interchange.export.frame_poses import FramePoses
 from calm_edge.interchange.export.tum import described
-from calm_edge.trajectories import write_kitti
+from calm_edge.trajectories import seconds, write_kitti
 from calm_edge.types import Float, Int
 
 
@@ -54,9 +54,3 @@ def filled_in(poses: FramePoses) -> tuple[Float, Int]:
     T = poses.T_w_c.copy()
     T[missing] = T[known[np.where(nearer_left, left, right)]]
     return T, missing
-
-
-def seconds(t_ns: int) -> str:
-    """Format ns as seconds, exactly."""
-    whole, rest = divmod(abs(t_ns), 10**9)
-    return f"{'-' if t_ns < 0 else ''}{whole}.{rest:09d}"

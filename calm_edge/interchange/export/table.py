@@ -10,8 +10,8 @@ import numpy as np
 from calm_edge.geometry import se3
 from calm_edge.interchange.export.base import ExportOptions, Written
 from calm_edge.interchange.export.drive import ExportedDrive
-from calm_edge.interchange.export.kitti import seconds
 from calm_edge.interchange.export.tum import described
+from calm_edge.trajectories import seconds
 from calm_edge.types import Float
 from device.frame import Eye
 
