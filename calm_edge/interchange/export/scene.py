@@ -12,9 +12,9 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.triangulation import triangulate
 from calm_edge.geometry.undistortion import Undistortion, undistortion
-from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.export.base import ExportOptions
 from calm_edge.interchange.export.drive import ExportedDrive
+from calm_edge.interchange.export.placed_pictures import Picture, placed_pictures
 from calm_edge.kit import estimated
 from calm_edge.types import Bytes, Float, Int, LocalizerUpdate
 from device.frame import Eye, Frame, jpeg
@@ -23,16 +23,6 @@ IMAGES = "images"
 # A landmark with a larger mean reprojection error is left out, as is one that is further away than
 # this many spacings: its distance is unknown.
 MAX_ERROR_PX, MAX_SPACINGS = 4.0, 2000.0
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture. T_w_c: (4, 4). name: of its file in the folder IMAGES."""
-
-    eye: Eye
-    t_ns: int
-    T_w_c: Float
-    name: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +64,7 @@ def read_scene(drive: ExportedDrive, options: ExportOptions) -> Scene:
             for eye in cameras
             if maps[eye].cut > 1e-3
         ]
-    pictures = _pictures(drive, set(learned), options, assumed, left_out)
+    pictures = placed_pictures(drive, set(learned), options, assumed, left_out)
     index = {(each.eye, each.t_ns): i for i, each in enumerate(pictures)}
     poses = np.array([each.T_w_c for each in pictures])
     parts: list[tuple[Float, Int, Int, Float]] = []
@@ -169,43 +159,6 @@ def lenses(last: LocalizerUpdate, assumed: list[str]) -> dict[Eye, Camera]:
             f"(sigma {sigma:.1f} %{doubt})"
         )
     return lenses
-
-
-def _pictures(
-    drive: ExportedDrive,
-    eyes: set[Eye],
-    options: ExportOptions,
-    assumed: list[str],
-    left_out: list[str],
-) -> tuple[Picture, ...]:
-    """Keyframes, or all frames, of the given eyes that have poses."""
-    wanted: dict[Eye, set[int]] = {eye: set() for eye in eyes}
-    wanted[Eye.PRIMARY] |= set(drive.keyframes.t_ns.tolist())
-    for update in drive.recording.updates():
-        submap = update.submap
-        end = submap.n_primary + len(submap.assistant_ids)
-        if Eye.ASSISTANT in eyes:
-            wanted[Eye.ASSISTANT] |= set(submap.t_ns[submap.n_primary : end].tolist())
-    found = []
-    for eye, poses in drive.frame_poses().items():
-        if eye not in eyes:
-            continue
-        name, shown = eye.name.lower(), poses.known
-        if options.every_frame:
-            assumed.append(f"{name}: poses {poses.counts()}; landmarks are seen in keyframes alone")
-        else:
-            shown = shown & np.isin(poses.t_ns, list(wanted[eye]))
-        chosen = np.flatnonzero(shown)
-        found += [
-            Picture(eye, int(poses.t_ns[i]), poses.T_w_c[i], f"{name}/{k:06d}.jpg")
-            for k, i in enumerate(chosen.tolist())
-        ]
-        why = "without a pose" if options.every_frame else "not keyframes (--every-frame)"
-        if missing := len(poses.t_ns) - len(chosen):
-            left_out.append(f"{missing} frames of the {name}: {why}")
-    if not found:
-        raise InterchangeError(f"{drive.path}: no frame has a pose; run calm-edge map first")
-    return tuple(found)
 
 
 def _landmarks(
