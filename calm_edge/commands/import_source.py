@@ -30,7 +30,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--primary", default="", metavar="TOPIC", help="a bag's topic")
     parser.add_argument("--assistant", default="", metavar="TOPIC", help="a bag's topic")
-    parser.add_argument("--single", action="store_true", help="accept a single camera, no metre")
+    parser.add_argument(
+        "--single",
+        action="store_true",
+        help="keep the pictures of a single camera: poses and maps need two",
+    )
     parser.add_argument(
         "--rotate",
         type=int,

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.bag_pictures import PICTURES
-from calm_edge.interchange.base import ImportOptions
+from calm_edge.interchange.base import ONE_CAMERA, ImportOptions
 from calm_edge.interchange.video import natural
 
 VIDEO = ("foxglove.CompressedVideo", "foxglove_msgs/msg/CompressedVideo")
@@ -57,7 +57,7 @@ def choose(bag: Path, topics: list[Topic], options: ImportOptions) -> tuple[list
             pictures.sort(key=lambda t: t is not named[0])
         return pictures, [f"{pictures[0].name} is the primary, by the names"]
     if len(pictures) == 1 and options.single:
-        return pictures, ["one camera: lengths have no metre"]
+        return pictures, [ONE_CAMERA]
     if not pictures and any(t.kind in VIDEO for t in topics):
         raise InterchangeError(
             f"{bag}: its pictures are encoded as video (CompressedVideo), which is not read; "
@@ -66,7 +66,7 @@ def choose(bag: Path, topics: list[Topic], options: ImportOptions) -> tuple[list
     if len(pictures) < 2:
         raise InterchangeError(
             f"{bag}: two picture topics are needed, there are: {listed}"
-            + ("; --single accepts one camera, without a metre" if pictures else "")
+            + ("; --single keeps the pictures of one" if pictures else "")
         )
     raise InterchangeError(
         f"{bag}: more than two picture topics; choose by --primary and --assistant: {listed}"

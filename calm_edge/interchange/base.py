@@ -12,6 +12,9 @@ from calm_edge.recording.sensors import Sample
 from calm_edge.types import Float, Int
 from device.frame import JPEG_QUALITY, Eye, Frame
 
+# assumed of an import with a single camera
+ONE_CAMERA = "one camera: its pictures are kept, for poses and maps the second one is missing"
+
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from calm_edge.interchange import InterchangeError
-from calm_edge.interchange.base import Imported, ImportOptions
+from calm_edge.interchange.base import ONE_CAMERA, Imported, ImportOptions
 from calm_edge.recording.picture_file import SUFFIXES
 from calm_edge.recording.picture_folder import PictureFolder
 from calm_edge.recording.sequence_folder import ORIGIN_NS, SequenceFolder
@@ -49,11 +49,11 @@ class PictureFolders:
             if len(sources) == 1 and not options.single:
                 raise InterchangeError(
                     f"{sources[0]}: pictures of one camera have no spacing, so nothing gives the "
-                    "metre; give the other camera's folder too, or --single"
+                    "metre; give the other camera's folder too, or --single to keep the pictures"
                 )
             eyes, stream, counts = _of_each(sources, shift_ns, assumed)
         if len(eyes) == 1:
-            assumed.append("one camera: lengths have no metre")
+            assumed.append(ONE_CAMERA)
         elif options.offset_s is None:
             assumed.append("both cameras are stamped by one clock")
         else:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from calm_edge.interchange import InterchangeError
-from calm_edge.interchange.base import Imported, ImportOptions
+from calm_edge.interchange.base import ONE_CAMERA, Imported, ImportOptions
 from calm_edge.interchange.clock_parts import Gap, find_gaps, increasing, shifted, with_stamps
 from calm_edge.interchange.clocks import Relation, check_steady, relate
 from calm_edge.interchange.picture_spool import PictureSpool
@@ -64,7 +64,7 @@ class VideoPair:
         if len(sources) == 1 and not options.single:
             raise InterchangeError(
                 f"{sources[0]}: one camera has no spacing, so nothing gives the metre; give the "
-                "video of the second camera too, or --single for a recording of one"
+                "video of the second camera too, or --single to keep its pictures"
             )
         turns = options.turn_deg or (None,) * len(sources)
         if len(turns) != len(sources):
@@ -141,7 +141,7 @@ def _imported(
     facts: dict[str, str] = {}
     turn = 0
     if len(tracks) == 1:
-        assumed.append("one camera: lengths have no metre")
+        assumed.append(ONE_CAMERA)
     elif found is None:
         stamps[1] = stamps[1] + (options.offset_s or 0.0)
         assumed.append(f"clock offset {options.offset_s:+g} s and no drift, as given")
