@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from calm_edge.report import map_page
+from calm_edge.report.joined_view import joined
 from calm_edge.report.map_page import FOLDER, write_map_page
 from tests.browser.chromium import READY, WHOLE, Errors, chromium, program, stats, street
 
@@ -100,6 +101,20 @@ def test_the_mouse_turns_shifts_and_zooms(browser: Any, page_file: Path) -> None
     assert shifted[:3] != turned[:3] and shifted[3:] == turned[3:]
     page.mouse.wheel(0, -300)
     assert view(page)[5] < shifted[5]
+    assert errors == []
+    page.close()
+
+
+def test_several_drives_have_their_names_and_times(browser: Any, tmp_path: Path) -> None:
+    one = street(5_000)
+    write_map_page(tmp_path / "map.html", joined("both", ["monday", "tuesday"], [one, one]))
+    page, errors = opened(browser, tmp_path / "map.html")
+    place, n = page.locator("#place"), len(one.T_w_c)
+    assert place.inner_text() == f"keyframe 1 of {2 * n}, monday, 0.0 s"
+    page.evaluate(f"document.getElementById('along').value = {n}")
+    page.evaluate("document.getElementById('along').dispatchEvent(new Event('input'))")
+    # the time is that of its own drive
+    assert place.inner_text() == f"keyframe {n + 1} of {2 * n}, tuesday, 0.0 s"
     assert errors == []
     page.close()
 
