@@ -42,6 +42,8 @@ from device.seldom import Seldom
 
 # Loading all modules from a slow SD card takes long; systemd allows 120 s (TimeoutStartSec).
 START_LIMIT_S = 100.0
+# A replay misses nothing while it waits for a busy computer.
+REPLAY_START_LIMIT_S = 600.0
 # repeated pictures of a camera after which the user is warned
 REPEATS_SAID = 3
 
@@ -89,16 +91,22 @@ class Hub:
         )
 
     def start(self) -> None:
-        """Wait until tracker and estimator are ready; raises CalmEdgeError after START_LIMIT_S."""
+        """Wait until tracker and estimator are ready; raises CalmEdgeError after a time limit."""
+        limit_s = REPLAY_START_LIMIT_S if self.source.is_replay else START_LIMIT_S
         self.until(
             lambda: (
                 (self.tracker.ready and self.estimator.ready)
                 or self.estimator.given_up
                 or self.tracker.given_up
             ),
-            time.monotonic() + START_LIMIT_S,
+            time.monotonic() + limit_s,
         )
         if not (self.tracker.ready and self.estimator.ready):
+            if not (self.tracker.given_up or self.estimator.given_up or self.impatient):
+                raise DaemonError(
+                    f"the tracker or the estimator was not ready within {limit_s:.0f} s: the "
+                    "computer is busy or its disk slow; end other programs and start again"
+                )
             raise DaemonError("the tracker or the estimator did not start; see the lines above")
 
     def stop(self) -> None:
