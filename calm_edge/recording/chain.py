@@ -105,7 +105,10 @@ class SegmentChain:
             self.fail(_reason(error))
 
     def sync(self) -> None:
-        """Flush and start syncing; finish the segment if it is long enough or the disk is full."""
+        """Flush and start syncing; finish the segment if it is long enough or the disk is full.
+
+        One without messages is not finished: a replay in lockstep may wait for minutes.
+        """
         if self._segment is None:
             return
         try:
@@ -117,8 +120,11 @@ class SegmentChain:
         if not self._check_room():
             self.finish()
             self._report("No space left on device above what has to stay free")
-        elif time.monotonic() - self._opened_at >= self._config.segment_s:
+        elif self._segment.kept_messages and self._is_old():
             self.finish()
+
+    def _is_old(self) -> bool:
+        return time.monotonic() - self._opened_at >= self._config.segment_s
 
     def finish(self) -> None:
         """Finish the open segment, if any."""
