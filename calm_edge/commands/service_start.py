@@ -7,8 +7,7 @@ import shlex
 import subprocess
 from pathlib import Path
 
-from calm_edge.commands.surroundings import UNIT
-
+UNIT = "calm-edge.service"
 COMMAND = f"systemctl enable {UNIT} && systemctl restart {UNIT}"
 BY_HAND = f"sudo sh -c {shlex.quote(COMMAND)}"
 

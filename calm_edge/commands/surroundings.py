@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calm_edge.commands.finding import Finding, bad, good, note
+from calm_edge.commands.service_start import UNIT
 from calm_edge.config import Config
 
-UNIT = "calm-edge.service"
 # two cameras of 1280x720 at 20 Hz
 USUAL_BYTES_A_S = 10e9 / 3600
 LEAST_LEFT_S = 3600.0
