@@ -30,7 +30,10 @@ demo: setup
 	$(CALM_EDGE) map $(DEMO_OUT)/recording --truth $(DEMO_DRIVE) --out $(DEMO_OUT)/map
 	@echo "demo 3/3: error against the ground truth" >&2
 	$(CALM_EDGE) eval $(DEMO_OUT)/map --truth $(DEMO_DRIVE)
-	@echo "recording: $(DEMO_OUT)/recording   report: $(DEMO_OUT)/map/report.html   map: $(DEMO_OUT)/map/map.ply"
+	@echo "recording       $(DEMO_OUT)/recording"
+	@echo "report          $(DEMO_OUT)/map/report.html"
+	@echo "map to look at  $(DEMO_OUT)/map/map.html"
+	@echo "its points      $(DEMO_OUT)/map/map.ply"
 
 # what runs in real time runs alone: faults are judged by what they cost, not by a busy machine.
 # Freed memory is kept: giving pages back and asking for them anew is half the time of the tests

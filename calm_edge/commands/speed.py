@@ -122,7 +122,9 @@ def _record(folder: Path) -> None:
         raise SpeedError(f"three windows take longer than {LIMIT_S / 60:.0f} minutes") from None
     if run.returncode not in (0, 3):
         lines = run.stderr.strip().splitlines() or [f"record ended with {run.returncode}"]
-        raise SpeedError(f"the rendered drive: {lines[-1].removeprefix('calm-edge: ')}")
+        # an error may refer to the line above it
+        text = "; ".join(line.removeprefix("calm-edge: ") for line in lines[-2:])
+        raise SpeedError(f"the rendered drive: {text}")
 
 
 def _path(config: Config) -> Path:

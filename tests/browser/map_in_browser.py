@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from calm_edge.report import map_page
+from calm_edge.report.events import MarkedEvent
 from calm_edge.report.joined_view import joined
 from calm_edge.report.map_page import FOLDER, write_map_page
 from tests.browser.chromium import READY, WHOLE, Errors, chromium, program, stats, street
@@ -80,6 +82,26 @@ def test_it_draws_the_map_without_asking_for_anything(
     for name in ("header", "footer"):
         box = page.locator(name).bounding_box()
         assert box["x"] >= 0 and box["x"] + box["width"] <= width
+    page.close()
+
+
+def test_an_event_is_listed_marked_and_leads_to_its_place(browser: Any, tmp_path: Path) -> None:
+    events = [MarkedEvent(15.0, "tram crosses", 30, np.zeros(3))]
+    write_map_page(tmp_path / "map.html", replace(street(20_000), events=events))
+    page, errors = opened(browser, tmp_path / "map.html", viewport={"width": 390, "height": 720})
+    overview = view(page)
+    assert "0:15 tram crosses" in page.locator("#events").inner_text()
+    page.locator("#events").select_option("30")
+    chosen = view(page)
+    assert chosen != overview and "keyframe 31 " in page.locator("#place").inner_text()
+    page.locator("#forth").click()
+    assert page.locator("#events").input_value() == ""
+    page.close()
+    # as the report leads there
+    page, more = opened(browser, tmp_path / "map.html", "#k=31")
+    assert view(page) == chosen and page.locator("#events").input_value() == "30"
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    assert errors == [] and more == []
     page.close()
 
 
