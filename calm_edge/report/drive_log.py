@@ -33,7 +33,8 @@ class Lost:
 class HealthSeries:
     """Health over time; (H,) each, NaN where unknown. t_s: since the first keyframe.
 
-    lost_frames: since the start. states: of the daemon. reasons: why it was in that state.
+    lost_frames: lost, or recorded and not tracked in time, since the start. states: of the daemon.
+    reasons: why it was in that state.
     """
 
     t_s: Float

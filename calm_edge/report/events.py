@@ -12,15 +12,24 @@ import numpy as np
 from calm_edge.report.chart import minutes
 from calm_edge.types import Float, Int
 
+# an event further than this from any keyframe has no place: before the first sub-map, or after the
+# last frame
+NEAR_S = 5.0
+# whose times are in the sentence
+NAMED = 6
+
 
 @dataclass(frozen=True, slots=True)
 class MarkedEvent:
-    """t_s: since the first keyframe. keyframe: row of the nearest one. p_w: (3,) its position."""
+    """t_s: since the first keyframe. keyframe: row of the nearest one. p_w: (3,) its position.
+
+    Both are None for an event that is not on the path.
+    """
 
     t_s: float
     text: str
-    keyframe: int
-    p_w: Float
+    keyframe: int | None
+    p_w: Float | None
 
 
 def marked_events(
@@ -34,8 +43,13 @@ def marked_events(
         return ()
     found = []
     for stamp, text in sorted(events):
-        row = int(np.abs(t_ns - stamp).argmin())
-        found.append(MarkedEvent((stamp - int(t_ns[0])) / 1e9, text, row, T_w_c[row, :3, 3]))
+        apart = np.abs(t_ns - stamp)
+        row = int(apart.argmin())
+        t_s = (stamp - int(t_ns[0])) / 1e9
+        if apart[row] > NEAR_S * 1e9:
+            found.append(MarkedEvent(t_s, text, None, None))
+        else:
+            found.append(MarkedEvent(t_s, text, row, T_w_c[row, :3, 3]))
     return tuple(found)
 
 
@@ -44,7 +58,8 @@ def sentence(events: Sequence[MarkedEvent]) -> str:
     if not events:
         return ""
     count = "1 event was" if len(events) == 1 else f"{len(events)} events were"
-    return f"{count} marked: at {', '.join(time(event) for event in events)}."
+    more = f" and {len(events) - NAMED} more times" if len(events) > NAMED else ""
+    return f"{count} marked: at {', '.join(time(event) for event in events[:NAMED])}{more}."
 
 
 def time(event: MarkedEvent) -> str:
@@ -60,10 +75,14 @@ def table(events: Sequence[MarkedEvent], driven: Float, unit: str, map_page: str
     head = "<tr><th>no.</th><th>at</th><th>driven</th><th>text</th>"
     rows = []
     for number, event in enumerate(events, 1):
-        cells = [str(number), time(event), f"{driven[event.keyframe]:,.0f} {unit}", event.text]
+        k = event.keyframe
+        place = "not on the path" if k is None else f"{driven[k]:,.0f} {unit}"
+        cells = [str(number), time(event), place, event.text]
         row = "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
-        if map_page:
-            address = f"{quote(map_page)}#k={event.keyframe + 1}"
+        if map_page and k is not None:
+            address = f"{quote(map_page)}#k={k + 1}"
             row += f'<td><a href="{html.escape(address)}">see it in the map</a></td>'
+        elif map_page:
+            row += "<td></td>"
         rows.append(f"<tr>{row}</tr>")
     return f"<table>{head}{'<th></th>' if map_page else ''}</tr>{''.join(rows)}</table>"

@@ -42,6 +42,7 @@ def joined(title: str, names: Sequence[str], views: Sequence[MapView]) -> MapVie
             replace(event, keyframe=event.keyframe + k, text=f"{event.text} ({name})".strip())
             for name, (view, k, _, _) in zip(names, each, strict=True)
             for event in view.events
+            if event.keyframe is not None
         ],
         drives=tuple(zip(names, keyframe.tolist(), strict=False)),
     )

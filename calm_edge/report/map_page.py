@@ -125,7 +125,9 @@ def _drive(
         "seconds": view.t_s.round(3).tolist(),
         "drives": view.drives,
         "events": [
-            [event.keyframe, f"{time(event)} {event.text}".strip()] for event in view.events
+            [event.keyframe, f"{time(event)} {event.text}".strip()]
+            for event in view.events
+            if event.keyframe is not None
         ],
         "submapSeconds": view.submap_s[::group].round(3).tolist(),
     }

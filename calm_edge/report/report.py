@@ -118,7 +118,7 @@ def _path(data: ReportData) -> list[str]:
     path = data.T_w_c[:, :3, 3] @ R.T
     truth = None if data.truth_w is None else data.truth_w @ R.T
     loops = [(R @ loop.p_w, R @ loop.match_p_w) for loop in data.loops]
-    marks = [R @ event.p_w for event in data.events]
+    marks = [R @ event.p_w for event in data.events if event.p_w is not None]
     drawn = curves.trajectory(path, truth, data.unit, loops, marks)
     against = "With the ground truth." if truth is not None else "No truth was given."
     parts = [page.section("The trajectory from above", against, drawn)]
@@ -207,7 +207,7 @@ def _health(log: DriveLog) -> str:
     spans: Sequence[tuple[float, float]] = [(span.start_s, span.seconds) for span in log.lost]
     shown = (
         ("pose age, ms", health.pose_age_ms),
-        ("lost frames", health.lost_frames),
+        ("frames lost or not tracked", health.lost_frames),
         ("disk space left, GB", health.free_gb),
         ("recorded, MB/s", health.written_mb_s),
         ("temperature, °C", health.celsius),
