@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 
 from calm_edge.recording import RecordingError
 from calm_edge.recording.scan import DamageError, SegmentIndex, plain_chunk, scan
+from calm_edge.recording.schema import END_METADATA
 from calm_edge.recording.segment import PART, missing_segments, recording_files
 
 
@@ -201,6 +202,9 @@ def _write(index: SegmentIndex, writer: Writer) -> None:
     writer.start(library="calm-edge recover")
     for metadata in index.metadata:
         writer.add_metadata(metadata.name, metadata.metadata)
+    if index.cut and index.metadata_of(END_METADATA) is None:
+        # it was being written when it ended: the copy holds all that there ever was
+        writer.add_metadata(END_METADATA, {"recovered": index.path.name})
     schemas: dict[int, int] = {}
     channels: dict[int, int] = {}
     for m in _messages(index):

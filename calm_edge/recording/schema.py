@@ -68,7 +68,8 @@ CONFIG_METADATA = "calm_edge.config"
 SESSION_METADATA = "calm_edge.session"
 CAMERAS_METADATA = "calm_edge.cameras"
 IMPORT_METADATA = "calm_edge.import"
-# in the last segment of a recording that was closed, if the session's metadata holds END_KEY
+# In the last segment of a recording that was closed, or recovered from a file cut short, if the
+# session's metadata holds END_KEY.
 END_METADATA = "calm_edge.end"
 END_KEY = "end"
 
