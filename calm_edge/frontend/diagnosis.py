@@ -124,7 +124,7 @@ def exposure(pictures: Sequence[Bytes]) -> Cause | None:
     sharp = float(np.median([sharpness(p) for p in pictures]))
     if sharp < BLURRED:
         return Cause(
-            Kind.BLURRED, f"blurred (sharpness {sharp:.2f}, at least {BLURRED:g} is needed)"
+            Kind.BLURRED, f"blurred (sharpness {sharp:.3f}, at least {BLURRED:g} is needed)"
         )
     return None
 

@@ -69,8 +69,8 @@ def test_good_pictures_have_no_cause(both: tuple[Pictures, Pictures]) -> None:
         (dark, Kind.EXPOSURE, r"too dark \(mean grey \d+ of 255\)"),
         (glare, Kind.EXPOSURE, r"too bright \(mean grey 25\d of 255\)"),
         (covered, Kind.EXPOSURE, r"no structure \(grey 90 \+- 0\.0\): is the lens covered\?"),
-        (blurred, Kind.BLURRED, r"blurred \(sharpness 0\.0\d, at least 0\.06 is needed\)"),
-        (out_of_focus, Kind.BLURRED, r"blurred \(sharpness 0\.0\d, at least 0\.06 is needed\)"),
+        (blurred, Kind.BLURRED, r"blurred \(sharpness 0\.0\d\d, at least 0\.06 is needed\)"),
+        (out_of_focus, Kind.BLURRED, r"blurred \(sharpness 0\.0\d\d, at least 0\.06 is needed\)"),
     ],
 )
 def test_a_fault_of_one_camera_is_named_with_it(
