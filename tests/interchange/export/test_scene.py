@@ -63,6 +63,19 @@ def spot(picture: Path, near: np.ndarray) -> np.ndarray | None:
     return np.array([x, y]) + [(weight * d).sum() / weight.sum() for d in (dx, dy)]
 
 
+def markers_on_pixels(model: Any, pictures: Path, most_px: float) -> int:
+    """Count markers seen in the pictures, each projected by pycolmap to within most_px of it."""
+    found = 0
+    for image in model.images.values():
+        for marker in MARKERS:
+            uv = image.project_point(marker)
+            at = None if uv is None else spot(pictures / image.name, uv - 0.5)
+            if at is not None:
+                assert at + 0.5 == pytest.approx(uv, abs=most_px), image.name
+                found += 1
+    return found
+
+
 @pytest.mark.parametrize("options", [
     ExportOptions(quality=98),
     ExportOptions(quality=98, binary=True),
@@ -77,15 +90,7 @@ def test_pycolmap_projects_markers_onto_their_pixels(
     assert model.is_valid() and model.num_images() == 2 * N
     names = {camera.model.name for camera in model.cameras.values()}
     assert names <= ({"OPENCV", "OPENCV_FISHEYE"} if options.distorted else {"PINHOLE"})
-    found = 0
-    for image in model.images.values():
-        for marker in MARKERS:
-            uv = image.project_point(marker)
-            at = None if uv is None else spot(tmp_path / "out/images" / image.name, uv - 0.5)
-            if at is not None:
-                assert at + 0.5 == pytest.approx(uv, abs=0.1), image.name
-                found += 1
-    assert found >= 2 * N
+    assert markers_on_pixels(model, tmp_path / "out/images", 0.1) >= 2 * N
     assert any(f"{2 * N} frames of the rig" in line for line in written.wrote)
 
 
@@ -165,16 +170,8 @@ def test_every_frame_has_its_picture_with_the_pose_of_the_trajectory(
     poses = read_drive(recording).frame_poses()
     known = sum(int(each.known.sum()) for each in poses.values())
     assert 2 * N < known == model.num_images() and known > 1.5 * FRAMES
-    found = 0
-    for image in model.images.values():
-        for marker in MARKERS:
-            uv = image.project_point(marker)
-            at = None if uv is None else spot(tmp_path / "out/images" / image.name, uv - 0.5)
-            if at is not None:
-                # between keyframes: by the exact live poses
-                assert at + 0.5 == pytest.approx(uv, abs=0.3), image.name
-                found += 1
-    assert found >= known
+    # between keyframes: by the exact live poses
+    assert markers_on_pixels(model, tmp_path / "out/images", 0.3) >= known
     assert any("tracked" in line and "keyframes alone" in line for line in written.assumed)
     assert any("without a pose" in line for line in written.left_out) == (known < 2 * FRAMES)
 
