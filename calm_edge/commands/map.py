@@ -190,11 +190,12 @@ def make_map(
 
     Raises CalmEdgeError; what was computed is then in `work`.
     """
-    from calm_edge.commands.map_pages import write_map_page, write_report
+    from calm_edge.commands.map_pages import drive_view, write_report
     from calm_edge.mapping.cloud_file import read_cloud
     from calm_edge.mapping.seams import summary
     from calm_edge.offline.georeference import ENU_TUM, GPS_SUMMARY, georeference
-    from calm_edge.offline.map_drive import MAP, make_cloud, write_trajectory
+    from calm_edge.offline.map_drive import MAP, PAGE, make_cloud, write_trajectory
+    from calm_edge.report.map_page import write_map_page
 
     tiles, found = make_cloud(recording, config, drive, out, work.spool, say, times)
     seams = summary(found)
@@ -211,7 +212,8 @@ def make_map(
     if not n_points:
         losses.append("the map has no points: no depth was found in any sub-map")
     with times.stage("map.html"):
-        page = write_map_page(recording, config, drive, estimate, color, tiles, found, out, options)
+        view = drive_view(recording, config, drive, estimate, color, tiles, found, options)
+        page = write_map_page(out / PAGE, view)
     losses += write_report(recording, drive, estimate, color, truth, losses, out, times, options)
     if options.blur is not None:
         say(str(options.blur))

@@ -1,4 +1,4 @@
-"""Write the two pages of a map: report.html and map.html."""
+"""The two pages of a map: what map.html shows, and report.html."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from calm_edge.recording.reader import Recording
     from calm_edge.report.blur import Blur
     from calm_edge.report.keyframe_pictures import KeyframePictures
-    from calm_edge.report.map_page import MapView, Written
+    from calm_edge.report.map_page import MapView
     from calm_edge.types import Bytes, Int
 
 
@@ -38,25 +38,6 @@ def title(recording: Recording) -> str:
     """Name of the recording and of the folder that it is in."""
     path = recording.path.resolve()
     return f"{path.parent.name}/{path.name}"
-
-
-def write_map_page(
-    recording: Recording,
-    config: Config,
-    drive: Drive,
-    estimate: Estimate,
-    color: Bytes,
-    tiles: Int,
-    seams: Sequence[Seam],
-    out: Path,
-    options: Options,
-) -> Written:
-    """Write map.html; arguments as of `drive_view`."""
-    from calm_edge.offline.map_drive import PAGE
-    from calm_edge.report import map_page
-
-    view = drive_view(recording, config, drive, estimate, color, tiles, seams, options)
-    return map_page.write_map_page(out / PAGE, view)
 
 
 def drive_view(
