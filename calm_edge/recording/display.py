@@ -15,13 +15,15 @@ from calm_edge.config import PoseOutputConfig
 from calm_edge.geometry import body_frame, se3
 from calm_edge.geometry.camera import Camera, back_project_each
 from calm_edge.kit import estimated
-from calm_edge.recording import foxglove, schema
+from calm_edge.recording import foxglove, plots, schema
 from calm_edge.recording.foxglove import BODY_FRAME, MAP_FRAME, ODOM_FRAME
 from calm_edge.recording.schema import LogMessage
 from calm_edge.types import Float, LocalizerUpdate, PoseSample, PoseStatus
 from device.frame import Eye
 
 PATH_EVERY_NS, PATH_POSES = 10_000_000_000, 500
+# of the path as a cloud: colour, world units from point to point, and their greatest number
+LINE_RGB, LINE_STEP, LINE_POINTS = (78, 152, 226), 0.2, 2000
 CLOUD_EVERY_NS, CLOUD_POINTS = 1_000_000_000, 2000
 
 
@@ -98,11 +100,16 @@ class Display:
             )
             for eye, camera in estimated.cameras(update).items()
         ]
-        found.append(schema.json_message(schema.KIT, t_ns, kit(update)))
+        numbers = kit(update)
+        found.append(schema.json_message(schema.KIT, t_ns, numbers))
+        found += plots.messages(schema.KIT, t_ns, numbers)
         if self._path_due(update, t_ns):
             self._path_ns = t_ns
-            path = foxglove.path(self._body(thinned(self._path)), stamp_ns)
+            T_m_b = self._body(ordered(self._path))
+            path = foxglove.path(thinned(T_m_b), stamp_ns)
             found.append(schema.protobuf_message(schema.PATH, t_ns, path))
+            shown = foxglove.cloud(line(T_m_b[:, :3, 3]), stamp_ns, LINE_RGB)
+            found.append(schema.protobuf_message(schema.LINE, t_ns, shown))
         due = self._cloud_ns is None or t_ns - self._cloud_ns >= CLOUD_EVERY_NS
         if due and update.prediction.landmarks is not None:
             p_w = landmarks(update)
@@ -125,11 +132,23 @@ class Display:
         return bool(self._path) and (late or whole)
 
 
-def thinned(path: dict[int, Float]) -> Float:
-    """At most PATH_POSES poses (N, 4, 4) in order of their keyframes, the newest included."""
-    T = np.stack([path[i] for i in sorted(path)])
+def ordered(path: dict[int, Float]) -> Float:
+    """Poses (N, 4, 4) of a path in order of their keyframes."""
+    return np.stack([path[i] for i in sorted(path)])
+
+
+def thinned(T: Float) -> Float:
+    """At most PATH_POSES of poses (N, 4, 4), the newest included."""
     step = -(-len(T) // PATH_POSES)
     return np.asarray(T[::-1][::step][::-1])
+
+
+def line(p: Float) -> Float:
+    """At most LINE_POINTS points (N, 3) at equal distances along positions p (M, 3)."""
+    along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1)))
+    n = int(np.clip(along[-1] / LINE_STEP, 1, LINE_POINTS - 1)) + 1
+    at = np.linspace(0, along[-1], n)
+    return np.stack([np.interp(at, along, axis) for axis in p.T], axis=1)
 
 
 def landmarks(update: LocalizerUpdate) -> Float:

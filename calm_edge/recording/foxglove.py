@@ -139,17 +139,22 @@ def transforms(frames: Iterable[tuple[str, str, Float]], t_ns: int) -> FrameTran
     return message
 
 
-def cloud(points_m: Float, t_ns: int) -> PointCloud:
-    """Convert points (N, 3) in MAP_FRAME; as float32."""
-    kind = PackedElementField.FLOAT32
-    fields = [PackedElementField(name=n, offset=4 * k, type=kind) for k, n in enumerate("xyz")]
+def cloud(points_m: Float, t_ns: int, rgb: tuple[int, int, int] | None = None) -> PointCloud:
+    """Convert points (N, 3) in MAP_FRAME; as float32, and all in one colour if it is given."""
+    colour = np.array([] if rgb is None else [*rgb, 255], np.uint8)
+    points = np.zeros(len(points_m), [("xyz", "<f4", 3), ("rgba", "u1", len(colour))])
+    points["xyz"], points["rgba"] = points_m, colour
+    number, byte = PackedElementField.FLOAT32, PackedElementField.UINT8
+    fields = [PackedElementField(name=n, offset=4 * k, type=number) for k, n in enumerate("xyz")]
+    names = ("red", "green", "blue", "alpha")[: len(colour)]
+    fields += [PackedElementField(name=n, offset=12 + k, type=byte) for k, n in enumerate(names)]
     return PointCloud(
         timestamp=timestamp(t_ns),
         frame_id=MAP_FRAME,
         pose=poses(np.eye(4)[None])[0],
-        point_stride=12,
+        point_stride=points.dtype.itemsize,
         fields=fields,
-        data=np.ascontiguousarray(points_m, "<f4").tobytes(),
+        data=points.tobytes(),
     )
 
 

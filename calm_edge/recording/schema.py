@@ -6,6 +6,7 @@
 | /pose/live | foxglove.Odometry of `base_link` in `odom`, none while lost | PoseSample.t_ns |
 | /pose/sample | calm_edge.PoseSample: the same pose, exact | PoseSample.t_ns |
 | /pose/path | foxglove.PosesInFrame: at most 500, every 10 s | as /submap |
+| /pose/line | foxglove.PointCloud: the same path in close points | as /submap |
 | /tf | foxglove.FrameTransforms: `map`, `odom`, `base_link`, the cameras | PoseSample.t_ns |
 | /cloud | foxglove.PointCloud: landmarks of a new sub-map in `map` | as /submap |
 | /kit | JSON: focal lengths, their sigmas, rig ... | as /submap |
@@ -14,6 +15,7 @@
 | /submap | calm_edge.Submap: the LocalizerUpdate | newest keyframe of all sub-maps so far |
 | /window | calm_edge.Window: keys of the window's frames | its newest keyframe |
 | /clock, /status, /health | JSON | time of writing |
+| /plot/... | std_msgs/msg/Float64MultiArray: see PLOTS | as /kit or /health |
 | /gps | foxglove.LocationFix with its covariance, none while there is no position | its arrival |
 | /gps/quality | JSON: kind of fix, dilution, satellites, time by GPS | its arrival |
 | /imu | JSON: turn rate and acceleration, of an import | its stamp |
@@ -48,8 +50,16 @@ from google.protobuf.message import DecodeError
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from calm_edge.kit import earlier
-from calm_edge.recording import RecordingError, camera_record, foxglove, json_schemas, record
+from calm_edge.recording import (
+    RecordingError,
+    camera_record,
+    float_array,
+    foxglove,
+    json_schemas,
+    record,
+)
 from calm_edge.recording.time_base import synchronised
+from calm_edge.recording.topic_schema import TopicSchema
 from calm_edge.recording.window_record import WindowRecord
 from calm_edge.types import LocalizerUpdate, PoseSample
 from device.frame import Eye, Frame
@@ -59,7 +69,8 @@ CALIBRATION_TOPICS = {
     Eye.ASSISTANT: "/assistant/calibration",
 }
 IMAGE_TOPICS = {Eye.PRIMARY: "/primary/image", Eye.ASSISTANT: "/assistant/image"}
-POSE_LIVE, POSE_SAMPLE, PATH = "/pose/live", "/pose/sample", "/pose/path"
+POSE_LIVE, POSE_SAMPLE = "/pose/live", "/pose/sample"
+PATH, LINE = "/pose/path", "/pose/line"
 TF, SUBMAP, WINDOW, CLOCK, STATUS, LOG = "/tf", "/submap", "/window", "/clock", "/status", "/log"
 HEALTH, KIT, CLOUD, EVENT = "/health", "/kit", "/cloud", "/event"
 GPS, GPS_QUALITY, IMU = "/gps", "/gps/quality", "/imu"
@@ -79,6 +90,7 @@ _PROTOBUF: dict[str, Any] = {
     POSE_LIVE: Odometry,
     POSE_SAMPLE: record.message_class("PoseSample"),
     PATH: PosesInFrame,
+    LINE: PointCloud,
     TF: FrameTransforms,
     CLOUD: PointCloud,
     SUBMAP: record.message_class("Submap"),
@@ -95,7 +107,31 @@ _JSON = {
     GPS_QUALITY: ("calm_edge.GpsQuality", json_schemas.GPS_QUALITY),
     IMU: ("calm_edge.Imu", json_schemas.IMU),
 }
-TOPICS = (*_PROTOBUF, *_JSON)
+# by the topic that holds them as JSON: topics of the same numbers for viewers that plot no JSON
+# (rerun), and where each number of their arrays is in the JSON
+PLOTS = {
+    KIT: {
+        "/plot/primary/focal_px": (
+            "primary.focal_px",
+            "primary.focal_low_px",
+            "primary.focal_high_px",
+        ),
+        "/plot/assistant/focal_px": (
+            "assistant.focal_px",
+            "assistant.focal_low_px",
+            "assistant.focal_high_px",
+        ),
+        "/plot/length_sigma_percent": ("length_sigma_percent",),
+        "/plot/time_offset_ms": ("time_offset_ms",),
+    },
+    HEALTH: {
+        "/plot/pose_age_ms": ("pose_age_ms",),
+        "/plot/tick_p99_ms": ("tick.p99_ms",),
+        "/plot/windows_waiting": ("queues.estimator_windows",),
+    },
+}
+_PLOT_TOPICS = tuple(topic for topics in PLOTS.values() for topic in topics)
+TOPICS = (*_PROTOBUF, *_JSON, *_PLOT_TOPICS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,21 +151,13 @@ class LogMessage:
             raise RecordingError(f"{self.topic}: time {self.t_ns} ns is out of range for MCAP")
 
 
-@dataclass(frozen=True, slots=True)
-class TopicSchema:
-    """Schema and encoding of a topic, as in MCAP's Schema and Channel records."""
-
-    name: str
-    encoding: str
-    data: bytes
-    message_encoding: str
-
-
 def topic_schema(topic: str) -> TopicSchema:
     """Return the schema of one of TOPICS."""
     if topic in _JSON:
         name, content = _JSON[topic]
         return TopicSchema(name, "jsonschema", json.dumps(content).encode(), "json")
+    if topic in _PLOT_TOPICS:
+        return float_array.SCHEMA
     kind = _PROTOBUF[topic]
     description = build_file_descriptor_set(kind).SerializeToString(deterministic=True)
     return TopicSchema(str(kind.DESCRIPTOR.full_name), "protobuf", description, "protobuf")

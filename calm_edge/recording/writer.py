@@ -17,7 +17,7 @@ from typing import Any
 
 import calm_edge
 from calm_edge.config import Config
-from calm_edge.recording import RecordingError, schema
+from calm_edge.recording import RecordingError, plots, schema
 from calm_edge.recording.chain import SegmentChain
 from calm_edge.recording.display import Display
 from calm_edge.recording.health import WriterHealth, boot_id
@@ -179,7 +179,11 @@ class RecordingWriter:
     def write_status(self, status: Mapping[str, Any], topic: str = schema.STATUS) -> None:
         """Record a JSON object on /status or /health."""
         now, copy = self._now_ns(), dict(status)
-        self._put(lambda: [schema.json_message(topic, now, copy)], 2048)
+
+        def encode() -> list[LogMessage]:
+            return [schema.json_message(topic, now, copy), *plots.messages(topic, now, copy)]
+
+        self._put(encode, 2048)
 
     def write_event(self, t_ns: int, text: str) -> None:
         """Record a moment that somebody marked."""

@@ -196,3 +196,24 @@ def test_the_kit_is_json_numbers_named_in_its_schema() -> None:
     primary, assistant = sent["primary"], sent["assistant"]
     assert primary["focal_low_px"] < primary["focal_px"] < primary["focal_high_px"]
     assert assistant["focal_sigma_percent"] is assistant["focal_high_px"] is None
+
+
+def test_the_line_of_the_path_has_points_at_equal_distances() -> None:
+    corner = np.array([[0.0, 0, 0], [3, 0, 0], [3, 1, 0]])
+    p = display.line(corner)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(p[:10], axis=0), axis=1), display.LINE_STEP)
+    np.testing.assert_allclose(p[[0, 15, -1]], corner, atol=1e-12)
+    assert len(display.line(1e4 * corner)) == display.LINE_POINTS
+    assert np.isfinite(display.line(corner[:1])).all()
+
+
+def test_the_line_is_published_with_the_path_in_one_colour() -> None:
+    sent = {m.topic: m for m in Display(LEVEL).update(samples.update())}
+    cloud = PointCloud.FromString(sent[schema.LINE].data)
+    path = PosesInFrame.FromString(sent[schema.PATH].data)
+    points = np.frombuffer(cloud.data, [("xyz", "<f4", 3), ("rgba", "u1", 4)])
+    ends = [[q.position.x, q.position.y, q.position.z] for q in (path.poses[0], path.poses[-1])]
+    np.testing.assert_allclose(points["xyz"][[0, -1]], ends, atol=1e-5)
+    assert (points["rgba"] == [*display.LINE_RGB, 255]).all()
+    names = [(f.name, f.offset) for f in cloud.fields]
+    assert names[3:] == [("red", 12), ("green", 13), ("blue", 14), ("alpha", 15)]
