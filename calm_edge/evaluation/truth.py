@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.evaluation import EvaluationError
-from calm_edge.geometry.camera import Camera, Perspective
+from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.camera_row import EXPECTED, parsed_camera
 from calm_edge.recording.picture_folder import DEFAULT_RATE_HZ
 from calm_edge.recording.sequence_folder import ORIGIN_NS, read_times
 from calm_edge.trajectories import read_kitti
@@ -31,26 +32,14 @@ class Truth:
 
 
 def _calibration(path: Path) -> tuple[Camera, Camera]:
-    rows = _table(path)
-    if rows.shape != (2, 6):
-        raise EvaluationError(
-            f"{path}: expected two rows of `fx fy cx cy width height`, got {rows.shape}"
-        )
-    primary, assistant = (Perspective(*row[:4], *map(int, row[4:])) for row in rows.tolist())
-    return primary, assistant
-
-
-def _table(path: Path) -> Float:
     try:
-        return np.array(
-            [
-                [float(v) for v in line.split()]
-                for line in path.read_text("utf-8-sig").splitlines()
-                if line
-            ]
-        )
+        lines = [line for line in path.read_text("utf-8-sig").splitlines() if line]
+        cameras = [parsed_camera(line) for line in lines]
     except (OSError, ValueError) as error:
-        raise EvaluationError(f"{path}: not a table of numbers ({error})") from None
+        raise EvaluationError(f"{path}: not rows of {EXPECTED} ({error})") from None
+    if len(cameras) != 2:
+        raise EvaluationError(f"{path}: expected two rows of {EXPECTED}, got {len(cameras)}")
+    return cameras[0], cameras[1]
 
 
 def _cloud(path: Path) -> NDArray[np.float32]:

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from calm_edge.config import Config
 from calm_edge.geometry import se3
+from calm_edge.geometry.camera_row import camera_row
 from calm_edge.interchange import InterchangeError
 from calm_edge.interchange.base import Imported
 from calm_edge.interchange.calibration import formats
@@ -148,11 +149,7 @@ def _write_truth(imported: Imported, folder: Path) -> None:
     write_kitti(folder / "poses0.txt", se3.inverse(imported.truth.T_w_c[0]) @ imported.truth.T_w_c)
     stamps = (imported.truth.t_ns - ORIGIN_NS).tolist()
     (folder / "times0.txt").write_text("".join(f"{seconds(t)}\n" for t in stamps))
-    rows = []
     cameras = [] if imported.calibration is None else imported.calibration.cameras
-    for camera in (each.camera for each in cameras):
-        if camera.is_pinhole:
-            values = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-            rows.append(" ".join(f"{v:.9g}" for v in values) + "\n")
-    if len(rows) == 2:
-        (folder / "calib.txt").write_text("".join(rows))
+    if len(cameras) == 2:
+        rows = "".join(f"{camera_row(each.camera)}\n" for each in cameras)
+        (folder / "calib.txt").write_text(rows)

@@ -50,7 +50,7 @@ def test_without_times_the_rate_is_ten_hertz(tmp_path: Path) -> None:
     [
         ("times0.txt", b"0.0\n0.1\n", "6 poses for 2 times"),
         ("calib.txt", b"500 500 320 120 640 240\n", "two rows"),
-        ("calib.txt", b"f f c c w h\n", "not a table"),
+        ("calib.txt", b"f f c c w h\n", "not rows of `fx fy cx cy width height`"),
         ("cloud.npy", b"not numpy", "not a NumPy array"),
         ("poses0.txt", b"1 0 0\n", "3 columns"),
     ],

@@ -12,8 +12,10 @@ from mcap.reader import make_reader
 
 from calm_edge.config import Config, merge
 from calm_edge.evaluation.truth import read_truth
+from calm_edge.geometry.camera import Perspective
 from calm_edge.interchange import InterchangeError, recorded
 from calm_edge.interchange.base import GroundTruth, Imported
+from calm_edge.interchange.calibration.calibration import CalibratedCamera, Calibration
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.segment import segment_files
 from calm_edge.recording.sensors import ImuSample
@@ -37,7 +39,11 @@ def broken(eye: Eye) -> Iterator[Frame]:
 
 def test_the_recording_holds_every_frame_in_order_and_what_was_assumed(tmp_path: Path) -> None:
     truth = GroundTruth(np.arange(3) * 10**8 + ORIGIN_NS, np.tile(np.eye(4), (3, 1, 1)))
-    imported = Imported(tuple(Eye), frames, ("two",), (), ("no drift",), truth=truth)
+    lens = Perspective(20.0, 20.0, 11.5, 7.5, 24, 16, (-0.1, 0.01))
+    cameras = CalibratedCamera(lens, "plumb_bob"), CalibratedCamera(lens.with_focal(18.0), "fitted")
+    imported = Imported(
+        tuple(Eye), frames, ("two",), (), ("no drift",), truth, Calibration(cameras)
+    )
     with recorded.unfinished(tmp_path / "rec", print) as folder:
         recorded.write(imported, CONFIG, folder, "video")
     recording = Recording(tmp_path / "rec")
@@ -46,7 +52,9 @@ def test_the_recording_holds_every_frame_in_order_and_what_was_assumed(tmp_path:
     first = [(Eye.PRIMARY, 0), (Eye.ASSISTANT, 10**7), (Eye.PRIMARY, 10**8)]
     assert [(f.eye, f.t_ns - ORIGIN_NS) for f in read[:3]] == first
     assert len(read) == 8 and read[0].image == PICTURE and not recording.losses
-    assert read_truth(tmp_path / "rec" / recorded.TRUTH).t_ns.tolist() == truth.t_ns.tolist()
+    found = read_truth(tmp_path / "rec" / recorded.TRUTH)
+    assert found.t_ns.tolist() == truth.t_ns.tolist()
+    assert found.cameras == (lens, lens.with_focal(18.0))
     assert not (tmp_path / "rec.importing").exists()
 
 
