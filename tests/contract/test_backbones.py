@@ -18,8 +18,9 @@ from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Hints, Prediction
 from tests.backbones.painted_model import centres, paint, write_model
 from tests.drives import curved
-from tests.synthetic.drive import Settings, make_rig
+from tests.synthetic.drive import make_rig
 from tests.synthetic.render import render_views
+from tests.synthetic.settings import Settings
 from tests.synthetic.world import make_world
 
 N = 6

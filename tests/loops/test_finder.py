@@ -14,8 +14,10 @@ from calm_edge.loops.finder import EVERY, PlaceLoops, PlaceMemory
 from calm_edge.loops.same_place import KnownKit
 from calm_edge.types import Float, Keyframe, SubmapWindow
 from device.frame import Eye, Frame
-from tests.synthetic.drive import Settings, T_primary_assistant, exposed, make_rig
+from tests.synthetic.drive import exposed, make_rig
 from tests.synthetic.render import render_views
+from tests.synthetic.settings import Settings
+from tests.synthetic.shots import T_primary_assistant
 from tests.synthetic.world import make_world
 
 SETTINGS = Settings(width=320, height=128, density=14.0, frames=40, start_s=6.0)

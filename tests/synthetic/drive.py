@@ -1,10 +1,13 @@
-"""Render a drive of the two-camera kit through the town into a sequence folder.
+"""Render a drive of a two-camera kit through the town into a sequence folder.
 
-    python -m tests.synthetic.drive --out demo/drive
+    python -m tests.synthetic.drive --kit real --out demo/drive
 
-Writes cam0/NNNNNN.jpg cam1/NNNNNN.jpg, times0.txt times1.txt (seconds), poses0.txt poses1.txt
-(T_world_camera, 12 numbers a row, metres; world = cam0 at its first frame), calib.txt (fx fy cx cy
-width height, a camera a row), cloud.npy (float32 (N, 3) surface points, world), rig.json.
+--kit: `real`, two ordinary cameras with their lenses and rolling shutters, a bonnet and other cars;
+`plain`, pinholes that expose all rows at once. Writes cam0/NNNNNN.jpg cam1/NNNNNN.jpg, times0.txt
+times1.txt (seconds, of the middle rows), poses0.txt poses1.txt (T_world_camera, 12 numbers a row,
+metres; world = cam0 at its first frame), calib.txt (fx fy cx cy width height, then the lens's model
+and terms if it has some; a camera a row), cloud.npy (float32 (N, 3) points of what stands still,
+world), rig.json.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -20,88 +23,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.geometry import se3
-from calm_edge.geometry.camera import Camera, Perspective
-from tests.synthetic.path import Drive
-from tests.synthetic.render import render_view
+from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.camera_row import camera_row
+from tests.synthetic.rows import View
+from tests.synthetic.settings import KITS, Settings, camera
+from tests.synthetic.shots import Shots, T_primary_assistant, our_drive
 from tests.synthetic.textures import Image
 from tests.synthetic.world import World, make_world
 
 Float = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Everything that decides a drive. Lengths m, angles degrees, times s, density texels/m.
-
-    rotation_deg: rotation vector of the assistant in the primary's axes (pitch, yaw, roll).
-    offset_m: its optical centre there, stretched to `spacing_m`. overlap_m: how much of the
-    first street is driven again at the end.
-    """
-
-    frames: int = 440
-    width: int = 544
-    height: int = 208
-    seed: int = 0
-    rate_hz: float = 10.0
-    start_s: float = 0.0
-    hfov_deg: tuple[float, float] = (78.0, 70.0)
-    rotation_deg: tuple[float, float, float] = (1.2, -3.5, -1.5)
-    offset_m: tuple[float, float, float] = (0.497, 0.018, 0.045)
-    spacing_m: float = 0.5
-    assistant_delay_s: float = 0.017
-    lens_blur_px: float = 0.65
-    noise: float = 2.0
-    exposure_drift: float = 0.07
-    jpeg_quality: int = 85
-    density: float = 48.0
-    overlap_m: float = 32.0
-    cloud_every: int = 4
-    cloud_reach_m: float = 40.0
-    cloud_voxel_m: float = 0.15
-    cloud_points: int = 110_000
 
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """Where both cameras are, exactly: times (N,) s, T_w_c (N, 4, 4) m, cameras; [0], [1]."""
+    """Where both cameras are, exactly: times (N,) s, T_w_c (N, 4, 4) m, cameras; [0], [1].
+
+    Of each picture, when its middle row is exposed.
+    """
 
     times: tuple[Float, Float]
     T_w_c: tuple[Float, Float]
     cameras: tuple[Camera, Camera]
 
 
-def T_primary_assistant(settings: Settings) -> Float:
-    """(4, 4) assistant -> primary, metres."""
-    offset = np.array(settings.offset_m)
-    offset *= settings.spacing_m / np.linalg.norm(offset)
-    return se3.compose(se3.so3_exp(np.radians(settings.rotation_deg)), offset)
-
-
 def make_rig(world: World, settings: Settings) -> Rig:
     """The cameras' truth in the town's own frame; fewer frames if the drive ends first."""
-    step = float(np.linalg.norm(world.loop[1] - world.loop[0]))
-    again = world.loop[: round(settings.overlap_m / step)]
-    car = Drive(np.concatenate([world.loop, again]), settings.seed)
+    car = our_drive(world, settings)
     t = settings.start_s + np.arange(settings.frames) / settings.rate_hz
     t = t[t + settings.assistant_delay_s <= car.duration_s]
     late = t + settings.assistant_delay_s
-    size = settings.width, settings.height
-    T_p_a = T_primary_assistant(settings)
     return Rig(
         (t - settings.start_s, late - settings.start_s),
-        (car.poses(t), car.poses(late) @ T_p_a),
-        (
-            Perspective.from_hfov(settings.hfov_deg[0], *size),
-            Perspective.from_hfov(settings.hfov_deg[1], *size),
-        ),
+        (car.poses(t), car.poses(late) @ T_primary_assistant(settings)),
+        (camera(settings, 0), camera(settings, 1)),
     )
 
 
-def exposed(image: Image, t: float, rng: np.random.Generator, settings: Settings) -> Image:
+def exposed(
+    image: Image, t: float, rng: np.random.Generator, settings: Settings, eye: int = 0
+) -> Image:
     """The picture through a lens, with slow exposure drift and sensor noise."""
-    drift = np.sin(0.31 * t + settings.seed) + 0.4 * np.sin(0.97 * t)
-    gain = 1 + settings.exposure_drift * drift
+    phase = settings.seed + settings.exposure_phase[eye]
+    drift = np.sin(0.31 * t + phase) + 0.4 * np.sin(0.97 * t)
+    gain = settings.gain[eye] * (1 + settings.exposure_drift * drift)
     noise = settings.noise * rng.standard_normal(image.shape, np.float32)
     soft = cv2.GaussianBlur(image.astype(np.float32), (0, 0), settings.lens_blur_px)
     return np.asarray(np.clip(soft * np.float32(gain) + noise + 0.5, 0, 255), np.uint8)
@@ -114,41 +78,36 @@ def _thinned(points: Float, voxel: float) -> Float:
     return np.asarray(points[np.sort(np.unique(code, return_index=True)[1])])
 
 
-def _surface_points(depth: Float32, camera: Camera, T_w_c: Float, reach_m: float) -> Float:
-    """World points (N, 3) of a depth map's pixels nearer than reach_m."""
-    row, column = np.nonzero((depth > 0) & (depth < reach_m))
+def _still_points(view: View, lens: Camera, T_w_rows: Float, reach_m: float) -> Float:
+    """World points (N, 3) of a view's pixels of still surfaces nearer than reach_m.
+
+    T_w_rows: (H, 4, 4) of its rows.
+    """
+    row, column = np.nonzero((view.part == 0) & (view.depth > 0) & (view.depth < reach_m))
     pixels = np.stack([column, row], -1).astype(np.float64)
-    p_c = camera.back_project(pixels, depth[row, column].astype(np.float64))
-    return se3.transform(T_w_c, p_c)
+    p_c = lens.back_project(pixels, view.depth[row, column].astype(np.float64))
+    T = T_w_rows[row]
+    return np.asarray((T[:, :3, :3] @ p_c[..., None])[..., 0] + T[:, :3, 3])
 
 
 def write_sequence(folder: Path, world: World, settings: Settings, *, talk: bool = False) -> Rig:
     """Render and write a whole sequence folder; returns its truth with world = first primary."""
-    town = make_rig(world, settings)
+    town, shots = make_rig(world, settings), Shots(world, settings)
     T_w_town = se3.inverse(town.T_w_c[0][0])
     rig = Rig(town.times, (T_w_town @ town.T_w_c[0], T_w_town @ town.T_w_c[1]), town.cameras)
     cloud = np.zeros((0, 3))
+    quality = [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
     for eye in (0, 1):
         (folder / f"cam{eye}").mkdir(parents=True, exist_ok=True)
-        for i, (t, T) in enumerate(zip(town.times[eye], town.T_w_c[eye], strict=True)):
-            image, depth = render_view(world.scene, T, town.cameras[eye])
+        for i, t in enumerate(rig.times[eye]):
+            view = shots.view(eye, settings.start_s + t)
             rng = np.random.default_rng([settings.seed, 71, eye, i])
-            ok, jpeg = cv2.imencode(
-                ".jpg",
-                exposed(image, t, rng, settings),
-                [
-                    cv2.IMWRITE_JPEG_QUALITY,
-                    settings.jpeg_quality,
-                    cv2.IMWRITE_JPEG_OPTIMIZE,
-                    1,
-                ],
-            )
+            ok, jpeg = cv2.imencode(".jpg", exposed(view.image, t, rng, settings, eye), quality)
             assert ok
             (folder / f"cam{eye}" / f"{i:06d}.jpg").write_bytes(jpeg.tobytes())
             if eye == 0 and i % settings.cloud_every == 0:
-                new = _surface_points(
-                    depth, rig.cameras[0], rig.T_w_c[0][i], settings.cloud_reach_m
-                )
+                T = T_w_town @ shots.poses(eye, shots.row_times(eye, settings.start_s + t))
+                new = _still_points(view, rig.cameras[eye], T, settings.cloud_reach_m)
                 cloud = _thinned(np.concatenate([cloud, new]), settings.cloud_voxel_m)
             if talk and i % 50 == 0:
                 print(f"cam{eye} {i} of {len(town.times[eye])}", file=sys.stderr)
@@ -161,9 +120,7 @@ def write_sequence(folder: Path, world: World, settings: Settings, *, talk: bool
         pick = np.random.default_rng([settings.seed, 73]).permutation(len(cloud))
         cloud = cloud[np.sort(pick[: settings.cloud_points])]
     np.save(folder / "cloud.npy", cloud.astype(np.float32))
-    optics = ((c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in rig.cameras)
-    lines = (" ".join(f"{value:.9g}" for value in row) for row in optics)
-    (folder / "calib.txt").write_text("".join(f"{line}\n" for line in lines))
+    (folder / "calib.txt").write_text("".join(f"{camera_row(c)}\n" for c in rig.cameras))
     notes = {"settings": asdict(settings), "T_p_a": T_primary_assistant(settings).tolist()}
     (folder / "rig.json").write_text(json.dumps(notes, indent=1) + "\n")
     return rig
@@ -193,18 +150,16 @@ def make_sequence(
 
 def main(arguments: list[str] | None = None) -> None:
     """The command line."""
-    default = Settings()
     parser = argparse.ArgumentParser(description="Render the demo drive.")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--kit", choices=sorted(KITS), default="real")
     for name in ("frames", "width", "height", "seed", "jpeg-quality"):
-        key = name.replace("-", "_")
-        parser.add_argument(f"--{name}", type=int, default=getattr(default, key))
+        parser.add_argument(f"--{name}", type=int)
     for name in ("start-s", "noise", "density", "rate-hz", "assistant-delay-s"):
-        key = name.replace("-", "_")
-        parser.add_argument(f"--{name}", type=float, default=getattr(default, key))
+        parser.add_argument(f"--{name}", type=float)
     values = vars(parser.parse_args(arguments))
-    folder = values.pop("out")
-    settings = Settings(**values)
+    folder, kit = values.pop("out"), KITS[values.pop("kit")]
+    settings = replace(kit, **{k: v for k, v in values.items() if v is not None})
     world = make_world(settings.seed, settings.density)
     write_sequence(folder, world, settings, talk=True)
 

@@ -118,21 +118,26 @@ class Drive:
         waves = np.sin(2 * np.pi * self._hz[channel] * t[:, None] + self._phase[channel])
         return np.asarray(waves.sum(1) / np.sqrt(2))
 
+    def on_ground(self, t: Float) -> Float:
+        """T_world_car (N, 4, 4) at seconds t (N,): the rear axle on the ground, z ahead."""
+        s = np.interp(t, self.time, self.s)
+        x, z = (np.interp(s, self.s, self.line[:, k]) for k in range(2))
+        zero = np.zeros_like(x)
+        turn = np.stack([zero, np.interp(s, self.s, self.heading), zero], -1)
+        return se3.compose(se3.so3_exp(turn), np.stack([x, zero, z], -1))
+
     def poses(self, t: Float) -> Float:
         """T_world_camera (N, 4, 4) at seconds t (N,); x right, y down, z forward, ground y = 0."""
         t = np.asarray(t, np.float64)
-        s = np.interp(t, self.time, self.s)
-        x, z = (np.interp(s, self.s, self.line[:, k]) for k in range(2))
-        yaw = np.interp(s, self.s, self.heading)
+        T_w_car = self.on_ground(t)
         zero = np.zeros_like(t)
         drift = 0.12 * np.sin(0.37 * t + self._phase[5, 0]) + 0.06 * np.sin(1.1 * t)
-        R_heading = se3.so3_exp(np.stack([zero, yaw, zero], -1))
         sway = np.radians(0.3) * np.stack(
             [self._sway(t, 0), 0.4 * self._sway(t, 1), self._sway(t, 2)], -1
         )
         offset = np.stack(
             [drift, 0.012 * self._sway(t, 3) - self.mount.height, zero + self.mount.ahead], -1
         )
-        rear = np.stack([x, zero, z], -1)
-        p = rear + (R_heading @ offset[..., None])[..., 0]
+        R_heading = T_w_car[:, :3, :3]
+        p = T_w_car[:, :3, 3] + (R_heading @ offset[..., None])[..., 0]
         return se3.compose(R_heading @ se3.so3_exp(sway), p)

@@ -39,7 +39,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pieces:
+class Pieces:
     """Parts of surfaces in camera axes: (P, 3) each; surface, uv (P, 4): u0 v0 du dv."""
 
     surface: NDArray[np.int64]
@@ -53,12 +53,13 @@ class _Pieces:
         o, u, v = self.origin, self.along, self.down
         return np.stack([o, o + u, o + u + v, o + v], 1)
 
-    def take(self, keep: NDArray[np.bool_]) -> _Pieces:
-        return _Pieces(
+    def take(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Pieces:
+        """Some of them, or all in another order."""
+        return Pieces(
             self.surface[keep], self.origin[keep], self.along[keep], self.down[keep], self.uv[keep]
         )
 
-    def halves(self, along_u: NDArray[np.bool_]) -> _Pieces:
+    def halves(self, along_u: NDArray[np.bool_]) -> Pieces:
         """Every piece in two, across u or across v."""
         u = np.where(along_u, 0.5, 1.0)[:, None]
         v = np.where(along_u, 1.0, 0.5)[:, None]
@@ -68,7 +69,7 @@ class _Pieces:
         far = uv.copy()
         far[:, 0] += np.where(along_u, uv[:, 2], 0)
         far[:, 1] += np.where(along_u, 0, uv[:, 3])
-        return _Pieces(
+        return Pieces(
             np.concatenate([self.surface, self.surface]),
             np.concatenate([self.origin, self.origin + step]),
             np.concatenate([half_u, half_u]),
@@ -77,31 +78,23 @@ class _Pieces:
         )
 
 
-def _joined(parts: list[_Pieces]) -> _Pieces:
+def joined(parts: list[Pieces]) -> Pieces:
+    """All pieces of a list."""
     names = ("surface", "origin", "along", "down", "uv")
-    return _Pieces(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+    return Pieces(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
 
 
-def _in_view(p: _Pieces, rim: Float) -> NDArray[np.bool_]:
+def _in_view(p: Pieces, rim: Float) -> NDArray[np.bool_]:
     """Whether any part may lie in the view; rim (4, 3): inward normals of the image's edges."""
     c = p.corners()
     inside = (c @ rim.T).max(1) > 0
     return np.asarray(inside.all(1) & (c[..., 2].max(1) > NEAR_M))
 
 
-def _visible_pieces(scene: Scene, T_c_w: Float, camera: Camera) -> _Pieces:
-    """Culled and cut pieces, nearest first."""
-    R, t = T_c_w[:3, :3], T_c_w[:3, 3]
-    n = len(scene.origin)
-    p = _Pieces(
-        np.arange(n),
-        scene.origin @ R.T + t,
-        scene.along @ R.T,
-        scene.down @ R.T,
-        np.tile([0.0, 0, 1, 1], (n, 1)),
-    )
+def picture_rim(camera: Camera) -> Float:
+    """(4, 3) inward normals of the planes through a pinhole and the edges of its picture."""
     fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
-    rim = np.array(
+    return np.array(
         [
             [fx, 0, cx + 0.5],
             [-fx, 0, camera.width - 0.5 - cx],
@@ -109,10 +102,23 @@ def _visible_pieces(scene: Scene, T_c_w: Float, camera: Camera) -> _Pieces:
             [0, -fy, camera.height - 0.5 - cy],
         ]
     )
+
+
+def visible_pieces(scene: Scene, T_c_w: Float, rim: Float) -> Pieces:
+    """Culled and cut pieces, nearest first. rim: (4, 3) planes of the view, as `picture_rim`."""
+    R, t = T_c_w[:3, :3], T_c_w[:3, 3]
+    n = len(scene.origin)
+    p = Pieces(
+        np.arange(n),
+        scene.origin @ R.T + t,
+        scene.along @ R.T,
+        scene.down @ R.T,
+        np.tile([0.0, 0, 1, 1], (n, 1)),
+    )
     facing = np.einsum("ij,ij->i", np.cross(p.along, p.down), p.origin)
     keep = _in_view(p, rim) & ((facing > 1e-9) | (scene.two_sided & (np.abs(facing) > 1e-9)))
     p = p.take(keep & (p.corners()[..., 2].min(1) < scene.reach_m))
-    done: list[_Pieces] = []
+    done: list[Pieces] = []
     for _ in range(12):
         z = p.corners()[..., 2]
         cut = z.max(1) > 2.0 * np.maximum(z.min(1), NEAR_M)
@@ -125,9 +131,8 @@ def _visible_pieces(scene: Scene, T_c_w: Float, camera: Camera) -> _Pieces:
             break
         p = p.halves(np.abs(p.along[:, 2]) >= np.abs(p.down[:, 2]))
         p = p.take(_in_view(p, rim))
-    p = _joined([*done, p])
-    order = np.argsort(p.corners()[..., 2].min(1), kind="stable")
-    return _Pieces(p.surface[order], p.origin[order], p.along[order], p.down[order], p.uv[order])
+    p = joined([*done, p])
+    return p.take(np.argsort(p.corners()[..., 2].min(1), kind="stable"))
 
 
 def _clipped(corners: Float) -> Float:
@@ -141,7 +146,7 @@ def _clipped(corners: Float) -> Float:
     return np.array(out).reshape(-1, 3)
 
 
-def _level(texture: Texture, M: Float, centre: Float) -> tuple[int, int]:
+def mip_level(texture: Texture, M: Float, centre: Float) -> tuple[int, int]:
     """How often to halve each axis so that a texel is about a pixel. M: pixel -> (u, v, 1) / z."""
     # plain floats: this runs for every piece, where numpy's call overhead would rule
     x, y = float(centre[0]), float(centre[1])
@@ -158,11 +163,8 @@ def _level(texture: Texture, M: Float, centre: Float) -> tuple[int, int]:
     return min(lx, int(math.log2(width))), min(ly, int(math.log2(height)))
 
 
-def sky_colors(sky: Image, R_w_c: Float, camera: Camera) -> Image:
-    """The panorama (azimuth across, elevation +90 .. -90 degrees down) as the camera sees it."""
-    w, h = camera.width, camera.height
-    x, y = np.meshgrid(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64))
-    rays = camera.back_project(np.stack([x, y], -1), np.ones((h, w))) @ R_w_c.T
+def sky_colors(sky: Image, rays: Float) -> Image:
+    """The panorama (azimuth across, elevation +90 .. -90 degrees down) along rays (H, W, 3)."""
     azimuth = np.arctan2(rays[..., 0], rays[..., 2])
     elevation = np.arctan2(-rays[..., 1], np.hypot(rays[..., 0], rays[..., 2]))
     map_x = (azimuth / (2 * np.pi) + 0.5) * sky.shape[1] - 0.5
@@ -189,8 +191,10 @@ def render_view(
     fine_camera = camera.scaled(oversample, oversample)
     fine = (width * oversample, height * oversample)
     T_c_w = np.asarray(np.linalg.inv(T_w_c), np.float64)
-    pieces = _visible_pieces(scene, T_c_w, fine_camera)
-    sky = sky_colors(scene.sky, T_w_c[:3, :3], camera)
+    pieces = visible_pieces(scene, T_c_w, picture_rim(fine_camera))
+    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    rays = camera.back_project(np.stack([x, y], -1), np.ones((height, width)))
+    sky = sky_colors(scene.sky, rays @ T_w_c[:3, :3].T)
     image = cv2.resize(sky, fine, interpolation=cv2.INTER_LINEAR)
     nearness = np.zeros((fine[1], fine[0]), np.float32)
     owner = np.full((fine[1], fine[0]), -1, np.int32)
@@ -230,7 +234,7 @@ def render_view(
         if not cv2.hasNonZero(closer):
             continue
         centre = np.minimum(np.maximum(outline.mean(0), 0), fine)
-        texels = texture.level(*_level(texture, M[k], centre))
+        texels = texture.level(*mip_level(texture, M[k], centre))
         to_texel = np.array([[texels.shape[1], 0, -0.5], [0, texels.shape[0], -0.5], [0, 0, 1.0]])
         shift = np.array([[1.0, 0, x0], [0, 1, y0], [0, 0, 1]])
         drawn = cv2.warpPerspective(
@@ -256,9 +260,13 @@ def render_view(
     a, b, c = np.moveaxis(planes[first], -1, 0)
     inverse = a * np.arange(width) + b * np.arange(height)[:, None] + c
     depth = np.where(inverse > 1e-6, 1 / np.maximum(inverse, 1e-6), 0).astype(np.float32)
+    return hazy(picture, depth), depth
+
+
+def hazy(picture: Image, depth: Float32) -> Image:
+    """The picture (H, W, 3) with what is far paler. depth: (H, W) m, 0 where sky."""
     haze = np.where(depth > 0, 1 - np.exp(-depth / HAZE_M), 0)[..., None].astype(np.float32)
-    hazy = np.clip(picture * (1 - haze) + HAZE_COLOR * haze, 0, 255)
-    return hazy.astype(np.uint8), depth
+    return np.clip(picture * (1 - haze) + HAZE_COLOR * haze, 0, 255).astype(np.uint8)
 
 
 def render_views(

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
-from tests.synthetic.drive import Rig, Settings, T_primary_assistant, make_rig, make_sequence
+from tests.synthetic.drive import Rig, make_rig, make_sequence
 from tests.synthetic.path import Drive
 from tests.synthetic.render import Scene, render_view, render_views
+from tests.synthetic.settings import Settings
+from tests.synthetic.shots import T_primary_assistant
 from tests.synthetic.surface import Surface, Texture
 from tests.synthetic.world import World, make_world
 

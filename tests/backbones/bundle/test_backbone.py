@@ -18,8 +18,10 @@ from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Hints, KitBelief, Prediction
-from tests.synthetic.drive import Settings, T_primary_assistant, exposed, make_rig
+from tests.synthetic.drive import exposed, make_rig
 from tests.synthetic.render import render_views
+from tests.synthetic.settings import Settings
+from tests.synthetic.shots import T_primary_assistant
 from tests.synthetic.world import make_world
 
 N = 8

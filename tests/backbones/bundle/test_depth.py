@@ -19,8 +19,9 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.types import Float32, Hints, Landmarks, Prediction
-from tests.synthetic.drive import Settings, exposed, make_rig
+from tests.synthetic.drive import exposed, make_rig
 from tests.synthetic.render import render_views
+from tests.synthetic.settings import Settings
 from tests.synthetic.world import make_world
 
 N = 4

@@ -17,8 +17,9 @@ from calm_edge.geometry.camera import Perspective
 from calm_edge.kit import layout
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Hints, KitBelief
-from tests.synthetic.drive import Settings, exposed, make_rig
+from tests.synthetic.drive import exposed, make_rig
 from tests.synthetic.render import render_views
+from tests.synthetic.settings import Settings
 from tests.synthetic.world import make_world
 
 N = 8
