@@ -109,7 +109,7 @@ _JSON = {
 }
 # by the topic that holds them as JSON: topics of the same numbers for viewers that plot no JSON
 # (rerun), and where each number of their arrays is in the JSON
-PLOTS = {
+PLOTS: dict[str, dict[str, tuple[str, ...]]] = {
     KIT: {
         "/plot/primary/focal_px": (
             "primary.focal_px",
