@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from calm_edge.commands.configuration import add_set
 from calm_edge.commands.console import print_metre, say, say_no_metre
+from calm_edge.commands.drive_reference import only
 from calm_edge.commands.exit_codes import LOSS, OK
 from calm_edge.commands.map_pages import Options
 from calm_edge.processes import CHILD_ENVIRONMENT, interrupted_by_sigterm
@@ -45,13 +46,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new folder")
     parser.add_argument(
-        "--truth", type=Path, metavar="FOLDER", help="report the error against this ground truth"
+        "--truth",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="report the error against this ground truth; of several drives, once for each",
     )
     parser.add_argument(
         "--gps",
         type=Path,
+        action="append",
+        default=[],
         metavar="FILE",
-        help="GPS fixes (GPX, NMEA) to align the trajectory to, instead of the recorded ones",
+        help="GPS fixes (GPX, NMEA) to align the trajectory to, instead of the recorded ones; of "
+        "several drives, once for each, or once if the file has the fixes of all",
     )
     parser.add_argument(
         "--quality",
@@ -124,10 +133,11 @@ def run(arguments: argparse.Namespace) -> int:
     (path,) = arguments.recording
     out: Path = arguments.out
     unfinished = check_folder(out, force=arguments.force, resume=arguments.resume)
-    truth = read_truth(arguments.truth) if arguments.truth is not None else None
+    folder = only(arguments.truth, "truth")
+    truth = read_truth(folder) if folder is not None else None
     recording = Recording(path)
     recording.check_cameras()
-    fixes = fixes_of(recording, arguments.gps)
+    fixes = fixes_of(recording, only(arguments.gps, "gps"))
     again = arguments.rerun_model is not None
     config = merge(recording.config, PRESETS[arguments.quality])
     if again:
@@ -167,8 +177,8 @@ def several(arguments: argparse.Namespace, options: Options) -> int:
     from calm_edge.commands import map_drives
     from calm_edge.types import CalmEdgeError
 
-    for option in ("truth", "gps", "part", "rerun_model", "quality"):
-        if getattr(arguments, option) not in (None, False, "normal"):
+    for option in ("part", "rerun_model"):
+        if getattr(arguments, option):
             name = option.replace("_", "-")
             raise CalmEdgeError(f"--{name}: is for a map of one recording")
     check_folder(arguments.out, force=arguments.force, resume=arguments.resume)

@@ -26,6 +26,7 @@ def run(arguments: argparse.Namespace, options: Options) -> int:
 
     The output folder holds no map, or one to be replaced. Raises CalmEdgeError.
     """
+    from calm_edge.commands.drive_reference import references
     from calm_edge.commands.joined_outputs import write
     from calm_edge.offline import drive_jobs
     from calm_edge.offline.drive_part import read_part
@@ -36,7 +37,8 @@ def run(arguments: argparse.Namespace, options: Options) -> int:
     out: Path = arguments.out
     recordings: list[Path] = arguments.recording
     names = unique_names(recordings)
-    configs = agreed_configs(recordings, arguments.set)
+    configs = agreed_configs(recordings, arguments.set, options.quality)
+    given = references(recordings, names, arguments.truth, arguments.gps)
     parts = out / PARTS
     if arguments.force:
         shutil.rmtree(parts, ignore_errors=True)
@@ -48,7 +50,7 @@ def run(arguments: argparse.Namespace, options: Options) -> int:
     with interrupted_by_sigterm():
         parts.mkdir(parents=True, exist_ok=True)
         commands = [
-            part_command(recording, parts / name, arguments.set)
+            part_command(recording, parts / name, arguments.set, options.quality)
             for recording, name in zip(recordings, names, strict=True)
         ]
         ran = (
@@ -67,7 +69,8 @@ def run(arguments: argparse.Namespace, options: Options) -> int:
             return LOSS
         drives = [part.placed for part in read]
         joined = join(drives, closures(drives, configs[0], say), configs[0])
-        code = write(read, [names[i] for i in known], joined, out, parts / SCRATCH, options)
+        kept = [names[i] for i in known], [given[i] for i in known]
+        code = write(read, *kept, joined, out, parts / SCRATCH, options)
     for i, name in enumerate(names):
         if i not in known:
             say(f"loss: {name}: no window of it could be solved")
@@ -77,9 +80,11 @@ def run(arguments: argparse.Namespace, options: Options) -> int:
     return code
 
 
-def part_command(recording: Path, out: Path, settings: Sequence[str]) -> list[str]:
+def part_command(
+    recording: Path, out: Path, settings: Sequence[str], quality: str = "normal"
+) -> list[str]:
     """Arguments of Python for the work on one drive; continues what is in `out`."""
-    options = [f"--set={text}" for text in settings]
+    options = ["--quality", quality, *(f"--set={text}" for text in settings)]
     again = ["--resume"] if out.exists() else []
     where = [str(recording.resolve()), "--out", str(out.resolve())]
     return ["-m", "calm_edge.cli", "map", *where, "--part", *again, *options]
@@ -91,12 +96,16 @@ def unique_names(recordings: Sequence[Path]) -> list[str]:
     return [name if names.count(name) == 1 else f"{name}-{i}" for i, name in enumerate(names)]
 
 
-def agreed_configs(recordings: Sequence[Path], settings: Sequence[str]) -> list[Config]:
+def agreed_configs(
+    recordings: Sequence[Path], settings: Sequence[str], quality: str = "normal"
+) -> list[Config]:
     """Configurations of the recordings; raises CalmEdgeError if their lengths have no common unit.
 
-    They have one in metres, or if all are of one kit without a spacing.
+    They have one in metres, or if all are of one kit without a spacing. quality: name of a preset,
+    over which the settings are set.
     """
     from calm_edge.config import merge, parse_assignment
+    from calm_edge.offline.quality import PRESETS
     from calm_edge.recording.reader import Recording
     from calm_edge.types import CalmEdgeError
 
@@ -106,7 +115,7 @@ def agreed_configs(recordings: Sequence[Path], settings: Sequence[str]) -> list[
     for recording in recordings:
         opened = Recording(recording)
         opened.check_cameras()
-        config = opened.config
+        config = merge(opened.config, PRESETS[quality])
         for text in settings:
             config = merge(config, parse_assignment(text))
         found.append(config)

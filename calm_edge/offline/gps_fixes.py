@@ -37,6 +37,13 @@ class GpsFixes:
     sigma_m: Float
     dropped: int
 
+    def within(self, first_ns: int, last_ns: int) -> GpsFixes | None:
+        """The fixes of these times, both included; None without any."""
+        kept = (self.t_ns >= first_ns) & (self.t_ns <= last_ns)
+        if not kept.any():
+            return None
+        return GpsFixes(self.path, self.t_ns[kept], self.lla[kept], self.sigma_m[kept], 0)
+
 
 def fixes_of(recording: Recording, file: Path | None) -> GpsFixes | None:
     """Fixes of a file if one is given, else of the recording; None if it holds none.

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from calm_edge.evaluation.estimate import Estimate
 from calm_edge.offline.georeference import Placement, place
-from calm_edge.offline.gps_fixes import GpsFixes
+from calm_edge.offline.gps_fixes import GpsFileError, GpsFixes, fixes_of, read_fixes
+from calm_edge.recording.reader import Recording
+from device.frame import Eye
 
 # Time between drives that are put one after the other: much longer than any gap of a path that is
 # interpolated, and a fix that is late by a second is still at the end of its drive.
 APART_NS = 1_000_000 * 10**9
+# before and after a drive: fixes of one file are taken for it, because they may be late
+BESIDE_NS = 5 * 10**9
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +29,39 @@ class GpsDrive:
     name: str
     estimate: Estimate
     fixes: GpsFixes | None
+
+
+def fixes_of_drives(
+    recordings: Mapping[str, Recording], files: Sequence[Path]
+) -> list[GpsFixes | None]:
+    """Fixes of each recording: the recorded ones, of a file for each, or of one file for all.
+
+    Raises GpsFileError if the times of one file do not tell which drive a fix is of.
+    """
+    if not files:
+        return [fixes_of(recording, None) for recording in recordings.values()]
+    if len(files) == len(recordings):
+        named = zip(recordings.values(), files, strict=True)
+        return [fixes_of(recording, file) for recording, file in named]
+    (file,) = files
+    spans: list[tuple[int, int, str]] = []
+    for name, recording in recordings.items():
+        t_ns = recording.frame_times(Eye.PRIMARY) - recording.origin_ns
+        if len(t_ns):
+            spans.append((int(t_ns.min()), int(t_ns.max()), name))
+    for (_, end, before), (start, _, after) in pairwise(sorted(spans)):
+        if start <= end:
+            raise GpsFileError(
+                f"{file}: the times of {before} and {after} overlap, so which drive a fix is of is "
+                "not known; give --gps once for each drive"
+            )
+    fixes = read_fixes(file)
+    within = {
+        name: fixes.within(first - BESIDE_NS, last + BESIDE_NS) for first, last, name in spans
+    }
+    if not any(within.values()):
+        raise GpsFileError(f"{file}: holds no fix of the times of these drives")
+    return [within.get(name) for name in recordings]
 
 
 def place_joined(drives: Mapping[int, GpsDrive], say: Callable[[str], None]) -> Placement | None:

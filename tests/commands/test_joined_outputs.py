@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,15 +12,16 @@ import numpy as np
 import pytest
 
 from calm_edge.commands import joined_outputs
+from calm_edge.commands.drive_reference import DriveReference
 from calm_edge.commands.exit_codes import LOSS
 from calm_edge.commands.joined_outputs import write
 from calm_edge.commands.map_pages import Options
 from calm_edge.config import Config, merge
 from calm_edge.evaluation.estimate import from_map
-from calm_edge.geometry import body_frame, local_enu
+from calm_edge.evaluation.truth import Truth
+from calm_edge.geometry import body_frame, local_enu, se3
 from calm_edge.interchange.export.drive import read_drive
 from calm_edge.mapping.cloud_file import CloudWriter
-from calm_edge.offline import gps_fixes
 from calm_edge.offline.drive import Drive
 from calm_edge.offline.gps_fixes import GpsFixes
 from calm_edge.offline.joined_drives import Joined
@@ -79,7 +81,7 @@ def cloud(out: Path, points: dict[int, int]) -> np.ndarray:
     return np.array(rows, np.int64)
 
 
-def fixes(recording: Recording, _file: Path | None) -> GpsFixes:
+def fixes(recording: Recording) -> GpsFixes:
     """Fixes at every frame of the drive, with its stamps, 5 cm wrong."""
     flat = body_frame.FLU_FROM_FRD @ body_frame.mounting((0.0, 0.0, 0.0))
     enu = (flat @ true_poses())[:, :3, 3] + np.random.default_rng(1).normal(0, 0.05, (24, 3))
@@ -100,9 +102,14 @@ def test_all_files_of_joined_drives_and_of_one_that_is_apart(
         {n: parts[n].placed.drive for n in (0, 1)}, (2,), {(0, 1): 4}, {0: 1.0, 1: 1.01}
     )
     monkeypatch.setattr(joined_outputs, "fused", lambda *_: (cloud(out, {0: 300, 1: 200}), ()))
-    monkeypatch.setattr(gps_fixes, "fixes_of", fixes)
-    assert write(parts, NAMES, joined, out, tmp_path / "scratch", Options(pictures=False)) == LOSS
+    # in a frame that is not that of the first keyframe
+    T_t_w = se3.exp(np.array([3.0, -2, 1, 0.2, 0.1, -0.4]))
+    truth = Truth(true_times() - ORIGIN_NS, T_t_w @ true_poses())
+    given = [DriveReference(truth, fixes(part.placed.recording)) for part in parts]
+    options = Options("preview", pictures=False)
+    assert write(parts, NAMES, given, joined, out, tmp_path / "scratch", options) == LOSS
     shown, losses = capsys.readouterr()
+    assert re.search(r"error       0\.0\d\d m \(rms\) in one frame: monday 0\.0\d\d m, tue", shown)
     assert "joined      monday and tuesday by 4 places" in shown and "500 points" in shown
     assert "loss: friday: is apart" in losses and "friday: no metre: too straight" in losses
     own = {"trajectory.tum", "trajectory.kitti", "summary.json", "report.html"}
@@ -115,7 +122,8 @@ def test_all_files_of_joined_drives_and_of_one_that_is_apart(
     assert not (out / "drives" / "stale").exists()
     summary = json.loads((out / "summary.json").read_text())
     assert [row["apart"] for row in summary["drives"]] == [False, False, True]
-    assert summary["drives"][1]["scale"] == 1.01
+    assert summary["drives"][1]["scale"] == 1.01 and summary["quality"] == "preview"
+    assert 0 < summary["error"]["ate_m"] < 0.1 and len(summary["error"]["by_drive"]) == 2
     gps = json.loads((out / "gps.json").read_text())
     assert [row["name"] for row in gps["drives"]] == ["monday", "tuesday"]
     assert gps["used"] >= 30 and gps["residual_rms_m"] < 0.15
@@ -123,7 +131,8 @@ def test_all_files_of_joined_drives_and_of_one_that_is_apart(
     assert '"drives":[["monday",0],["tuesday",6]]' in page and '"count":500' in page
     report = (out / "report.html").read_text()
     assert "friday: is apart" in report and 'href="drives/friday/report.html"' in report
-    # each drive has its own points in its report, the map has all
+    # each drive has its own points and errors in its report, the map has all points
+    assert "trajectory error" in (out / "drives/friday/report.html").read_text()
     assert "300 points" in (out / "drives/monday/report.html").read_text()
     points = from_map(out).points_w
     assert points is not None and len(points) == 500

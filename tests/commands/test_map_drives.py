@@ -34,9 +34,15 @@ def recordings(tmp_path: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (["--truth", "x"], "--truth: is for a map of one recording"),
-        (["--gps", "x"], "--gps: is for a map of one recording"),
+        (["--truth", "x"], "--truth: 1 for 2 recordings; give one for each"),
+        (
+            ["--gps", "x", "--gps", "y", "--gps", "z"],
+            "--gps: 3 for 2 recordings; give one for each",
+        ),
+        (["--gps", "x.gpx"], "x.gpx: cannot be read (No such file or directory)"),
+        (["--truth", "x", "--truth", "y"], "x: no such folder"),
         (["--part"], "--part: is for a map of one recording"),
+        (["--rerun-model", "x"], "--rerun-model: is for a map of one recording"),
         ([], "tuesday: has no scale.spacing_m, others have one"),
     ],
 )
@@ -47,10 +53,20 @@ def test_what_does_not_go_together_is_refused_in_a_line(
     words: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert main(["map", *recordings, "--out", str(tmp_path / "out"), *change]) == 1
+    one = ["--set", "scale.spacing_m=0.5"] if change else []
+    assert main(["map", *recordings, "--out", str(tmp_path / "out"), *one, *change]) == 1
     shown = capsys.readouterr().err
     assert words in shown and shown.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["truth", "gps"])
+def test_a_map_of_one_recording_takes_one_of_each(
+    recordings: list[str], tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twice = [f"--{option}", "x", f"--{option}", "y"]
+    assert main(["map", recordings[0], "--out", str(tmp_path / "out"), *twice]) == 1
+    assert f"--{option}: 2 for one recording; give one" in capsys.readouterr().err
 
 
 def test_a_recording_is_named_once(
@@ -75,10 +91,10 @@ def test_drives_of_equal_names_are_numbered_and_parts_are_commands(tmp_path: Pat
     command = part_command(tmp_path / "rec", tmp_path / "part", ["mapping.grid=20"])
     assert command[:2] == ["-m", "calm_edge.cli"] and "--resume" not in command
     (tmp_path / "part").mkdir()
-    command = part_command(tmp_path / "rec", tmp_path / "part", ["mapping.grid=20"])
+    command = part_command(tmp_path / "rec", tmp_path / "part", ["mapping.grid=20"], "preview")
     arguments = build_parser().parse_args(command[2:])
     assert arguments.part and arguments.resume and arguments.set == ["mapping.grid=20"]
-    assert arguments.recording == [tmp_path / "rec"]
+    assert arguments.recording == [tmp_path / "rec"] and arguments.quality == "preview"
 
 
 def test_the_part_that_the_command_makes_is_the_one_that_is_joined(
@@ -105,9 +121,11 @@ def test_the_part_that_the_command_makes_is_the_one_that_is_joined(
     monkeypatch.setattr(drive_part, "densified", lambda *_: iter([(depth, depth)]))
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     settings = ["mapping.grid=20"]
-    command = part_command(path, tmp_path / "part", settings)
+    command = part_command(path, tmp_path / "part", settings, "preview")
     assert main(command[2:]) == 0
-    (config,) = agreed_configs([path], settings)
+    (config,) = agreed_configs([path], settings, "preview")
+    # a setting goes over the preset
+    assert config.mapping.grid == 20 and config.backbone.depth_every == 3
     part = read_part(tmp_path / "part", path, config)
     assert [update.submap.id for update in part.placed.drive.updates] == [0]
     found = depth_of(part, 0)
