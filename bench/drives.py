@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,23 +104,37 @@ def simulated(name: str, *options: str) -> Prepare:
     """
 
     def prepare(_out: Path) -> Path | str:
-        folder = SIMULATED / name
-        if (folder / "cloud.npy").is_file():
-            return folder
-        if not SIMULATOR.is_file():
+        there = (SIMULATED / name / "cloud.npy").is_file()
+        if not there and not SIMULATOR.is_file():
             return f"{SIMULATOR} is not here"
-        # rendered in a folder of its own, so that an interrupted rendering does not pass for a
-        # whole drive
-        part = SIMULATED / f"{name}.part"
-        command = [sys.executable, str(SIMULATOR), "--out", str(part), *options]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode or not (part / "cloud.npy").is_file():
-            return f"{SIMULATOR.name} failed: {last_line(done)}"
-        shutil.rmtree(folder, ignore_errors=True)
-        part.rename(folder)
-        return folder
+        return _rendered(name, [str(SIMULATOR)], options)
 
     return prepare
+
+
+def plain_demo(_out: Path) -> Path | str:
+    """Prepare the town's drive of `plain` cameras in build/sim: pinholes, no rolling shutter.
+
+    Figures of speed refer to it. Rendered in about ten minutes only if it does not exist yet.
+    """
+    return _rendered("demo_plain", ["-m", "tests.synthetic.drive"], ("--kit", "plain"))
+
+
+def _rendered(name: str, program: Sequence[str], options: Sequence[str]) -> Path | str:
+    """Folder build/sim/`name`, rendered by a Python program unless it is there, or a reason."""
+    folder = SIMULATED / name
+    if (folder / "cloud.npy").is_file():
+        return folder
+    # rendered in a folder of its own, so that an interrupted rendering does not pass for a whole
+    # drive
+    part = SIMULATED / f"{name}.part"
+    command = [sys.executable, *program, "--out", str(part), *options]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode or not (part / "cloud.npy").is_file():
+        return f"{Path(program[-1]).name} failed: {last_line(done)}"
+    shutil.rmtree(folder, ignore_errors=True)
+    part.rename(folder)
+    return folder
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,6 +48,22 @@ def test_without_the_simulator_it_is_said(tmp_path: Path, monkeypatch: pytest.Mo
     assert drives.simulated("d")(tmp_path) == f"{tmp_path / 'gone.py'} is not here"
 
 
+def test_the_plain_demo_is_rendered_by_its_recipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    python = tmp_path / "python"
+    python.write_text('#!/bin/sh\nmkdir -p "$4"\necho "$@" >"$4/options"\ntouch "$4/cloud.npy"\n')
+    python.chmod(0o755)
+    monkeypatch.setattr(drives.sys, "executable", str(python))
+    monkeypatch.setattr(drives, "SIMULATED", tmp_path / "sim")
+    folder = drives.plain_demo(tmp_path)
+    assert folder == tmp_path / "sim" / "demo_plain"
+    options = (tmp_path / "sim" / "demo_plain" / "options").read_text().split()
+    assert options[:2] == ["-m", "tests.synthetic.drive"] and options[-2:] == ["--kit", "plain"]
+    python.unlink()
+    assert drives.plain_demo(tmp_path) == folder
+
+
 def test_the_twin_in_step_differs_in_its_clocks_alone(renderer: Path, tmp_path: Path) -> None:
     drive = drives.Kilometre("k", 0.4, ("--track", "t"), ("--async", "0.03"))
     loose, in_step = drive.loose(tmp_path), drive.in_step(tmp_path)

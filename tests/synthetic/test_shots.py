@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.spatial import cKDTree
 from calm_edge.evaluation.truth import read_truth
 from calm_edge.geometry import se3
 from calm_edge.geometry.fisheye import Fisheye
-from tests.synthetic.drive import exposed, write_sequence
+from tests.synthetic.drive import exposed, main, write_sequence
 from tests.synthetic.settings import PLAIN, REAL
 from tests.synthetic.shots import Shots
 from tests.synthetic.world import World, make_world
@@ -119,6 +120,19 @@ def test_exposure_drifts_apart_between_the_eyes() -> None:
     assert exposed(grey, 3.0, rng, PLAIN).mean() == pytest.approx(
         exposed(grey, 3.0, rng, PLAIN, 1).mean(), abs=0.3
     )
+
+
+def test_the_plain_kit_can_still_be_rendered(tmp_path: Path) -> None:
+    size = ["--width", "136", "--height", "52", "--density", "4", "--frames", "2"]
+    main(["--kit", "plain", "--out", str(tmp_path), *size])
+    truth = read_truth(tmp_path)
+    assert truth.cameras is not None and all(c.is_pinhole for c in truth.cameras)
+    made = json.loads((tmp_path / "rig.json").read_text())["settings"]
+    drawn = {"width": 136, "height": 52, "density": 4.0, "frames": 2}
+    assert made == json.loads(json.dumps(asdict(PLAIN) | drawn))
+    # what the first demo drive was rendered with
+    assert made["hfov_deg"] == [78.0, 70.0] and made["readout_s"] == [0.0, 0.0]
+    assert not made["oncoming"] and not made["ahead"] and made["bonnet"] == [0.0, 0.0]
 
 
 def test_the_truth_of_a_written_drive(world: World, shots: Shots, tmp_path: Path) -> None:
