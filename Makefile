@@ -49,11 +49,12 @@ lint: .venv/.stamp-dev
 	.venv/bin/mypy
 	.venv/bin/lint-imports
 
-# what is done to the daemon, and what comes of it; FAULTS="kill disk" does some rows only
-# a recording in the MCAP readers of Rust and rerun, as far as they are installed
+# a recording in the MCAP readers of Python, Rust, JavaScript and rerun, as far as they are
+# installed; RECORDING=drives/monday for that instead of a small one
 readers: .venv/.stamp-dev
-	.venv/bin/python -m tests.interop.readers
+	.venv/bin/python -m tests.interop.readers $(RECORDING)
 
+# what is done to the daemon, and what comes of it; FAULTS="kill disk" does some rows only
 faults: .venv/.stamp-dev
 	.venv/bin/python -m tests.faults.table $(FAULTS)
 
