@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from optics import Optics
 from torch import Tensor
 
 TEMPORAL = [(i, j) for i in range(4) for j in range(4) if i != j]
@@ -77,27 +78,18 @@ def degraded(grey: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 
 def truth(
-    uv: np.ndarray,
-    depth_a: np.ndarray,
-    depth_b: np.ndarray,
-    K_a: np.ndarray,
-    K_b: np.ndarray,
-    T_b_a: np.ndarray,
+    uv: np.ndarray, a: Optics, b: Optics, depth_a: np.ndarray, depth_b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Project integer pixels uv (N, 2) of view a to b: positions (N, 2) px and visibility (N,)."""
-    z = depth_a[uv[:, 1], uv[:, 0]].astype(np.float64)
-    p = (
-        np.c_[uv, np.ones(len(uv))] @ np.linalg.inv(K_a).T * z[:, None] @ T_b_a[:3, :3].T
-        + T_b_a[:3, 3]
-    )
-    ahead = p[:, 2] > 0.1
-    q = p @ K_b.T
-    uv_b = q[:, :2] / np.where(ahead, q[:, 2], 1)[:, None]
+    z = depth_a[uv[:, 1], uv[:, 0]]
+    uv_b, z_b = b.pixels(a.points(uv, z))
     height, width = depth_b.shape
-    inside = ahead & (uv_b > 4).all(1) & (uv_b < np.array([width, height]) - 5).all(1)
-    x, y = np.where(inside[:, None], np.round(uv_b), 0).astype(int).T
+    # comparisons with NaN are false
+    inside = (z > 0) & (uv_b > 4).all(1) & (uv_b < np.array([width, height]) - 5).all(1)
+    uv_b = np.where(inside[:, None], uv_b, 0.0)
+    x, y = np.round(uv_b).astype(int).T
     there = depth_b[y, x].astype(np.float64)
-    return uv_b, inside & (np.abs(there - p[:, 2]) < SAME_DEPTH * p[:, 2])
+    return uv_b, inside & (np.abs(there - z_b) < SAME_DEPTH * z_b)
 
 
 class Clips:
@@ -135,9 +127,9 @@ def _pair(
     chance = np.sqrt(detail.ravel())
     at = random.choice(height * width, points, replace=False, p=chance / chance.sum())
     uv = np.c_[at % width, at // width]
-    T_w_a, T_w_b = (clip["T_w_c"][k].astype(np.float64) for k in (i, j))
-    T_b_a = np.linalg.inv(T_w_b) @ T_w_a
-    uv_b, seen = truth(uv, clip["depth"][i], clip["depth"][j], clip["K"][i], clip["K"][j], T_b_a)
+    fields = [clip[name] for name in ("K", "lens", "T_w_c", "motion")]
+    at_a, at_b = (Optics.of([f[k] for f in fields], (height, width)) for k in (i, j))
+    uv_b, seen = truth(uv, at_a, at_b, clip["depth"][i], clip["depth"][j])
     steady = clip["steady"][i][uv[:, 1], uv[:, 0]]
     return degraded(a, random), degraded(b, random), uv, uv_b, seen & steady, steady
 

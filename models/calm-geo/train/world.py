@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from optics import Optics
 from torch import Tensor
 
 Array = np.ndarray
@@ -20,6 +21,8 @@ FAR_M = 400.0
 MASKS = 24
 MASK_SIZE = 64
 MIN_DEPTH_M = 0.4
+# of the tangents of the angle of view
+MARGIN = 0.15
 
 
 class TextureBank:
@@ -257,15 +260,18 @@ class View:
     steady: Tensor
 
 
-def _in_sight(scene: Scene, T_w_c: Tensor, K: Tensor, size: tuple[int, int], t_s: float) -> Scene:
-    """The scene without the rectangles that are entirely outside the view frustum."""
+def _in_sight(scene: Scene, T_w_c: Tensor, rays: Tensor, t_s: float) -> Scene:
+    """The scene without the rectangles that are entirely outside the view frustum.
+
+    rays: (P, 3) of the view's pixels, z = 1. With a margin for what moves while rows are exposed.
+    """
     at = scene.corner + scene.velocity * t_s
     across, down = scene.right, scene.down
     ends = torch.stack([at, at + across, at + down, at + across + down], 1)
-    p = (ends - T_w_c[:3, 3]) @ T_w_c[:3, :3]
-    x, y, z = (p @ K.T).unbind(-1)
-    height, width = size
-    beyond = torch.stack([z - MIN_DEPTH_M, x, width * z - x, y, height * z - y]) < 0
+    x, y, z = ((ends - T_w_c[:3, 3]) @ T_w_c[:3, :3]).unbind(-1)
+    (left, top), (right, foot) = rays[:, :2].amin(0) - MARGIN, rays[:, :2].amax(0) + MARGIN
+    sides = [x - left * z, right * z - x, y - top * z, foot * z - y]
+    beyond = torch.stack([z - MIN_DEPTH_M / 2, *sides]) < 0
     kept = ~beyond.all(-1).any(0)
     kept[0] |= ~kept.any()
     rows = {
@@ -277,28 +283,39 @@ def _in_sight(scene: Scene, T_w_c: Tensor, K: Tensor, size: tuple[int, int], t_s
 
 
 def render(
-    scene: Scene, bank: TextureBank, T_w_c: Tensor, K: Tensor, size: tuple[int, int], t_s: float
+    scene: Scene, bank: TextureBank, optics: Optics, t_s: float, readout_s: float = 0.0
 ) -> View:
-    """Render the scene at time t_s [s] from T_w_c (4, 4) with K (3, 3); size: height, width px."""
-    height, width = size
+    """Render the scene by `optics`, whose middle row is exposed at time t_s [s].
+
+    readout_s: from the first row to the last.
+    """
+    height, width = optics.camera.height, optics.camera.width
     device = scene.corner.device
-    y, x = torch.meshgrid(
-        torch.arange(height, device=device), torch.arange(width, device=device), indexing="ij"
-    )
-    ones = torch.ones_like(x)
-    ray_c = torch.stack([x, y, ones], -1).reshape(-1, 3).float() @ torch.linalg.inv(K).T
-    ray = ray_c @ T_w_c[:3, :3].T
-    scene = _in_sight(scene, T_w_c, K, size, t_s)
-    corner = scene.corner + scene.velocity * t_s
+
+    def tensor(values: Array) -> Tensor:
+        return torch.from_numpy(values).to(device, torch.float32)
+
+    rows = np.arange(height)
+    poses, late = tensor(optics.poses(rows)), tensor(readout_s * optics.share(rows))
+    rays_c = tensor(optics.rays())
+    ray = (rays_c @ poses[:, :3, :3].transpose(1, 2)).reshape(-1, 3)
+    scene = _in_sight(scene, tensor(optics.T_w_c), rays_c.reshape(-1, 3), t_s)
     normal = torch.cross(scene.right, scene.down, dim=1)
     normal = normal / normal.norm(dim=1, keepdim=True)
     across = scene.right / scene.right.pow(2).sum(1, keepdim=True)
     along = scene.down / scene.down.pow(2).sum(1, keepdim=True)
-    seen_from = T_w_c[:3, 3] - corner
+    corner = scene.corner + scene.velocity * (t_s + late)[:, None, None]
+    # from the corners to where each row is exposed, (H, Q, 3)
+    seen_from = poses[:, None, :3, 3] - corner
+
+    def each(values: Tensor) -> Tensor:
+        """Of rows (H, Q) -> of their pixels (P, Q)."""
+        return values[:, None].expand(-1, width, -1).reshape(height * width, -1)
+
     slope = ray @ normal.T
-    depth = -(seen_from * normal).sum(1) / torch.where(slope.abs() < 1e-9, 1e-9, slope)
-    a = (seen_from * across).sum(1) + depth * (ray @ across.T)
-    b = (seen_from * along).sum(1) + depth * (ray @ along.T)
+    depth = -each((seen_from * normal).sum(-1)) / torch.where(slope.abs() < 1e-9, 1e-9, slope)
+    a = each((seen_from * across).sum(-1)) + depth * (ray @ across.T)
+    b = each((seen_from * along).sum(-1)) + depth * (ray @ along.T)
     hit = (depth > MIN_DEPTH_M) & (a >= 0) & (a <= 1) & (b >= 0) & (b <= 1)
     cut = torch.nonzero(scene.kind == CUTOUT)[:, 0]
     if len(cut):
@@ -316,7 +333,8 @@ def render(
     u = u * scene.repeats[which, 0] + scene.offset[which, 0]
     v = v * scene.repeats[which, 1] + scene.offset[which, 1]
     texels_a_m = 256 * scene.repeats[which, 0] / scene.right.norm(dim=1)[which]
-    texels = texels_a_m * nearest.clamp(max=FAR_M) / K[0, 0] * cosine.clamp(min=0.02).rsqrt()
+    focal = optics.camera.fx
+    texels = texels_a_m * nearest.clamp(max=FAR_M) / focal * cosine.clamp(min=0.02).rsqrt()
     direction = ray / ray.norm(dim=1, keepdim=True)
     n = normal[which]
     mirrored = direction - 2 * (direction * n).sum(1, keepdim=True) * n
@@ -324,7 +342,7 @@ def render(
     skyward = sky | (kind == MIRROR)
     u = torch.where(skyward, shown[:, 0] * 0.9 + 0.3 * shown[:, 2], u)
     v = torch.where(skyward, shown[:, 1] * 0.9, v)
-    texels = torch.where(skyward, 256 * 0.9 / K[0, 0], texels)
+    texels = torch.where(skyward, 256 * 0.9 / focal, texels)
     texture = torch.where(skyward, scene.sky, scene.texture[which])
     gain = torch.where(sky, scene.sky_gain[0], scene.gain[which])
     bias = torch.where(sky, scene.sky_gain[1], scene.bias[which])
