@@ -97,6 +97,8 @@ class Overlap:
     kit: (D,) as solved (`kit/layout.py`). The mean of T_k_first for a kit is
     exp(offset + by_kit (kit - self.kit)) T_first_k^-1, with offset (6 F - 6,) and by_kit
     (6 F - 6, D) for all k but the first. information: (6 F - 6, 6 F - 6) of these twists.
+    length_log_sigma: sigma of the log of the path's length through them, all that makes it wrong
+    included; None in recordings of earlier versions.
     """
 
     t_ns: Int
@@ -105,6 +107,7 @@ class Overlap:
     offset: Float
     by_kit: Float
     information: Float
+    length_log_sigma: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -225,8 +225,10 @@ class KitMemory:
             # not list the window again with the same belief
             prediction, log_focal, lenses = window.prediction, newest.log_focal, newest.lenses
             try:
-                prediction = self._backbone.resolve(window.prediction, hints)
-                solved[submap_id] = prediction
+                again = self._backbone.resolve(window.prediction, hints)
+                if lost_scale(window.prediction, again):
+                    raise BackboneError("solved again it shows no scale")
+                prediction = solved[submap_id] = again
                 log_focal, lenses = _log_focal(prediction, hints), _lenses(prediction)
                 self._evidence.pop(submap_id, None)
                 if prediction.kit is not None and teaches(prediction):
@@ -247,6 +249,11 @@ def teaches(prediction: Prediction) -> bool:
     """
     sigma = prediction.scale_log_sigma
     return sigma is None or sigma < UNKNOWN
+
+
+def lost_scale(before: Prediction, now: Prediction) -> bool:
+    """Whether a window that is solved again shows no scale any more, which it did before."""
+    return teaches(before) and not teaches(now)
 
 
 def _lenses(prediction: Prediction) -> tuple[type[Camera], ...]:

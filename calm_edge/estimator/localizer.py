@@ -22,7 +22,7 @@ from calm_edge.estimator.atlas import Atlas, SkippedWindow
 from calm_edge.estimator.direction_memory import DirectionMemory
 from calm_edge.estimator.ego_masks import EgoMasks
 from calm_edge.estimator.held_windows import HeldWindows, unsettled
-from calm_edge.estimator.kit_memory import KitMemory
+from calm_edge.estimator.kit_memory import KitMemory, lost_scale
 from calm_edge.estimator.kit_watch import KitWatch, Slip, Suspect
 from calm_edge.estimator.loop_closing import LoopClosing
 from calm_edge.estimator.metre import ALONE, DriveMetre
@@ -274,7 +274,9 @@ class Localizer:
             log.warning("sub-map %d not solved again: %s", submap_id, error)
             return None
         earlier, prediction = self._memory.prediction(submap_id), solved.prediction
-        if earlier is not None and earlier.kit is not None and prediction.kit is None:
+        if earlier is not None and (
+            (earlier.kit is not None and prediction.kit is None) or lost_scale(earlier, prediction)
+        ):
             return None
         if not unsettled(prediction):
             self._held.drop(submap_id)

@@ -118,6 +118,20 @@ def test_a_window_that_cannot_be_solved_again_is_not_tried_each_time():
     assert memory.outdated() == []
 
 
+def test_a_scale_that_is_known_is_not_given_up_for_one_that_is_not():
+    class Loses(Resolver):
+        def resolve(self, prediction, hints):
+            return dataclasses.replace(prediction, scale_log_sigma=np.inf, kit=None)
+
+    memory = KitMemory(Loses(), 10)
+    for submap_id, sigma in enumerate((0.2, np.inf)):
+        known = dataclasses.replace(seen((500, 500), kit=1.0), scale_log_sigma=sigma)
+        memory.add(submap_id, known, HINTS)
+    assert list(memory.resolve([0, 1])) == [1]
+    assert memory.prediction(0).scale_log_sigma == 0.2
+    assert memory.evidence().mean[0] == pytest.approx(1.0)
+
+
 def test_the_oldest_windows_are_dropped_but_not_their_evidence():
     memory = KitMemory(Resolver(), 2)
     for submap_id in range(4):

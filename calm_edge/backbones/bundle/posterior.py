@@ -17,6 +17,7 @@ over
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -57,15 +58,35 @@ LEAST_WEIGHT = 0.01
 _FLOOR = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Posterior:
     """Covariance (D, D) of a window's unknowns: 6 for each of its C views, then the kit.
 
     Of a view (translation [spacings], rotation [rad]) in its own axes, relative to view 0; of the
-    kit as in kit/layout.py. The spacing is one.
+    kit as in kit/layout.py. The spacing is one. View 0 is exact. inverse: (D, D) of A. scatter:
+    (D, D) B.
     """
 
-    covariance: Float
+    inverse: Float
+    scatter: Float
+
+    @cached_property
+    def covariance(self) -> Float:
+        """A^-1 B A^-1."""
+        return np.asarray(self.inverse @ self.scatter @ self.inverse)
+
+    def joined(self, J: Float, information: float, sigma: float) -> Posterior:
+        """The posterior with a scalar that is measured beside the pictures.
+
+        J: (6 C,) its derivative by twists on the left of the views. information: with which the
+        solver counts it. sigma: its true one.
+        """
+        column = np.zeros(len(self.inverse))
+        column[6 : len(J)] = J[6:]
+        moved = self.inverse @ column
+        weaker = np.outer(moved, moved) / (1 / information + column @ moved)
+        noise = (information * sigma) ** 2 * np.outer(column, column)
+        return Posterior(self.inverse - weaker, self.scatter + noise)
 
     def of_views(self, views: Int) -> Float:
         """Covariance (6 V, 6 V) of the poses of views (V,)."""
@@ -73,12 +94,16 @@ class Posterior:
         return np.asarray(self.covariance[np.ix_(rows, rows)])
 
     def scale_log_sigma(self, state: State, m: Measurements) -> float:
-        """Sigma of the log of the primary's path length in spacings; inf if it did not move.
+        """Sigma of the log of the primary's path length in spacings; inf if it did not move."""
+        return self.length_log_sigma(state, np.flatnonzero(m.eye == 0))
+
+    def length_log_sigma(self, state: State, views: Int) -> float:
+        """Sigma of the log of the path's length through views (V,); inf if that is only noise.
 
         Noise makes a path longer, at standstill it is all of it. So the sigma is divided by the
         share of the steps' squared lengths that exceeds their variance.
         """
-        step, by_pose = _steps(state, m)
+        step, by_pose = steps(state, views)
         J = by_pose.reshape(-1, by_pose.shape[-1])
         covariance = J @ self.covariance[: J.shape[1], : J.shape[1]] @ J.T
         length = np.linalg.norm(step, axis=1)
@@ -120,10 +145,9 @@ def posterior(
     bent = _by_kit(bare.H, len(A)) @ FOCALS * min(unturned_sigma(state, m), MOST_BENT)
     B[-layout.SIZE :, -layout.SIZE :] += stiffness * prior.information + np.outer(bent, bent)
 
-    covariance = np.zeros_like(A)
-    inverse = np.linalg.inv(A[6:, 6:] + _FLOOR * np.eye(len(A) - 6))
-    covariance[6:, 6:] = inverse @ B[6:, 6:] @ inverse
-    return Posterior(covariance)
+    inverse = np.zeros_like(A)
+    inverse[6:, 6:] = np.linalg.inv(A[6:, 6:] + _FLOOR * np.eye(len(A) - 6))
+    return Posterior(inverse, B)
 
 
 def _by_kit(H: Float, size: int) -> Float:
@@ -152,14 +176,13 @@ def _common_error(solution: Solution, m: Measurements) -> Float:
     return np.asarray(parallax * (size / np.maximum(length, NEAR_PX))[:, None])
 
 
-def _steps(state: State, m: Measurements) -> tuple[Float, Float]:
-    """Steps (S, 3) between the primary's centres [spacings], and derivatives (S, 3, 6 C).
+def steps(state: State, views: Int) -> tuple[Float, Float]:
+    """Steps (S, 3) between the centres of consecutive views (S + 1,), and derivatives (S, 3, 6 C).
 
-    By a motion (translation, rotation) of each of the C views in its own axes.
+    In spacings; by a motion (translation, rotation) of each of the C views in its own axes.
     """
-    (primary,) = np.nonzero(m.eye == 0)
-    T_s_c = se3.inverse(state.T_c_s[primary])
-    by_view = np.zeros((len(primary), 3, m.n_views, 6))
-    by_view[np.arange(len(primary)), :, primary, :3] = T_s_c[:, :3, :3]
-    flat = by_view.reshape(len(primary), 3, -1)
+    T_s_c = se3.inverse(state.T_c_s[views])
+    by_view = np.zeros((len(views), 3, len(state.T_c_s), 6))
+    by_view[np.arange(len(views)), :, views, :3] = T_s_c[:, :3, :3]
+    flat = by_view.reshape(len(views), 3, -1)
     return np.diff(T_s_c[:, :3, 3], axis=0), np.diff(flat, axis=0)

@@ -16,6 +16,7 @@ from calm_edge.backbones.bundle import overlap, posterior, stamps, window
 from calm_edge.backbones.bundle.evidence import kit_evidence
 from calm_edge.backbones.bundle.motion import motion_prior
 from calm_edge.backbones.bundle.overlap import OverlapPrior
+from calm_edge.backbones.bundle.path_length import length_prior, rescaled
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State
 from calm_edge.backbones.bundle.sideways import sideways_prior
 from calm_edge.backbones.bundle.solver import PosePrior, Solution, robust_weights, solve
@@ -104,10 +105,22 @@ def solved(
     """
     before = overlap.prior(hints, TEMPERING)
     solution, ties, mismatch = _solve(start, m, ties, held, before, hints.travel, factor)
-    prior = kit_prior(stiffened(held, factor), ties)
-    found = _prediction(m, belief, solution, ties, prior, factor)
+    notices: tuple[str, ...] = ()
     if mismatch is not None and mismatch > MAX_MISMATCH:
-        found, before = replace(found, notices=(CONTRADICTED,)), None
+        notices, before = (CONTRADICTED,), None
+    prior = kit_prior(stiffened(held, factor), ties)
+    known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], factor)
+    length = None if before is None else length_prior(before, solution.state, known)
+    if before is not None and length is not None:
+        solution = solve(
+            rescaled(solution.state, m, length), m, ties, prior,
+            pose_priors=(*car_priors(m, hints.travel), before, length),
+            robust_scale=ROBUST_SCALES[-1], tolerance=TOLERANCES[-1],
+        )  # fmt: skip
+        _check(solution, m)
+        known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], factor)
+        known = known.joined(length.jacobian(solution.state), length.information, length.log_sigma)
+    found = replace(_prediction(m, belief, solution, ties, known), notices=notices)
     if before is None and not hints.n_shared:
         return found
     state, weight = solution.state, robust_weights(solution.residual, ROBUST_SCALES[-1])
@@ -115,6 +128,9 @@ def solved(
     ahead = overlap.marginal(
         normal, state, m, ties, weight, before, hints.t_ns, hints.n_shared, TEMPERING
     )
+    if ahead is not None:
+        shared = np.flatnonzero(m.eye == 0)[-hints.n_shared :]
+        ahead = replace(ahead, length_log_sigma=known.length_log_sigma(state, shared))
     drawn = None
     if before is not None:
         drawn = overlap.drawn(before, normal, state, prior.information)
@@ -174,6 +190,12 @@ def _solve(
             mismatch = overlap.mismatch(before, normal, start, gaussian(belief).information)
             if mismatch <= MAX_MISMATCH:
                 priors = (*priors, before)
+    _check(solution, m)
+    return solution, timed_ties, mismatch
+
+
+def _check(solution: Solution, m: Measurements) -> None:
+    """Raise BackboneError if a solution does not fit its pictures, or a car's motion."""
     median, tail = np.percentile(solution.residual * m.sigma_px, [50, 90])
     if median > MAX_MEDIAN_PX or tail > MAX_TAIL_PX:
         raise BackboneError("bundle: the pictures do not fit one rigid scene")
@@ -182,7 +204,6 @@ def _solve(
     if why:
         raise BackboneError(f"bundle: {why}")
     window.lenses(solution.state, m)
-    return solution, timed_ties, mismatch
 
 
 def _prediction(
@@ -190,20 +211,15 @@ def _prediction(
     belief: KitBelief,
     solution: Solution,
     ties: RigTies,
-    prior: KitBelief,
-    factor: float,
+    known: posterior.Posterior,
 ) -> Prediction:
-    """Prediction of a solved window.
-
-    prior: on the kit, as in the solution. factor: by which it is stiffer than what is known.
-    """
+    """Prediction of a solved window."""
     state = solution.state
     evidence = _evidence(solution, m, ties, belief)
     joint = product([belief, evidence])
     assert joint is not None
     sigma = np.hypot(sigmas(joint), joint.mean - state.theta)[layout.LOG_FOCAL]
     cameras = layout.cameras(state.theta, m.size)
-    known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], factor)
     return Prediction(
         cameras=tuple(cameras[eye] for eye in m.eye),
         T_s_c=se3.inverse(state.T_c_s),

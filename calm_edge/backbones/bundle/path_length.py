@@ -1,0 +1,102 @@
+"""Prior on the length of the path over the keyframes that a window shares with the previous one.
+
+Where nearly all points are far, the noise that the observations of a surface share sets the scale
+of a window, and the solver takes it for independent: it then outvotes the previous window. So a
+window whose scale, by its posterior, is much less certain than the previous one's is solved again
+with that window's length of the shared path as a prior, in the proportion of the two posteriors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calm_edge.backbones.bundle.overlap import OverlapPrior
+from calm_edge.backbones.bundle.posterior import Posterior, steps
+from calm_edge.backbones.bundle.problem import Measurements, State
+from calm_edge.geometry import se3
+from calm_edge.types import Float, Int
+
+# A window takes over the length if its own sigma is larger than the previous one's by this factor:
+# both contain what is not known of the kit, which the two have in common.
+MUCH_SURER = 2.0
+# Largest sigma of the log of a window's own length, whatever its posterior says: it is unknown.
+OWN_UNKNOWN = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class LengthPrior:
+    """Prior on the log of the length of the path through V consecutive views.
+
+    views: (V,). length: [spacings]. log_sigma: of its log. information: in the solver's currency,
+    in which a window's own noise has not its true size.
+    """
+
+    views: Int
+    length: float
+    log_sigma: float
+    information: float
+
+    def cost(self, state: State) -> float:
+        """Squared length of the residual in sigmas."""
+        return self.information * self._residual(state) ** 2
+
+    def add_to(self, H: Float, g: Float, state: State) -> None:
+        """Add the prior, linearised at the state, to normal equations that begin with the poses."""
+        J = self.jacobian(state)
+        n = len(J)
+        H[:n, :n] += self.information * np.outer(J, J)
+        g[:n] += self.information * self._residual(state) * J
+
+    def jacobian(self, state: State) -> Float:
+        """Derivative (6 C,) of the residual by twists on the left of the views."""
+        step, by_pose = steps(state, self.views)
+        size = np.maximum(np.linalg.norm(step, axis=1), 1e-12)
+        # a twist on the left moves the scene in camera axes, so the centre the other way
+        return -np.einsum("si,sij->j", step / size[:, None], by_pose) / size.sum()
+
+    def _residual(self, state: State) -> float:
+        return float(np.log(max(_length(state, self.views), 1e-12) / self.length))
+
+
+def length_prior(before: OverlapPrior, state: State, known: Posterior) -> LengthPrior | None:
+    """The prior for a solved window; None if its scale is not much less certain than `before`.
+
+    known: posterior of the window by itself.
+    """
+    views, sigma = before.views, before.overlap.length_log_sigma
+    if sigma is None or not 0 < sigma < OWN_UNKNOWN:
+        return None
+    own = min(known.length_log_sigma(state, views), OWN_UNKNOWN)
+    path = before.overlap.T_first_k[:, :3, 3]
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    if own < MUCH_SURER * sigma or length <= 0:
+        return None
+    J = LengthPrior(views, length, 0.0, 0.0).jacobian(state)
+    # information of the solver on this length, and by how much the posterior finds it too large
+    solver = 1 / float(J @ known.inverse[: len(J), : len(J)] @ J)
+    return LengthPrior(views, length, sigma, solver * (own / sigma) ** 2)
+
+
+def rescaled(state: State, m: Measurements, prior: LengthPrior) -> State:
+    """The state with the length of the prior: path and points, but not the rig, are rescaled."""
+    factor = prior.length / max(_length(state, prior.views), 1e-12)
+    (primary,), (assistant,) = np.nonzero(m.eye == 0), np.nonzero(m.eye == 1)
+    T_c_s = state.T_c_s.copy()
+    T_c_s[primary, :3, 3] *= factor
+    before, after = (
+        se3.interpolate_at(m.t[primary], se3.inverse(T[primary]), m.t[assistant])
+        for T in (state.T_c_s, T_c_s)
+    )
+    T_c_s[assistant] = state.T_c_s[assistant] @ before @ se3.inverse(after)
+    points = state.points.copy()
+    points[:, 3] /= factor
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return State(T_c_s, points, state.theta)
+
+
+def _length(state: State, views: Int) -> float:
+    """Length [spacings] of the path through views (V,)."""
+    centres = se3.inverse(state.T_c_s[views])[:, :3, 3]
+    return float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())

@@ -1,0 +1,123 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calm_edge.backbones.bundle import path_length, posterior, solution, solver, window
+from calm_edge.backbones.bundle.overlap import OverlapPrior
+from calm_edge.backbones.bundle.path_length import LengthPrior
+from calm_edge.backbones.bundle.problem import State, tie_residuals
+from calm_edge.geometry import se3
+from calm_edge.kit import layout
+from calm_edge.types import Hints, KitBelief, Overlap
+from tests.backbones.bundle.exact_window import theta_of, turn
+from tests.backbones.bundle.exact_window import window as exact
+
+N, SHARED = 8, np.arange(3)
+CERTAIN = 0.03
+
+
+def length(state, views=SHARED):
+    centres = se3.inverse(state.T_c_s[views])[:, :3, 3]
+    return np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()
+
+
+def kit(theta):
+    """A belief that is sure of the kit."""
+    return KitBelief(theta, np.diag(np.full(layout.SIZE, 1e-3) ** -2.0))
+
+
+def far_window():
+    """Far points; those of one region of the assistant's picture share an error of 1 px."""
+    made = exact(turn(N, 0.02), theta_of(), n_points=600, delay_s=0.0, noise_px=0.1)
+    m, far = made.m, made.truth.points[:, 3] < 1 / 150
+    rows = far[made.m.point]
+    kept, point = np.unique(m.point[rows], return_inverse=True)
+    m = replace(m, view=m.view[rows], point=point, uv=m.uv[rows].copy(), sigma_px=m.sigma_px[rows])
+    offset = np.random.default_rng(2).normal(0, 1, 8)
+    assistant = m.eye[m.view] == 1
+    m.uv[assistant, 0] += offset[(m.uv[assistant, 0] // 64).astype(int) % 8]
+    return m, State(made.truth.T_c_s, made.truth.points[kept], made.truth.theta), made.ties
+
+
+def overlap(state, sigma):
+    """What the previous window says: the true poses, with next to no information but by length."""
+    n = 6 * (len(SHARED) - 1)
+    T = state.T_c_s[SHARED]
+    return Overlap(
+        SHARED, T[0] @ se3.inverse(T), state.theta, np.zeros(n), np.zeros((n, layout.SIZE)),
+        1e-9 * np.eye(n), sigma,
+    )  # fmt: skip
+
+
+def solved(sigma):
+    m, truth, ties = far_window()
+    hints = Hints(
+        eyes=m.eye, t_ns=np.r_[np.arange(N), np.arange(N)], n_overlap=len(SHARED), n_shared=3,
+        overlap=overlap(truth, sigma),
+    )  # fmt: skip
+    belief = kit(truth.theta)
+    found = solution.solved(truth, m, ties, belief, hints, belief, 1.0)
+    error = np.log(length(State(se3.inverse(found.T_s_c), truth.points, truth.theta)))
+    return found, error - np.log(length(truth))
+
+
+def test_the_length_of_a_surer_window_replaces_one_that_is_noise():
+    alone, error_alone = solved(None)
+    held, error_held = solved(CERTAIN)
+    assert abs(error_alone) > 3 * CERTAIN and alone.scale_log_sigma > 2 * CERTAIN
+    assert abs(error_held) < CERTAIN and CERTAIN / 2 < held.scale_log_sigma < 3 * CERTAIN
+    # what the next window may take over is no surer than what this one has
+    assert held.overlap.length_log_sigma > 0.9 * CERTAIN
+
+
+def test_a_window_that_is_as_sure_keeps_its_own_length():
+    alone, _ = solved(None)
+    other, _ = solved(alone.scale_log_sigma)
+    assert np.array_equal(alone.T_s_c, other.T_s_c)
+
+
+def test_the_derivative_is_that_of_the_log_of_the_length():
+    _, truth, _ = far_window()
+    prior = LengthPrior(SHARED, length(truth), 0.1, 4.0)
+    assert prior.cost(truth) == pytest.approx(0)
+    J, step = prior.jacobian(truth), 1e-6
+    for column in range(6 * len(SHARED)):
+        twist = np.zeros((len(truth.T_c_s), 6))
+        twist.ravel()[column] = step
+        moved = replace(truth, T_c_s=se3.exp(twist) @ truth.T_c_s)
+        change = np.log(length(moved) / length(truth)) / step
+        assert J[column] == pytest.approx(change, abs=1e-5)
+    assert not J[6 * len(SHARED) :].any()
+
+
+def test_rescaling_keeps_the_rig_and_the_pictures_of_the_primary():
+    m, truth, ties = far_window()
+    other = path_length.rescaled(truth, m, LengthPrior(SHARED, 1.7 * length(truth), 0.1, 1.0))
+    assert length(other) == pytest.approx(1.7 * length(truth))
+    T = other.T_c_s
+    off = tie_residuals(
+        T[ties.before], T[ties.after], T[ties.assistant], layout.rig(truth.theta), 0.0, ties
+    )
+    assert np.abs(off).max() < 1e-6
+    primary = m.eye[m.view] == 0
+    before, after = (window.project(state, m)[0][primary] for state in (truth, other))
+    assert np.abs(before - after).max() < 1e-6
+
+
+def test_a_measurement_beside_the_pictures_joins_the_posterior():
+    m, truth, ties = far_window()
+    prior = kit(truth.theta)
+    found = solver.solve(truth, m, ties, prior, robust_scale=0.5)
+    known = posterior.posterior(found, m, ties, prior, 0.5, 1.0)
+    n = len(SHARED)
+    before = OverlapPrior(overlap(truth, CERTAIN), SHARED, 1e-9 * np.eye(6 * (n - 1)))
+    held = path_length.length_prior(before, found.state, known)
+    J = held.jacobian(found.state)
+    joined = known.joined(J, held.information, CERTAIN)
+    column = np.r_[J, np.zeros(layout.SIZE)][6:]
+    A = np.linalg.inv(known.inverse[6:, 6:]) + held.information * np.outer(column, column)
+    assert np.allclose(np.linalg.inv(A), joined.inverse[6:, 6:], rtol=1e-6, atol=1e-9)
+    own = min(known.length_log_sigma(found.state, SHARED), path_length.OWN_UNKNOWN)
+    both = (own**-2 + CERTAIN**-2) ** -0.5
+    assert joined.length_log_sigma(found.state, SHARED) == pytest.approx(both, rel=0.2)
