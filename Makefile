@@ -1,7 +1,7 @@
 # make demo: from nothing to a map. The other targets: setup test lint bench eval deb deb-test hil
-# vm-test browser interop faults readers.
+# vm-test browser interop faults readers formats.
 .DEFAULT_GOAL := demo
-.PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test browser interop faults readers
+.PHONY: setup demo test lint bench eval eval-model deb deb-test hil vm-test browser interop faults readers formats
 
 CALM_EDGE := .venv/bin/python -m calm_edge.cli
 DEMO_DRIVE ?= demo/drive
@@ -53,6 +53,10 @@ lint: .venv/.stamp-dev
 # installed; RECORDING=drives/monday for that instead of a small one
 readers: .venv/.stamp-dev
 	.venv/bin/python -m tests.interop.readers $(RECORDING)
+
+# every format in and out, opened by readers of other makers; MAP=maps/monday TRUTH=FOLDER for that
+formats: .venv/.stamp-dev
+	.venv/bin/python -m tests.interop.formats $(MAP) $(TRUTH)
 
 # what is done to the daemon, and what comes of it; FAULTS="kill disk" does some rows only
 faults: .venv/.stamp-dev
