@@ -40,6 +40,7 @@ COMMANDS = {
     "windows": ("bench.windows", "errors of single windows over their sigmas: scale and poses"),
     "datasets": ("bench.datasets.command", "KITTI odometry, KITTI-360 and Argoverse as published"),
     "imported": ("bench.imported", "two videos of a drive: clock offset, trajectory error"),
+    "joined": ("bench.joined", "two drives in one map: joined or apart, error in one frame"),
     "gps": ("bench.gps", "simulated GPS fixes: delay, refused fixes, scale, path error"),
     "tables": ("bench.tables", "report.html and report.json of all tables kept so far"),
 }
