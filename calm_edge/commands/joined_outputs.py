@@ -66,6 +66,7 @@ def write(
     # the files of the first drive stand for the map in `export` and `eval`
     shutil.copyfile(finished[0].folder / TUM, out / TUM)
     content = json.loads((finished[0].folder / SUMMARY).read_text())
+    content["submaps"] = str(Path(DRIVES) / finished[0].name / content["submaps"])
     content["drives"] = [
         {
             "name": each.name,

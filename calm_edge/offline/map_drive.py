@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from itertools import compress
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.config import Config
+from calm_edge.config import Config, merge
 from calm_edge.evaluation.estimate import Estimate, from_recording, from_updates
 from calm_edge.mapping.cloud_file import CloudWriter
 from calm_edge.mapping.mapper import Mapper
@@ -21,7 +22,10 @@ from calm_edge.offline.densify import densified
 from calm_edge.offline.drive import Drive
 from calm_edge.offline.map_times import MapTimes
 from calm_edge.offline.progress import Progress
+from calm_edge.recording import RecordingError
 from calm_edge.recording.reader import Recording
+from calm_edge.recording.time_base import ORIGIN_KEY
+from calm_edge.recording.writer import RecordingWriter
 from calm_edge.trajectories import write_kitti, write_tum
 from calm_edge.types import Float32, Int
 
@@ -33,6 +37,8 @@ MAP, TUM, KITTI, SUMMARY, REPORT, PAGE = (
     "report.html",
     "map.html",
 )
+# folder with the sub-maps as `map` has solved and placed them, in the form of a recording
+SUBMAPS = "submaps"
 OUTPUTS = (MAP, TUM, KITTI, SUMMARY, REPORT, PAGE)
 
 
@@ -98,7 +104,7 @@ def write_trajectory(
     times: MapTimes,
     quality: str = "normal",
 ) -> Estimate:
-    """Write trajectory.tum, trajectory.kitti and summary.json, with the stamps of the source.
+    """Write trajectory.tum, trajectory.kitti, summary.json and the sub-maps, with its stamps.
 
     quality: name of the preset.
     """
@@ -115,8 +121,10 @@ def write_trajectory(
     estimate = replace(estimate, t_ns=estimate.t_ns - origin_ns)
     write_tum(out / TUM, estimate.t_ns, estimate.T_w_c)
     write_kitti(out / KITTI, estimate.T_w_c)
+    write_submaps(out / SUBMAPS, config, drive, origin_ns)
     content = summary(estimate) | {
         "recording": str(recording.path.resolve()),
+        "submaps": SUBMAPS,
         "T_p_a": None if drive.trajectory is None else drive.trajectory.T_p_a.tolist(),
         "seams": asdict(seams) if seams is not None else None,
         "gaps": [asdict(gap) for gap in drive.gaps(config)],
@@ -126,6 +134,24 @@ def write_trajectory(
     }
     (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n")
     return estimate
+
+
+def write_submaps(folder: Path, config: Config, drive: Drive, origin_ns: int) -> None:
+    """Write the sub-maps of a map, which `export` needs: a recording may hold none, or others.
+
+    Replaces the folder. origin_ns: of the recording. Raises RecordingError.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    plain = merge(config, {"recording": {"log_depth": False}})
+    origin = {ORIGIN_KEY: str(origin_ns)}
+    with RecordingWriter(folder, plain, origin, lossless=True) as writer:
+        for update in drive.updates[:-1]:
+            writer.write_update(update)
+        for update in drive.updates[-1:]:
+            path = drive.trajectory or update.trajectory
+            writer.write_update(replace(update, trajectory=path, metre=drive.metre))
+    if writer.health.error or writer.health.unwritable:
+        raise RecordingError(f"{folder}: cannot be written ({writer.health.error or 'disk'})")
 
 
 def summary(estimate: Estimate) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def test_all_files_of_joined_drives_and_of_one_that_is_apart(
     assert re.search(r"error       0\.0\d\d m \(rms\) in one frame: monday 0\.0\d\d m, tue", shown)
     assert "joined      monday and tuesday by 4 places" in shown and "500 points" in shown
     assert "loss: friday: is apart" in losses and "friday: no metre: too straight" in losses
-    own = {"trajectory.tum", "trajectory.kitti", "summary.json", "report.html"}
+    own = {"trajectory.tum", "trajectory.kitti", "summary.json", "report.html", "submaps"}
     for name in NAMES:
         # the one that is apart is placed by its own fixes
         assert {p.name for p in (out / "drives" / name).iterdir()} == own | {
@@ -138,3 +138,7 @@ def test_all_files_of_joined_drives_and_of_one_that_is_apart(
     assert points is not None and len(points) == 500
     place = read_drive(out).place
     assert place is not None and abs(place.origin[:2] - ORIGIN[:2]).max() < 1e-3
+    # as after an import, whose recording holds no sub-map
+    for folder in (out, out / "drives/tuesday"):
+        assert read_drive(folder).last.submap.id == 0
+        assert read_drive(folder).solved.path.name == "submaps"

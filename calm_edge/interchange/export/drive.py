@@ -56,8 +56,8 @@ class ExportedDrive(RecordedDrive):
 
     keyframes: optimised poses of the primary's keyframes, t_ns on the recording's clock. spacing:
     world units per map unit. metre: how well lengths are known. lateness: (S, 2) time and time
-    offset [ns] of each sub-map. cloud: file of the map. place: where the world lies on the Earth,
-    if known.
+    offset [ns] of each sub-map. solved: holds the sub-maps: the recording, or a folder of the map.
+    cloud: file of the map. place: where the world lies on the Earth, if known.
     """
 
     keyframes: Trajectory
@@ -65,6 +65,7 @@ class ExportedDrive(RecordedDrive):
     lateness: Int
     spacing_m: float
     metre: Metre
+    solved: Recording
     cloud: Path | None = None
     place: Georeference | None = None
 
@@ -117,8 +118,11 @@ def read_drive(path: Path, recording: Path | None = None) -> ExportedDrive:
     recording: that of the map, if it is not where it was. Raises InterchangeError, RecordingError.
     """
     named, summary = _named(path, recording)
-    drive = _of_recording(named)
-    return drive if summary is None else _of_map(path, summary, drive)
+    if summary is None:
+        return _of_recording(named)
+    # maps of version 0.1.0 have no sub-maps of their own
+    own = path / str(summary["submaps"]) if summary.get("submaps") else None
+    return _of_map(path, summary, _of_recording(named, own))
 
 
 def read_recorded(path: Path, recording: Path | None = None) -> RecordedDrive:
@@ -143,12 +147,14 @@ def _named(path: Path, recording: Path | None) -> tuple[Path, dict[str, Any] | N
     return named, summary
 
 
-def _of_recording(path: Path) -> ExportedDrive:
+def _of_recording(path: Path, submaps: Path | None = None) -> ExportedDrive:
+    """A recording with the sub-maps that it holds, or with those that a map has written."""
     recording = Recording(path)
+    solved = recording if submaps is None else Recording(submaps)
     trajectories: list[Trajectory] = []
     lateness: dict[int, tuple[int, int]] = {}
     last: LocalizerUpdate | None = None
-    for update in recording.updates():
+    for update in solved.updates():
         trajectories.append(update.trajectory)
         submap = update.submap
         # the last of several updates of a sub-map counts
@@ -176,6 +182,7 @@ def _of_recording(path: Path) -> ExportedDrive:
         np.array(list(lateness.values()), np.int64),
         recording.config.scale.spacing_m or 0.0,
         last.metre,
+        solved,
     )
 
 

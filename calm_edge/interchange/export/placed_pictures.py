@@ -33,7 +33,7 @@ def placed_pictures(
     """Keyframes, or all frames, of the given eyes that have poses."""
     wanted: dict[Eye, set[int]] = {eye: set() for eye in eyes}
     wanted[Eye.PRIMARY] |= set(drive.keyframes.t_ns.tolist())
-    for update in drive.recording.updates():
+    for update in drive.solved.updates():
         submap = update.submap
         end = submap.n_primary + len(submap.assistant_ids)
         if Eye.ASSISTANT in eyes:

@@ -71,7 +71,7 @@ def read_scene(drive: ExportedDrive, options: ExportOptions) -> Scene:
     offset = seen = 0
     missing: set[int] = set()
     done: set[int] = set()
-    for update in drive.recording.updates():
+    for update in drive.solved.updates():
         # updates at the end of a drive repeat sub-maps, without their landmarks
         number = update.submap.id
         if number in done or update.prediction.landmarks is None:
@@ -98,7 +98,7 @@ def read_scene(drive: ExportedDrive, options: ExportOptions) -> Scene:
     )
     kept = _consistent(scene, poses, eyes)
     if missing - done:
-        left_out.append(f"landmarks of {len(missing - done)} windows: not in the recording")
+        left_out.append(f"landmarks of {len(missing - done)} windows: not in {drive.solved.path}")
     if seen > len(kept.points_w):
         left_out.append(
             f"{seen - len(kept.points_w)} of {seen} landmarks: too far away, or more than "
