@@ -97,8 +97,6 @@ class Overlap:
     kit: (D,) as solved (`kit/layout.py`). The mean of T_k_first for a kit is
     exp(offset + by_kit (kit - self.kit)) T_first_k^-1, with offset (6 F - 6,) and by_kit
     (6 F - 6, D) for all k but the first. information: (6 F - 6, 6 F - 6) of these twists.
-    length_log_sigma: sigma of the log of the path's length through them, all that makes it wrong
-    included; None in recordings of earlier versions.
     """
 
     t_ns: Int
@@ -107,7 +105,18 @@ class Overlap:
     offset: Float
     by_kit: Float
     information: Float
-    length_log_sigma: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PathLength:
+    """Length of the path through F consecutive primary keyframes, by another window with them.
+
+    t_ns: (F,) stamps. spacings: the length. log_sigma: of its log, the kit's part included.
+    """
+
+    t_ns: Int
+    spacings: float
+    log_sigma: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +136,7 @@ class Hints:
     batch wants an overlap; 0: none.
     travel: (3,) direction of travel of earlier batches, unit vector in the primary's axes, or None.
     masks: parts of the images that show no scene, or None.
+    lengths: by the neighbouring batches, as far as they are solved.
     """
 
     eyes: Int
@@ -144,6 +154,7 @@ class Hints:
     apart: bool = False
     travel: Float | None = None
     masks: Masks | None = None
+    lengths: tuple[PathLength, ...] = ()
 
     def without_loop(self) -> Hints:
         """Hints of the window alone."""

@@ -14,7 +14,7 @@ from calm_edge.estimator.metre import UNKNOWN
 from calm_edge.geometry.camera import Camera
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
-from calm_edge.types import Float, Hints, Int, KitBelief, Overlap, Prediction
+from calm_edge.types import Float, Hints, Int, KitBelief, Overlap, PathLength, Prediction
 
 log = logging.getLogger(__name__)
 
@@ -157,6 +157,26 @@ class KitMemory:
             return None
         return before.prediction.overlap
 
+    def lengths_beside(self, submap_id: int, hints: Hints) -> tuple[PathLength, ...]:
+        """Lengths of the paths that a window shares with its neighbours, by their newest solutions.
+
+        Of the same epoch only: a rig that has moved has another spacing. hints: of the window.
+        """
+        found = []
+        for other in (submap_id - 1, submap_id + 1):
+            beside = self._windows.get(other)
+            if beside is None or self.epoch(other) != self.epoch(submap_id):
+                continue
+            sigma, views = beside.prediction.scale_log_sigma, np.flatnonzero(beside.hints.eyes == 0)
+            shared = views[np.isin(beside.hints.t_ns[views], hints.t_ns[hints.eyes == 0])]
+            if sigma is None or sigma >= UNKNOWN or len(shared) < 2:
+                continue
+            path = beside.prediction.T_s_c[shared, :3, 3]
+            length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+            if length > 0:
+                found.append(PathLength(beside.hints.t_ns[shared], length, sigma))
+        return tuple(found)
+
     def retained(self) -> list[int]:
         """Ids of the sub-maps that can be solved again."""
         return sorted(self._windows)
@@ -220,6 +240,7 @@ class KitMemory:
                 window.hints,
                 kit=self.belief(without=submap_id),
                 overlap=self.overlap_before(submap_id),
+                lengths=self.lengths_beside(submap_id, window.hints),
             )
             # also after a failure store the newest focal length and lenses, so that `outdated` does
             # not list the window again with the same belief

@@ -235,4 +235,9 @@ class WindowSolver:
             travel=self._direction.direction,
             masks=self._ego.masks,
         )
-        return replace(hints, late_s=self._stamps.late_s(hints), late_sigma_s=self._stamps.sigma_s)
+        return replace(
+            hints,
+            late_s=self._stamps.late_s(hints),
+            late_sigma_s=self._stamps.sigma_s,
+            lengths=self._memory.lengths_beside(window.submap_id, hints),
+        )

@@ -173,6 +173,33 @@ def test_the_overlap_is_that_of_the_newest_solution_of_the_window_before():
     assert memory.overlap_before(2) is None and memory.overlap_before(1) is not None
 
 
+def test_neighbours_give_the_lengths_of_shared_paths():
+    def window(first, sigma, step):
+        """Three primary views from stamp `first` on, `step` apart, and one of the assistant."""
+        hints = Hints(eyes=np.array([0, 0, 0, 1]), t_ns=np.r_[first + np.arange(3), first])
+        T = np.tile(np.eye(4), (4, 1, 1))
+        T[:3, 2, 3] = step * np.arange(3)
+        made = dataclasses.replace(seen((500, 500)), T_s_c=T, scale_log_sigma=sigma)
+        cameras = made.cameras[:1] * 3 + made.cameras[-1:]
+        sigmas = np.full(4, 0.002)
+        return dataclasses.replace(made, cameras=cameras, focal_log_sigma=sigmas), hints
+
+    memory = KitMemory(Resolver(), 10)
+    own, hints = window(1, 0.3, 1.0)
+    assert memory.lengths_beside(1, hints) == ()
+    memory.add(0, *window(0, 0.01, 2.0))
+    memory.add(1, own, hints)
+    memory.add(2, *window(2, 0.02, 3.0))
+    before, after = memory.lengths_beside(1, hints)
+    assert before.t_ns.tolist() == [1, 2] and (before.spacings, before.log_sigma) == (2.0, 0.01)
+    assert after.t_ns.tolist() == [2, 3] and (after.spacings, after.log_sigma) == (3.0, 0.02)
+    # none of a window of unknown scale, nor of another epoch
+    memory.add(0, *window(0, np.inf, 2.0))
+    assert len(memory.lengths_beside(1, hints)) == 1
+    memory.begin_epoch(2, None)
+    assert memory.lengths_beside(1, hints) == ()
+
+
 def test_pictures_of_another_size_begin_an_epoch_of_the_kit():
     memory = KitMemory(Resolver(), 9)
     wide, small = np.array([[640, 240], [640, 240]]), np.array([[640, 240], [320, 120]])

@@ -1,9 +1,9 @@
-"""Prior on the length of the path over the keyframes that a window shares with the previous one.
+"""Prior on the length of the path over the keyframes that a window shares with a neighbouring one.
 
 Where nearly all points are far, the noise that the observations of a surface share sets the scale
 of a window, and the solver takes it for independent: it then outvotes the previous window. So a
-window whose scale, by its posterior, is much less certain than the previous one's is solved again
-with that window's length of the shared path as a prior, in the proportion of the two posteriors.
+window whose scale, by its posterior, is much less certain than a neighbour's is solved again with
+the neighbour's length of the shared path as a prior, in the proportion of the two posteriors.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.posterior import Posterior, steps
 from calm_edge.backbones.bundle.problem import Measurements, State
 from calm_edge.geometry import se3
-from calm_edge.types import Float, Int
+from calm_edge.types import Float, Hints, Int, PathLength
 
-# A window takes over the length if its own sigma is larger than the previous one's by this factor:
+# A window takes over the length if its own sigma is larger than the neighbour's by this factor:
 # both contain what is not known of the kit, which the two have in common.
 MUCH_SURER = 2.0
+# It does not if the lengths differ by more than this many sigmas: one of the windows is wrong.
+CONTRADICTS = 4.0
 # Largest sigma of the log of a window's own length, whatever its posterior says: it is unknown.
 OWN_UNKNOWN = 1.0
 
@@ -54,34 +55,48 @@ class LengthPrior:
         step, by_pose = steps(state, self.views)
         size = np.maximum(np.linalg.norm(step, axis=1), 1e-12)
         # a twist on the left moves the scene in camera axes, so the centre the other way
-        return -np.einsum("si,sij->j", step / size[:, None], by_pose) / size.sum()
+        by_centre = np.einsum("si,sij->j", step / size[:, None], by_pose)
+        return np.asarray(-by_centre / size.sum())
 
     def _residual(self, state: State) -> float:
-        return float(np.log(max(_length(state, self.views), 1e-12) / self.length))
+        return float(np.log(_length(state, self.views) / self.length))
 
 
-def length_prior(before: OverlapPrior, state: State, known: Posterior) -> LengthPrior | None:
-    """The prior for a solved window; None if its scale is not much less certain than `before`.
+def length_priors(
+    hints: Hints, m: Measurements, state: State, known: Posterior
+) -> tuple[LengthPrior, ...]:
+    """The priors for a solved window: by neighbours that are much surer and do not contradict it.
 
-    known: posterior of the window by itself.
+    The surest first. known: posterior of the window by itself.
     """
-    views, sigma = before.views, before.overlap.length_log_sigma
-    if sigma is None or not 0 < sigma < OWN_UNKNOWN:
+    ordered = sorted(hints.lengths, key=lambda one: one.log_sigma)
+    made = (_length_prior(one, hints, m, state, known) for one in ordered)
+    return tuple(prior for prior in made if prior is not None)
+
+
+def _length_prior(
+    other: PathLength, hints: Hints, m: Measurements, state: State, known: Posterior
+) -> LengthPrior | None:
+    (primary,) = np.nonzero(m.eye == 0)
+    views = primary[np.isin(hints.t_ns[primary], other.t_ns)]
+    if len(views) != len(other.t_ns) or not 0 < other.log_sigma < OWN_UNKNOWN:
         return None
     own = min(known.length_log_sigma(state, views), OWN_UNKNOWN)
-    path = before.overlap.T_first_k[:, :3, 3]
-    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-    if own < MUCH_SURER * sigma or length <= 0:
+    if own < MUCH_SURER * other.log_sigma:
         return None
-    J = LengthPrior(views, length, 0.0, 0.0).jacobian(state)
+    apart = np.log(_length(state, views) / other.spacings)
+    if own < OWN_UNKNOWN and abs(apart) > CONTRADICTS * np.hypot(own, other.log_sigma):
+        return None
+    J = LengthPrior(views, other.spacings, 0.0, 0.0).jacobian(state)
     # information of the solver on this length, and by how much the posterior finds it too large
     solver = 1 / float(J @ known.inverse[: len(J), : len(J)] @ J)
-    return LengthPrior(views, length, sigma, solver * (own / sigma) ** 2)
+    ratio = own / other.log_sigma
+    return LengthPrior(views, other.spacings, other.log_sigma, solver * ratio**2)
 
 
 def rescaled(state: State, m: Measurements, prior: LengthPrior) -> State:
     """The state with the length of the prior: path and points, but not the rig, are rescaled."""
-    factor = prior.length / max(_length(state, prior.views), 1e-12)
+    factor = prior.length / _length(state, prior.views)
     (primary,), (assistant,) = np.nonzero(m.eye == 0), np.nonzero(m.eye == 1)
     T_c_s = state.T_c_s.copy()
     T_c_s[primary, :3, 3] *= factor
@@ -99,4 +114,4 @@ def rescaled(state: State, m: Measurements, prior: LengthPrior) -> State:
 def _length(state: State, views: Int) -> float:
     """Length [spacings] of the path through views (V,)."""
     centres = se3.inverse(state.T_c_s[views])[:, :3, 3]
-    return float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum())
+    return max(float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()), 1e-12)

@@ -16,7 +16,7 @@ from calm_edge.backbones.bundle import overlap, posterior, stamps, window
 from calm_edge.backbones.bundle.evidence import kit_evidence
 from calm_edge.backbones.bundle.motion import motion_prior
 from calm_edge.backbones.bundle.overlap import OverlapPrior
-from calm_edge.backbones.bundle.path_length import length_prior, rescaled
+from calm_edge.backbones.bundle.path_length import length_priors, rescaled
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State
 from calm_edge.backbones.bundle.sideways import sideways_prior
 from calm_edge.backbones.bundle.solver import PosePrior, Solution, robust_weights, solve
@@ -110,16 +110,18 @@ def solved(
         notices, before = (CONTRADICTED,), None
     prior = kit_prior(stiffened(held, factor), ties)
     known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], factor)
-    length = None if before is None else length_prior(before, solution.state, known)
-    if before is not None and length is not None:
+    lengths = length_priors(hints, m, solution.state, known)
+    if lengths:
+        priors = (*car_priors(m, hints.travel), *lengths)
         solution = solve(
-            rescaled(solution.state, m, length), m, ties, prior,
-            pose_priors=(*car_priors(m, hints.travel), before, length),
+            rescaled(solution.state, m, lengths[0]), m, ties, prior,
+            pose_priors=priors if before is None else (*priors, before),
             robust_scale=ROBUST_SCALES[-1], tolerance=TOLERANCES[-1],
         )  # fmt: skip
         _check(solution, m)
         known = posterior.posterior(solution, m, ties, prior, ROBUST_SCALES[-1], factor)
-        known = known.joined(length.jacobian(solution.state), length.information, length.log_sigma)
+        for one in lengths:
+            known = known.joined(one.jacobian(solution.state), one.information, one.log_sigma)
     found = replace(_prediction(m, belief, solution, ties, known), notices=notices)
     if before is None and not hints.n_shared:
         return found
@@ -128,9 +130,6 @@ def solved(
     ahead = overlap.marginal(
         normal, state, m, ties, weight, before, hints.t_ns, hints.n_shared, TEMPERING
     )
-    if ahead is not None:
-        shared = np.flatnonzero(m.eye == 0)[-hints.n_shared :]
-        ahead = replace(ahead, length_log_sigma=known.length_log_sigma(state, shared))
     drawn = None
     if before is not None:
         drawn = overlap.drawn(before, normal, state, prior.information)

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.bundle import path_length, posterior, solution, solver, window
-from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.path_length import LengthPrior
 from calm_edge.backbones.bundle.problem import State, tie_residuals
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
-from calm_edge.types import Hints, KitBelief, Overlap
+from calm_edge.types import Hints, KitBelief, PathLength
 from tests.backbones.bundle.exact_window import theta_of, turn
 from tests.backbones.bundle.exact_window import window as exact
 
@@ -40,41 +39,42 @@ def far_window():
     return m, State(made.truth.T_c_s, made.truth.points[kept], made.truth.theta), made.ties
 
 
-def overlap(state, sigma):
-    """What the previous window says: the true poses, with next to no information but by length."""
-    n = 6 * (len(SHARED) - 1)
-    T = state.T_c_s[SHARED]
-    return Overlap(
-        SHARED, T[0] @ se3.inverse(T), state.theta, np.zeros(n), np.zeros((n, layout.SIZE)),
-        1e-9 * np.eye(n), sigma,
-    )  # fmt: skip
+def hinted(m, *lengths):
+    """Hints of a window beside others, which say (views, length, sigma of its log)."""
+    said = tuple(PathLength(views, length, sigma) for views, length, sigma in lengths)
+    return Hints(eyes=m.eye, t_ns=np.r_[np.arange(N), np.arange(N)], lengths=said)
 
 
-def solved(sigma):
+def solved(*sigmas, factor=1.0):
+    """Solve beside windows of these sigmas whose lengths are true, times `factor`."""
     m, truth, ties = far_window()
-    hints = Hints(
-        eyes=m.eye, t_ns=np.r_[np.arange(N), np.arange(N)], n_overlap=len(SHARED), n_shared=3,
-        overlap=overlap(truth, sigma),
-    )  # fmt: skip
+    ends = SHARED, N - 1 - SHARED[::-1]
+    hints = hinted(
+        m,
+        *(
+            (views, factor * length(truth, views), sigma)
+            for views, sigma in zip(ends, sigmas, strict=False)
+        ),
+    )
     belief = kit(truth.theta)
     found = solution.solved(truth, m, ties, belief, hints, belief, 1.0)
-    error = np.log(length(State(se3.inverse(found.T_s_c), truth.points, truth.theta)))
-    return found, error - np.log(length(truth))
+    after = State(se3.inverse(found.T_s_c), truth.points, truth.theta)
+    return found, [np.log(length(after, views) / length(truth, views)) for views in ends]
 
 
-def test_the_length_of_a_surer_window_replaces_one_that_is_noise():
-    alone, error_alone = solved(None)
-    held, error_held = solved(CERTAIN)
-    assert abs(error_alone) > 3 * CERTAIN and alone.scale_log_sigma > 2 * CERTAIN
-    assert abs(error_held) < CERTAIN and CERTAIN / 2 < held.scale_log_sigma < 3 * CERTAIN
-    # what the next window may take over is no surer than what this one has
-    assert held.overlap.length_log_sigma > 0.9 * CERTAIN
+def test_the_lengths_of_surer_windows_replace_one_that_is_noise():
+    alone, errors = solved()
+    assert np.abs(errors).min() > 3 * CERTAIN and alone.scale_log_sigma > 2 * CERTAIN
+    for sigmas in ((CERTAIN,), (CERTAIN, CERTAIN)):
+        held, errors = solved(*sigmas)
+        assert np.abs(errors).max() < CERTAIN
+        assert CERTAIN / 2 < held.scale_log_sigma < 2 * CERTAIN
 
 
-def test_a_window_that_is_as_sure_keeps_its_own_length():
-    alone, _ = solved(None)
-    other, _ = solved(alone.scale_log_sigma)
-    assert np.array_equal(alone.T_s_c, other.T_s_c)
+def test_a_window_keeps_its_own_length_beside_no_surer_ones_and_wrong_ones():
+    alone, _ = solved()
+    for other, _ in (solved(alone.scale_log_sigma), solved(CERTAIN, factor=2.0)):
+        assert np.array_equal(alone.T_s_c, other.T_s_c)
 
 
 def test_the_derivative_is_that_of_the_log_of_the_length():
@@ -110,9 +110,8 @@ def test_a_measurement_beside_the_pictures_joins_the_posterior():
     prior = kit(truth.theta)
     found = solver.solve(truth, m, ties, prior, robust_scale=0.5)
     known = posterior.posterior(found, m, ties, prior, 0.5, 1.0)
-    n = len(SHARED)
-    before = OverlapPrior(overlap(truth, CERTAIN), SHARED, 1e-9 * np.eye(6 * (n - 1)))
-    held = path_length.length_prior(before, found.state, known)
+    hints = hinted(m, (SHARED, length(truth), CERTAIN))
+    (held,) = path_length.length_priors(hints, m, found.state, known)
     J = held.jacobian(found.state)
     joined = known.joined(J, held.information, CERTAIN)
     column = np.r_[J, np.zeros(layout.SIZE)][6:]
