@@ -15,6 +15,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import overlap, posterior, stamps, window
 from calm_edge.backbones.bundle.evidence import kit_evidence
 from calm_edge.backbones.bundle.motion import motion_prior
+from calm_edge.backbones.bundle.moving import without_moving
 from calm_edge.backbones.bundle.overlap import OverlapPrior
 from calm_edge.backbones.bundle.path_length import length_priors, rescaled
 from calm_edge.backbones.bundle.problem import Measurements, RigTies, State
@@ -35,6 +36,9 @@ TEMPERING = 0.02
 # either pass stops; the first is only a start and need not be as exact.
 ROBUST_SCALES = (2.0, 0.5)
 TOLERANCES = (1e-3, 1e-4)
+# Share of the observations that are of moving points above which a window is solved again without
+# them: fewer hardly count in the robust kernel.
+MANY_MOVE = 0.1
 # A window whose solution is rejected is solved from this number of initial states at most.
 MAX_STARTS = 4
 # Factors on the information of the belief on the kit in either pass. HELD keeps the kit where it
@@ -104,7 +108,7 @@ def solved(
     second pass.
     """
     before = overlap.prior(hints, TEMPERING)
-    solution, ties, mismatch = _solve(start, m, ties, held, before, hints.travel, factor)
+    solution, m, ties, mismatch = _solve(start, m, ties, held, before, hints.travel, factor)
     notices: tuple[str, ...] = ()
     if mismatch is not None and mismatch > MAX_MISMATCH:
         notices, before = (CONTRADICTED,), None
@@ -160,16 +164,17 @@ def _solve(
     before: OverlapPrior | None,
     travel: Float | None,
     factor: float,
-) -> tuple[Solution, RigTies, float | None]:
+) -> tuple[Solution, Measurements, RigTies, float | None]:
     """Solve a window in two passes; factor: on the belief's information in the second.
 
     travel: (3,) direction of travel of earlier windows, primary axes, or None.
 
     In the second pass the ties' exposure times are corrected for delay of the stamps (stamps.py),
     and the prior `before`, on the overlap with the previous window, joins if it agrees with the
-    first pass (MAX_MISMATCH).
+    first pass (MAX_MISMATCH). Points that move by themselves are left out at the end.
 
-    Returns the solution, the rig ties of the second pass, and the overlap's mismatch, if any.
+    Returns the solution, the measurements of its points, the rig ties of the second pass, and the
+    overlap's mismatch, if any.
     """
     mismatch = None
     priors = car_priors(m, travel)
@@ -178,8 +183,9 @@ def _solve(
     )
     for robust_scale, tolerance, stiff, timed in passes:
         timed_ties = timed(ties, start)
+        kit = kit_prior(stiffened(belief, stiff), timed_ties)
         solution = solve(
-            start, m, timed_ties, kit_prior(stiffened(belief, stiff), timed_ties),
+            start, m, timed_ties, kit,
             pose_priors=priors, robust_scale=robust_scale, tolerance=tolerance,
         )  # fmt: skip
         start = solution.state
@@ -189,8 +195,15 @@ def _solve(
             mismatch = overlap.mismatch(before, normal, start, gaussian(belief).information)
             if mismatch <= MAX_MISMATCH:
                 priors = (*priors, before)
+    n = len(m.uv)
+    solution, m = without_moving(solution, m)
+    if len(m.uv) < (1 - MANY_MOVE) * n:
+        solution = solve(
+            solution.state, m, timed_ties, kit,
+            pose_priors=priors, robust_scale=robust_scale, tolerance=tolerance,
+        )  # fmt: skip
     _check(solution, m)
-    return solution, timed_ties, mismatch
+    return solution, m, timed_ties, mismatch
 
 
 def _check(solution: Solution, m: Measurements) -> None:

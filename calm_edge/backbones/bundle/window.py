@@ -139,6 +139,13 @@ def thinned(m: Measurements, n_points: int) -> Measurements:
     return replace(m.at(rows), point=point)
 
 
+def without(m: Measurements, state: State, gone: NDArray[np.bool_]) -> tuple[Measurements, State]:
+    """Measurements and state without some of the points; gone: (M,)."""
+    rows = ~gone[m.point]
+    left = replace(m.at(rows), point=(np.cumsum(~gone) - 1)[m.point[rows]])
+    return left, replace(state, points=state.points[~gone])
+
+
 def lenses(state: State, m: Measurements) -> tuple[Camera, Camera]:
     """Camera of each eye in a state; raises BackboneError if none shows such a picture.
 
