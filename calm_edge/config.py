@@ -155,6 +155,7 @@ class BackboneConfig:
     kit_file: stores the calibration of these cameras for the next drive; empty: none.
     depth_side_px: longer side of the depth maps that bundle computes.
     depth_every: bundle computes the depth of every n-th view of each camera.
+    reject_moving: bundle drops the depth of what moves by itself, such as other cars.
     """
 
     name: str = "bundle:calm-geo"
@@ -167,6 +168,7 @@ class BackboneConfig:
     kit_file: str = ""
     depth_side_px: int = 192
     depth_every: int = 1
+    reject_moving: bool = True
 
     @property
     def hfov_of_eye(self) -> tuple[float | None, float | None]:

@@ -58,7 +58,7 @@ class BundleBackbone:
         places: learned place descriptor of the same network, None without one.
         """
         self._seed, self._matching, self._notices = config.seed, matching, notices
-        self._depth = config.depth_side_px, config.depth_every
+        self._depth = config.depth_side_px, config.depth_every, config.reject_moving
         self.places = places
 
     @classmethod

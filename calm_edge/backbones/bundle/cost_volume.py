@@ -68,13 +68,18 @@ def plane_homographies(view: SweepView, other: SweepView, zeta: Float) -> tuple[
 
 
 def match_scores(
-    view: SweepView, others: Sequence[SweepView], zeta: Float, size: tuple[int, int]
+    view: SweepView,
+    others: Sequence[SweepView],
+    zeta: Float,
+    size: tuple[int, int],
+    first: Float32 | None = None,
 ) -> Float32:
     """Scores (D, h, w) in [0, 1] of the view's pixels at D planes of inverse depths zeta (D,).
 
     The mean of the correlations with the better half of the other views: tolerates occlusion (Kang,
     Szeliski and Chai, CVPR 2001). Outside another view's picture its correlation is 0. size: (w, h)
-    of the result, at most that of the pictures.
+    of the result, at most that of the pictures. first: (D, h, w), takes the correlations with the
+    first of the others alone.
     """
     rows, columns = view.white.shape
     w, h = size
@@ -85,7 +90,7 @@ def match_scores(
     warped = np.empty_like(view.white)
     for d in range(len(zeta)):
         best[:] = 0
-        for other, (H, ratio) in zip(others, warps, strict=True):
+        for k, (other, (H, ratio)) in enumerate(zip(others, warps, strict=True)):
             if ratio[d] < NEAREST_SHARE:
                 continue
             cv2.warpPerspective(
@@ -94,7 +99,10 @@ def match_scores(
             )  # fmt: skip
             cv2.multiply(warped, view.white, dst=warped)
             small = cv2.resize(warped, size, interpolation=cv2.INTER_AREA)
-            _insert(best, cv2.blur(small, (WINDOW_PX, WINDOW_PX)))
+            score = cv2.blur(small, (WINDOW_PX, WINDOW_PX))
+            if first is not None and k == 0:
+                first[d] = score
+            _insert(best, score)
         np.mean(best, axis=0, out=volume[d])
     return np.minimum(volume, 1, out=volume)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calm_edge.backbones.bundle.agreement import Agreement, DepthView, agree
 from calm_edge.backbones.bundle.cost_volume import SweepView, match_scores, whitened
+from calm_edge.backbones.bundle.other_eye import contradicted, region
 from calm_edge.backbones.bundle.scanline import aggregate
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
@@ -38,6 +39,7 @@ NEIGHBOURS_A_SIDE = 2
 AGREE_RELATIVE = 0.05
 AGREE_STEPS = 0.5
 SPREAD = 0.05
+CONFIDENT = 0.5  # what other views do not agree on needs no contradiction by the other eye
 FRINGE_PX = 5  # width of the border around sky where depth is dropped
 # Field of view of undistorted pictures; cosine of the largest angle off their axis, with margin.
 MAX_FOV_DEG = 100.0
@@ -51,6 +53,7 @@ def sweep_window(
     prediction: Prediction,
     side_px: int = DEPTH_SIDE_PX,
     every: int = 1,
+    reject_moving: bool = True,
 ) -> tuple[Float32, Float32]:
     """Depth and confidence (N, h, w) of N images (H, W, 3) in batch order.
 
@@ -61,10 +64,11 @@ def sweep_window(
     depth is within five percent. side_px: longer side of the depth maps. every: only every n-th
     view of each camera gets depth, the others 0, but all are matched against. A loop keyframe is
     matched against the nearest views of the window, but none of them against it, as the street may
-    have changed; without a pose it gets no depth.
+    have changed; without a pose it gets no depth. reject_moving: drop depth that the other eye
+    contradicts.
     """
     if not prediction.loop_found:
-        return _without_last(images, hints, prediction, side_px, every)
+        return _without_last(images, hints, prediction, side_px, every, reject_moving)
     eyes = np.asarray(hints.eyes)
     size = _shrunk(images[0], side_px)
     sweep_size = size[0] * OVERSAMPLE, size[1] * OVERSAMPLE
@@ -95,15 +99,23 @@ def sweep_window(
         neighbours(among, eyes, t_ns, prediction.T_s_c, hints.loop) for among in (everything, kept)
     )
     views: dict[int, DepthView] = {}
+    moving: dict[int, NDArray[np.bool_]] = {}
+    step = float(zeta[1] - zeta[0])
     for i in kept.tolist():
-        scores = match_scores(sweep[i], [sweep[j] for j in matched[i]], zeta, size)
+        both = reject_moving and eyes[matched[i][:1]].tolist() == [1 - eyes[i]]
+        across = np.zeros((PLANES, size[1], size[0]), np.float32) if both else None
+        scores = match_scores(sweep[i], [sweep[j] for j in matched[i]], zeta, size, across)
         camera = _resized(cameras[i], gray[i], size)
         views[i] = DepthView(choose(scores, small[i], zeta), camera, prediction.T_s_c[i])
-    step = float(zeta[1] - zeta[0])
+        if across is not None:
+            moving[i] = contradicted(across, views[i].zeta / np.float32(step))
     depth, confidence = np.zeros((2, len(images), size[1], size[0]), np.float32)
     for i, view in views.items():
         others = [views[j] for j in compared[i]]
         parts = judge(agree(view, others, AGREE_RELATIVE, AGREE_STEPS * step))
+        if i in moving:
+            gone = region(moving[i] & (parts[1] > CONFIDENT))
+            parts[0][gone] = parts[1][gone] = 0
         lens, camera = prediction.cameras[i], cameras[i]
         depth[i], confidence[i] = (_as_seen(part, lens, camera) for part in parts)
     return depth, confidence
@@ -244,9 +256,10 @@ def _without_last(
     prediction: Prediction,
     side_px: int,
     every: int,
+    reject_moving: bool,
 ) -> tuple[Float32, Float32]:
-    alone = prediction.without_loop()
-    depth, confidence = sweep_window(images[:-1], hints.without_loop(), alone, side_px, every)
+    alone, own = prediction.without_loop(), hints.without_loop()
+    depth, confidence = sweep_window(images[:-1], own, alone, side_px, every, reject_moving)
     nothing = np.zeros_like(depth[:1])
     return np.concatenate([depth, nothing]), np.concatenate([confidence, nothing])
 

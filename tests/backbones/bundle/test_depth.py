@@ -19,6 +19,7 @@ from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.types import Float32, Hints, Landmarks, Prediction
+from tests.backbones.bundle.board import pasted
 from tests.synthetic.drive import exposed, make_rig
 from tests.synthetic.render import render_views
 from tests.synthetic.settings import Settings
@@ -187,3 +188,30 @@ def test_the_nearest_plane_follows_the_landmarks(turn):
     depths = turn.prediction.landmarks.points_s[:, 2]
     near = nearest_depth(turn.prediction)
     assert 0.5 * np.percentile(depths, 1) < near < np.percentile(depths, 1)
+
+
+def test_a_van_that_comes_towards_us_gets_no_depth_and_what_stands_still_keeps_its(turn):
+    """At our own speed it looks to one eye as if it stood still, at half the distance."""
+    prediction = turn.prediction
+    T_s_c = prediction.T_s_c
+    step = T_s_c[N - 1, :3, 3] / (N - 1)
+    # at first 40 spacings ahead; the assistant's pictures are taken at those of the primary's
+    k = np.tile(np.arange(N), 2)
+    T_s_van = np.tile(np.eye(4), (2 * N, 1, 1))
+    T_s_van[:, :3, 3] = [0.0, 0.5, 40.0] - k[:, None] * step
+    images, van = pasted(turn.images, prediction.cameras, T_s_c, T_s_van, (14.0, 10.0))
+    hints = turn.hints
+    kept, _ = sweep_window(images, hints, prediction)
+    naive, _ = sweep_window(images, hints, prediction, reject_moving=False)
+    size = kept.shape[:0:-1]
+    inside = np.array([cv2.erode(v.astype(np.uint8), np.ones((9, 9))) for v in van])
+    beside = np.array([cv2.dilate(v.astype(np.uint8), np.ones((25, 25))) == 0 for v in van])
+    inside, beside = (
+        np.array([cv2.resize(p, size, interpolation=cv2.INTER_NEAREST) > 0 for p in each])
+        for each in (inside, beside.astype(np.uint8))
+    )
+    true = np.linalg.norm(T_s_van[:, :3, 3] - T_s_c[:, :3, 3], axis=1)[:, None, None]
+    ghosts = [inside & (each > 0) & (np.abs(each / true - 1) > 0.2) for each in (naive, kept)]
+    assert ghosts[0].sum() > 0.15 * inside.sum()
+    assert ghosts[1].sum() < 0.2 * ghosts[0].sum()
+    assert ((kept > 0) & beside).sum() > 0.97 * ((naive > 0) & beside).sum()
