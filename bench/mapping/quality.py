@@ -1,7 +1,8 @@
 """Map accuracy, completeness and seams on a recording, of calm-edge and of the baselines.
 
-Seams: distances between the positions of a point in two sub-maps. Calm-edge is also measured
-without each part of section VI. All rows use the same depth; `--warp` adds a smooth error to it.
+Seams: distances between the positions of a point in two sub-maps. Ghosts: points above the road
+where nothing is. Calm-edge is also measured without each part of section VI. All rows use the same
+depth; `--warp` adds a smooth error to it.
 """
 
 from __future__ import annotations
@@ -40,6 +41,8 @@ COLUMNS = (
     "chamfer m",
     "seam median m",
     "seam p95 m",
+    "ghosts",
+    "ghosts %",
 )
 
 
@@ -111,6 +114,7 @@ def table(rows: Sequence[Quality], name: str, command: str) -> Table:
                 else (None,) * 3
             ),
             *((row.seams.median_after, row.seams.p95_after) if row.seams else (None,) * 2),
+            *((row.ghosts.count, 100 * row.ghosts.share) if row.ghosts else (None,) * 2),
         )
         for row in rows
     ]
@@ -118,6 +122,9 @@ def table(rows: Sequence[Quality], name: str, command: str) -> Table:
         "accuracy: map to truth, completeness: truth to map, chamfer: their mean (paper VII-C)",
         "all rows use one depth; each map is aligned with the truth by its own cameras",
         "seam: distance between the positions that two sub-maps give an anchor they share",
+        "ghosts: points above the road along the path, farther than 0.5 m from every true one; "
+        "their share of the points there. Cars that drive leave them: compare with a map of "
+        "--set backbone.reject_moving=false",
         "true poses: each sub-map is placed by the true pose of its central keyframe",
     )
     return Table(

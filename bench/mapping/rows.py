@@ -37,13 +37,14 @@ class Quality:
 
     error: distances of map and truth, None if no point lies near the path. seams: distances between
     the positions that two sub-maps give to a common anchor, None for a baseline. failed: reason why
-    there is no map, else empty.
+    there is no map, else empty. ghosts: points of ours where nothing is, above the road.
     """
 
     name: str
     error: cloud.CloudError | None
     seams: SeamSummary | None = None
     failed: str = ""
+    ghosts: cloud.Ghosts | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,19 @@ def judged(
     """Compare a point cloud with the truth after alignment by the camera centres.
 
     points_w: parts (P, 3) of the cloud. None if no point lies near the path. Raises EvaluationError
-    if fewer than MIN_POSES cameras have a true pose.
+    as `aligned`.
+    """
+    points, there = aligned(points_w, cameras, truth)
+    return cloud.compare(points, there, truth.T_w_c[:, :3, 3])
+
+
+def aligned(
+    points_w: Iterable[Float32 | Float], cameras: Cameras, truth: Truth
+) -> tuple[Float, Float]:
+    """Points (N, 3) of a map moved to the truth by its camera centres; those (M, 3) of the truth.
+
+    points_w: parts (P, 3) of the map. Raises EvaluationError if fewer than MIN_POSES cameras have a
+    true pose, or if there is no true cloud.
     """
     if truth.cloud is None:
         raise EvaluationError("the truth has no cloud.npy to compare the map with")
@@ -75,7 +88,7 @@ def judged(
     path = truth.T_w_c[:, :3, 3]
     motion = align(cameras.centres_w[i], path[j], with_scale=cameras.scale)
     points = motion.points(np.concatenate([np.empty((0, 3)), *points_w]))
-    return cloud.compare(points, np.asarray(truth.cloud, np.float64), path)
+    return points, np.asarray(truth.cloud, np.float64)
 
 
 def on_true_poses(submaps: Sequence[Submap], t_ns: Int, truth: Truth) -> list[Submap]:
@@ -107,7 +120,10 @@ def ours(
     for name, switches in VARIANTS:
         mapper = built.mapper.variant(replace(config, **switches), folder / name)  # type: ignore[arg-type]
         tiles = [tile.points_w for tile in mapper.finish(placed)]
-        yield Quality(name, judged(tiles, cameras, truth), summary(mapper.seams()))
+        points, there = aligned(tiles, cameras, truth)
+        error = cloud.compare(points, there, truth.T_w_c[:, :3, 3])
+        ghosts = cloud.ghosts(points, there, truth.T_w_c)
+        yield Quality(name, error, summary(mapper.seams()), ghosts=ghosts)
 
 
 def baseline(

@@ -11,6 +11,9 @@ from calm_edge.types import Float
 CROP_M = 40.0
 VOXEL_M = 0.15
 TRUNCATE_M = 5.0
+# The space above the road along the path, in the axes of the nearest camera: to either side, above
+# it, and below it. A point there that is so far from every point of the truth is a ghost.
+ROAD_M, ABOVE_M, BELOW_M, GHOST_M = 6.0, 2.0, 0.7, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,19 @@ class CloudError:
     accuracy_m: float
     completeness_m: float
     chamfer_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ghosts:
+    """Points of a map where nothing is, above the road along the path; `count` of `points`."""
+
+    count: int
+    points: int
+
+    @property
+    def share(self) -> float:
+        """Share of the map's points above the road that are ghosts; 0 if there are none."""
+        return self.count / max(1, self.points)
 
 
 def crop(points: Float, path: Float, radius: float = CROP_M) -> Float:
@@ -66,3 +82,25 @@ def compare(points: Float, truth: Float, path: Float) -> CloudError | None:
         return None
     accuracy, completeness = mean_distance(ours, theirs), mean_distance(theirs, ours)
     return CloudError(accuracy, completeness, (accuracy + completeness) / 2)
+
+
+def ghosts(points: Float, truth: Float, T_w_c: Float) -> Ghosts:
+    """Count what a map (N, 3) shows above the road and the truth (M, 3) does not, metres.
+
+    Cars that passed leave such points. T_w_c: (P, 4, 4) true poses of the camera. Both are
+    downsampled to 0.15 m voxels.
+    """
+    from scipy.spatial import cKDTree
+
+    path = T_w_c[:, :3, 3]
+    finite = points[np.isfinite(points).all(1)]
+    ours = voxel_means(crop(np.asarray(finite, np.float64), path, ROAD_M + ABOVE_M))
+    theirs = voxel_means(crop(np.asarray(truth, np.float64), path))
+    if len(ours) == 0 or len(theirs) == 0:
+        return Ghosts(0, 0)
+    _, nearest = cKDTree(path).query(ours, workers=-1)
+    T = T_w_c[nearest]
+    x, y, _ = np.einsum("nji,nj->in", T[:, :3, :3], ours - T[:, :3, 3])
+    above = ours[(np.abs(x) < ROAD_M) & (y > -ABOVE_M) & (y < BELOW_M)]
+    far, _ = cKDTree(theirs).query(above, distance_upper_bound=GHOST_M, workers=-1)
+    return Ghosts(int(np.isinf(far).sum()), len(above))

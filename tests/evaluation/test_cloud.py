@@ -52,3 +52,28 @@ def test_voxel_means() -> None:
     points = np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [-0.0, 0.4, 0]])
     means = cloud.voxel_means(points)
     assert sorted(means.round(6).tolist()) == [[0, 0.4, 0], [0.05, 0, 0], [0.2, 0, 0]]
+
+
+def test_ghosts_are_what_hangs_above_the_road() -> None:
+    """A camera 1.3 m above a road, between two walls; a car of a map that has gone."""
+    T_w_c = np.tile(np.eye(4), (20, 1, 1))
+    T_w_c[:, :3, 3] = PATH[:20]
+    # the road turns: the camera looks along x, its own z
+    turn = np.array([[0, 0, 1.0], [0, 1, 0], [-1, 0, 0]])
+    T_w_c[:, :3, :3], T_w_c[:, :3, 3] = turn, PATH[:20] @ turn.T
+    road = _plane(1.3) @ turn.T
+    wall = np.stack([*np.meshgrid(np.arange(-3, 1.2, 0.05), np.arange(0, 20, 0.05))], -1)
+    wall = wall.reshape(-1, 2)
+    walls = np.concatenate([np.insert(wall, 0, x, axis=1) for x in (-5.0, 5.0)]) @ turn.T
+    truth = np.concatenate([road, walls])
+    assert cloud.ghosts(truth, truth, T_w_c).count == 0
+    assert cloud.ghosts(truth + 0.1, truth, T_w_c).count == 0
+    car = np.stack([*np.meshgrid(np.arange(-3, -1.5, 0.15), np.arange(-0.4, 0.6, 0.15))], -1)
+    car = np.insert(car.reshape(-1, 2), 2, 8.0, axis=1) @ turn.T
+    below = car + np.array([0, 2.0, 0])
+    beside = car + 20.0 * turn[:, 0]
+    nothing = np.full((3, 3), np.nan)
+    found = cloud.ghosts(np.concatenate([truth, car, below, beside, nothing]), truth, T_w_c)
+    assert 0.7 * len(car) < found.count <= len(car)
+    assert found.share == found.count / found.points < 0.1
+    assert cloud.ghosts(nothing, truth, T_w_c).share == 0

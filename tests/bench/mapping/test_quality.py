@@ -3,7 +3,7 @@ import pytest
 from bench.__main__ import main
 from bench.mapping.quality import COLUMNS, against, table
 from bench.mapping.rows import Quality
-from calm_edge.evaluation.cloud import CloudError
+from calm_edge.evaluation.cloud import CloudError, Ghosts
 from calm_edge.mapping.seams import SeamSummary
 
 SEAMS = SeamSummary(3, 900, 0.2, 0.1, 0.6, 0.5)
@@ -11,7 +11,7 @@ SEAMS = SeamSummary(3, 900, 0.2, 0.1, 0.6, 0.5)
 
 def rows(sim3: CloudError | None, sl4: CloudError | None) -> list[Quality]:
     return [
-        Quality("full", CloudError(0.3, 0.2, 0.25), SEAMS),
+        Quality("full", CloudError(0.3, 0.2, 0.25), SEAMS, "", Ghosts(3, 400)),
         Quality("Sim(3)", sim3, failed="" if sim3 else "sub-map 3 by 2: too few points"),
         Quality("SL(4)", sl4, failed="" if sl4 else "sub-map 5 by 4: not finite"),
     ]
@@ -28,8 +28,8 @@ def test_a_baseline_that_fails_is_beaten_and_its_row_says_why():
     made = table(rows(None, CloudError(1.0, 1.0, 1.0)), "drive", "command")
     assert [check.passed for check in made.checks] == [True, True]
     assert "too few points" in made.checks[0].measured
-    assert made.rows[0] == ("full", 0.3, 0.2, 0.25, 0.1, 0.5)
-    assert "too few points" in made.rows[1][0] and made.rows[1][1:] == (None,) * 5
+    assert made.rows[0] == ("full", 0.3, 0.2, 0.25, 0.1, 0.5, 3, 0.75)
+    assert "too few points" in made.rows[1][0] and made.rows[1][1:] == (None,) * 7
     assert all(len(row) == len(COLUMNS) for row in made.rows)
 
 

@@ -93,6 +93,7 @@ def test_the_alignment_undoes_a_distortion_and_each_variant_is_a_map_of_its_own(
     assert without.seams.median_after == pytest.approx(without.seams.median_before)
     assert full.error.accuracy_m < without.error.accuracy_m
     assert len({q.error for q in rows.values()}) == len(VARIANTS)
+    assert full.ghosts.points > 100 and full.ghosts.share < 0.05
 
 
 def test_true_poses_take_the_drift_away(pieces, truth, tmp_path):
