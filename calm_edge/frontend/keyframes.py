@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.config import FrontendConfig
-from calm_edge.frontend.standing import STANDING, still_share
 from calm_edge.geometry.flow import corners, follow, long_side
 from calm_edge.types import Bytes, Float32, Keyframe
 from device.frame import Frame
@@ -48,7 +47,6 @@ class KeyframeSelector:
         self._reference: Bytes | None = None
         self._keyframe_t_ns = 0
         self._n_detected = 0
-        self._detected: Float32 = np.zeros((0, 2), np.float32)
         self._at_keyframe: Float32 = np.zeros((0, 2), np.float32)
         self._uv: Float32 = self._at_keyframe
 
@@ -68,13 +66,7 @@ class KeyframeSelector:
         threshold = flow_px * long_side(gray) / self.config.flow_reference_width_px
         disparity = np.linalg.norm(moved - self._at_keyframe, axis=1)[good]
         alive = int(good.sum())
-        enough = alive >= max(MIN_TRACKS, SURVIVING_SHARE * self._n_detected)
-        if alive >= MIN_TRACKS and self._stands(moved[good], self._at_keyframe[good], gray):
-            if not enough:
-                # what passed has hidden them
-                self._detect(gray)
-            return None
-        if not enough:
+        if alive < max(MIN_TRACKS, SURVIVING_SHARE * self._n_detected):
             return self._accept(frame, gray)
         mean = robust_mean(disparity)
         moving = float(np.quantile(disparity, MOVING_QUANTILE)) > MOVING_SHARE * threshold
@@ -87,11 +79,6 @@ class KeyframeSelector:
             self._uv, self._at_keyframe = moved[good], self._at_keyframe[good]
         return None
 
-    def _stands(self, now: Float32, before: Float32, gray: Bytes) -> bool:
-        """Whether the camera stands, whatever passes it."""
-        size = gray.shape[1], gray.shape[0]
-        return still_share(self._detected, before, now, size) >= STANDING
-
     def _accept(self, frame: Frame, gray: Bytes) -> Keyframe:
         keyframe = Keyframe(self.count, frame)
         self.count += 1
@@ -102,4 +89,4 @@ class KeyframeSelector:
     def _detect(self, gray: Bytes) -> None:
         self._reference = gray
         self._uv = self._at_keyframe = corners(gray, CORNERS)
-        self._detected, self._n_detected = self._uv, len(self._uv)
+        self._n_detected = len(self._uv)
