@@ -20,8 +20,9 @@ from calm_edge.types import Float, Hints, Int, PathLength
 # A window takes over the length if its own sigma is larger than the neighbour's by this factor:
 # both contain what is not known of the kit, which the two have in common.
 MUCH_SURER = 2.0
-# It does not if the lengths differ by more than this many sigmas: one of the windows is wrong.
-CONTRADICTS = 4.0
+# It does not if the lengths differ by more than this many sigmas: one of the windows is wrong. A
+# window with a sigma above POOR is the one: far points alone can give any scale.
+CONTRADICTS, POOR = 4.0, 0.1
 # Largest sigma of the log of a window's own length, whatever its posterior says: it is unknown.
 OWN_UNKNOWN = 1.0
 
@@ -85,7 +86,7 @@ def _length_prior(
     if own < MUCH_SURER * other.log_sigma:
         return None
     apart = np.log(_length(state, views) / other.spacings)
-    if own < OWN_UNKNOWN and abs(apart) > CONTRADICTS * np.hypot(own, other.log_sigma):
+    if own < POOR and abs(apart) > CONTRADICTS * np.hypot(own, other.log_sigma):
         return None
     J = LengthPrior(views, other.spacings, 0.0, 0.0).jacobian(state)
     # information of the solver on this length, and by how much the posterior finds it too large

@@ -77,6 +77,13 @@ def test_a_window_keeps_its_own_length_beside_no_surer_ones_and_wrong_ones():
         assert np.array_equal(alone.T_s_c, other.T_s_c)
 
 
+def test_a_window_of_far_points_alone_is_never_the_right_one(monkeypatch):
+    alone, _ = solved()
+    monkeypatch.setattr(path_length, "POOR", alone.scale_log_sigma / 2)
+    _, errors = solved(CERTAIN, factor=2.0)
+    assert errors[0] == pytest.approx(np.log(2.0), abs=CERTAIN)
+
+
 def test_the_derivative_is_that_of_the_log_of_the_length():
     _, truth, _ = far_window()
     prior = LengthPrior(SHARED, length(truth), 0.1, 4.0)
