@@ -51,7 +51,7 @@ def test_a_drive_is_recorded_and_mapped_with_plain_bundle(calm_edge, drive, tmp_
         "record", "--sequence", drive, "--out", recording, "--pace", "lockstep",
         "--set", "backbone.name=bundle", "--set", "frontend.n_max=6",
         # with the field of view, so that the solver tries fewer focal lengths
-        "--set", "backbone.hfov_deg=[78,70]",
+        "--set", "backbone.hfov_deg=[78,110]",
     )  # fmt: skip
     assert recorded.returncode == 0, recorded.stderr
     mapped = calm_edge("map", recording, "--out", made)
