@@ -66,7 +66,8 @@ def write(
     # the files of the first drive stand for the map in `export` and `eval`
     shutil.copyfile(finished[0].folder / TUM, out / TUM)
     content = json.loads((finished[0].folder / SUMMARY).read_text())
-    content["submaps"] = str(Path(DRIVES) / finished[0].name / content["submaps"])
+    folder = Path(DRIVES) / finished[0].name / content["submap_folder"]
+    content["submap_folder"] = str(folder)
     content["drives"] = [
         {
             "name": each.name,

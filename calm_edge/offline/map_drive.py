@@ -124,7 +124,7 @@ def write_trajectory(
     write_submaps(out / SUBMAPS, config, drive, origin_ns)
     content = summary(estimate) | {
         "recording": str(recording.path.resolve()),
-        "submaps": SUBMAPS,
+        "submap_folder": SUBMAPS,
         "T_p_a": None if drive.trajectory is None else drive.trajectory.T_p_a.tolist(),
         "seams": asdict(seams) if seams is not None else None,
         "gaps": [asdict(gap) for gap in drive.gaps(config)],

@@ -121,7 +121,7 @@ def read_drive(path: Path, recording: Path | None = None) -> ExportedDrive:
     if summary is None:
         return _of_recording(named)
     # maps of version 0.1.0 have no sub-maps of their own
-    own = path / str(summary["submaps"]) if summary.get("submaps") else None
+    own = path / str(summary["submap_folder"]) if summary.get("submap_folder") else None
     return _of_map(path, summary, _of_recording(named, own))
 
 
