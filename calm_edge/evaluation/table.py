@@ -10,7 +10,7 @@ from typing import Any
 
 
 def pretty(value: Any) -> str:
-    """Format a value of a result for people; None is a dash."""
+    """Format a value of a result for people; None is a dash, empty texts are left out."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -18,7 +18,7 @@ def pretty(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
     if isinstance(value, dict):
-        return ", ".join(f"{k} {pretty(v)}" for k, v in value.items()) or "–"
+        return ", ".join(f"{k} {pretty(v)}" for k, v in value.items() if v != "") or "–"
     if isinstance(value, list | tuple):
         return ", ".join(pretty(v) for v in value) or "–"
     return str(value)

@@ -28,6 +28,7 @@ from tests.evaluation.worlds import curve, stamps
         (123456.7, "123,457"),
         ([1.0, None], "1, –"),
         ({"p50": 3.14159}, "p50 3.142"),
+        ({"sigma": 0.5, "reason": ""}, "sigma 0.5"),
         ({}, "–"),
         ("word", "word"),
     ],
