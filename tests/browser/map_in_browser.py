@@ -194,6 +194,8 @@ def test_the_distance_of_two_points_is_measured(browser: Any, page_file: Path) -
     assert found, said
     truth = float(np.hypot(16, 5 * 150 / 59))
     assert abs(float(found[1]) - truth) < 0.5
+    # written with the next picture
+    page.wait_for_function("document.querySelector('#length').innerText !== ''")
     assert page.locator("#length").inner_text() == f"{found[1]} m"
     assert errors == []
     page.close()
