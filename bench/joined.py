@@ -64,9 +64,9 @@ def run(options: argparse.Namespace) -> int:
         (drive["name"], drive["apart"], own["keyframes"], ate, both, drive["scale"])
         for drive, own, ate, both in zip(content["drives"], summaries, alone, together, strict=True)
     )
-    said = f"{names[1]}: is apart: no place of the others was recognised in it" in made.stderr
+    reported = f"{names[1]}: is apart: no place of the others was recognised in it" in made.stderr
     checks = (
-        apart_checks(content, made.returncode, said=said)
+        apart_checks(content, made.returncode, reported=reported)
         if options.apart
         else joined_checks(content, alone)
     )
@@ -74,14 +74,14 @@ def run(options: argparse.Namespace) -> int:
     return publish(Table("joined", title, options.command, COLUMNS, rows, checks), options.out)
 
 
-def apart_checks(content: Mapping[str, Any], code: int, *, said: bool) -> tuple[Check, ...]:
-    """Requirements on drives without a common place. said: in the line of the loss."""
+def apart_checks(content: Mapping[str, Any], code: int, *, reported: bool) -> tuple[Check, ...]:
+    """Requirements on drives without a common place. reported: by a line on stderr."""
     places = sum(row["closures"] for row in content["joined"])
     apart = [drive["apart"] for drive in content["drives"]]
     return (
         Check("places in common", "0", places, places == 0),
         Check("apart", "the second one", apart, apart == [False, True]),
-        Check("said in a line", "yes", said, said),
+        Check("reported in a line", "yes", reported, reported),
         Check("exit code", str(LOSS), code, code == LOSS),
     )
 

@@ -23,9 +23,9 @@ from bench.drives import ROOT, Prepare
 from bench.relative_poses import Common, Stretches
 from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
-from calm_edge.evaluation.trajectory import path_length
 from calm_edge.evaluation.truth import Truth, read_truth
 from calm_edge.geometry import se3
+from calm_edge.geometry.polyline import path_length
 from calm_edge.offline.submaps import gather
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.retention import TRAJECTORY_FILE

@@ -15,6 +15,7 @@ from calm_edge.config import Config
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Perspective
+from calm_edge.geometry.polyline import path_length
 from calm_edge.recording import picture_folder, sequence_folder
 from calm_edge.types import Bytes, CalmEdgeError, Float, Int, Keyframe, SubmapWindow
 from device.frame import Eye, Frame
@@ -52,7 +53,7 @@ class Drive:
     @property
     def path_m(self) -> float:
         """Length of the true path through the keyframes."""
-        return float(np.linalg.norm(np.diff(self.T_w_p[:, :3, 3], axis=0), axis=1).sum())
+        return path_length(self.T_w_p[:, :3, 3])
 
 
 def kitti(

@@ -18,7 +18,7 @@ from bench.outcome import FOLDER, check_unchanged, code_key, files_key
 from bench.spoilt.cases import Base, Case, true_path_m
 from bench.spoilt.serial_line import SerialLine
 from calm_edge.commands.exit_codes import LOSS, OK
-from calm_edge.evaluation.trajectory import path_length
+from calm_edge.geometry.polyline import path_length
 from calm_edge.recording.reader import Recording
 from calm_edge.trajectories import folded
 

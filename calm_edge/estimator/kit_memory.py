@@ -12,6 +12,7 @@ import numpy as np
 from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
 from calm_edge.estimator.metre import UNKNOWN
 from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.polyline import path_length
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.types import Float, Hints, Int, KitBelief, Overlap, PathLength, Prediction
@@ -171,8 +172,7 @@ class KitMemory:
             shared = views[np.isin(beside.hints.t_ns[views], hints.t_ns[hints.eyes == 0])]
             if sigma is None or sigma >= UNKNOWN or len(shared) < 2:
                 continue
-            path = beside.prediction.T_s_c[shared, :3, 3]
-            length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+            length = path_length(beside.prediction.T_s_c[shared, :3, 3])
             if length > 0:
                 found.append(PathLength(beside.hints.t_ns[shared], length, sigma))
         return tuple(found)

@@ -13,6 +13,7 @@ from calm_edge.evaluation.estimate import Estimate, read_estimate
 from calm_edge.evaluation.truth import Truth, read_truth
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.polyline import path_length
 from calm_edge.geometry.similarity import Similarity, align
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Int
@@ -93,7 +94,7 @@ def _trajectory_figures(
     rigid = align(p, p_truth, with_scale=False)
     similar = align(p, p_truth, with_scale=True)
     between = _between(truth, truth.t_ns[j[0]], truth.t_ns[j[-1]])[:, :3, 3]
-    path, moved = trajectory.path_length(between), trajectory.moves(between)
+    path, moved = path_length(between), trajectory.moves(between)
     if not moved:
         # neither a scale nor a share of the path: what is left is how far the estimate wanders
         wander = trajectory.ate(rigid.points(p), p_truth) if estimate.metric else None
@@ -102,7 +103,7 @@ def _trajectory_figures(
     used = rigid if chosen == "se3" else similar
     ate_rigid = trajectory.ate(rigid.points(p), p_truth)
     ate_similar = trajectory.ate(similar.points(p), p_truth)
-    whole = trajectory.path_length(truth.T_w_c[:, :3, 3])
+    whole = path_length(truth.T_w_c[:, :3, 3])
     segments = trajectory.rpe(used.poses(T), T_truth)
     scales = trajectory.scale_consistency(*at_frames(t_ns, estimate.T_w_c, truth))
     figures: dict[str, float | None] = {

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.evaluation import EvaluationError, trajectory
+from calm_edge.evaluation import EvaluationError
 from calm_edge.evaluation.estimate import Estimate, read_estimate, recorded
 from calm_edge.evaluation.results import compare
 from calm_edge.evaluation.truth import Truth, read_truth
 from calm_edge.geometry import se3
+from calm_edge.geometry.polyline import path_length
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.schema import IMAGE_TOPICS, STATUS
 from calm_edge.recording.segment import recording_files
@@ -138,7 +139,7 @@ def _estimate(estimate: Estimate) -> dict[str, Figure]:
     seconds = float(estimate.t_ns[-1] - estimate.t_ns[0]) / 1e9 if len(p) else 0.0
     found: dict[str, tuple[str, str, str, float | None]] = {
         "duration_s": ("path", "duration", "s", seconds),
-        "length": ("path", "length", unit, trajectory.path_length(p)),
+        "length": ("path", "length", unit, path_length(p)),
         "frames": ("path", "frames of the primary", "", estimate.frames),
         "keyframes": ("path", "keyframes", "", estimate.keyframes),
         "submaps": ("path", "sub-maps", "", estimate.submaps),

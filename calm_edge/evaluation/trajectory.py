@@ -44,11 +44,6 @@ def associate(t: Int, t_truth: Int, tolerance_ns: int = TOLERANCE_NS) -> tuple[I
     return index[:, 0], index[:, 1]
 
 
-def path_length(p: Float) -> float:
-    """Length of the polyline p (N, 3), in the unit of p."""
-    return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
-
-
 def moves(p: Float) -> bool:
     """Whether a true path p (N, 3), metres, leaves its start."""
     return len(p) > 0 and bool(np.linalg.norm(p - p[0], axis=1).max() >= STANDSTILL_M)

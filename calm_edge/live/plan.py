@@ -8,6 +8,7 @@ import numpy as np
 
 from calm_edge.config import PoseOutputConfig
 from calm_edge.geometry import body_frame, se3
+from calm_edge.geometry.polyline import path_length
 from calm_edge.recording.display import landmarks
 from calm_edge.types import Float, LocalizerUpdate
 
@@ -42,7 +43,7 @@ class Plan:
         if len(self._path) < 2:
             return 0.0
         p = np.stack([self._path[i] for i in sorted(self._path)])
-        return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
+        return path_length(p)
 
     def content(self) -> dict[str, Any]:
         """Path and points for the page, [x, y] each, thinned; the newest keyframe is included."""

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from calm_edge.evaluation import trajectory
 from calm_edge.evaluation.estimate import Estimate
 from calm_edge.evaluation.results import MAX_FOCAL_SIGMA_PERCENT
+from calm_edge.geometry.polyline import path_length
 from calm_edge.recording.time_base import WallClock
 from calm_edge.report.chart import minutes
 from calm_edge.report.drive_log import DriveLog, Lost
@@ -67,7 +67,7 @@ def when(log: DriveLog) -> str:
 def _path(estimate: Estimate, log: DriveLog, loops: int) -> str:
     if len(estimate.t_ns) < 2:
         return ""
-    length = trajectory.path_length(estimate.T_w_c[:, :3, 3])
+    length = path_length(estimate.T_w_c[:, :3, 3])
     seconds = log.duration_s or float(estimate.t_ns[-1] - estimate.t_ns[0]) / 1e9
     closed = {0: "no loop closed", 1: "1 loop closed"}.get(loops, f"{loops} loops closed")
     return f"{length:,.0f} {unit(estimate)} in {minutes(seconds)} min, {closed}."

@@ -21,6 +21,7 @@ from calm_edge.evaluation.results import (
 from calm_edge.evaluation.table import label, measured, pretty
 from calm_edge.evaluation.truth import Truth
 from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.polyline import path_length
 from calm_edge.geometry.similarity import align
 from calm_edge.kit.estimated import cameras
 from calm_edge.report.account import account, unit, when
@@ -101,7 +102,7 @@ def unobserved(estimate: Estimate) -> tuple[str, ...]:
 def _headline(
     estimate: Estimate, unit: str, points: int, figures: Mapping[str, Any]
 ) -> list[tuple[str, str]]:
-    length = trajectory.path_length(estimate.T_w_c[:, :3, 3])
+    length = path_length(estimate.T_w_c[:, :3, 3])
     cards = [(f"{length:,.1f} {unit}", "driven")]
     if estimate.points_w is not None:
         cards.append((f"{points:,}", "map points"))

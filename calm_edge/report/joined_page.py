@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from calm_edge import __version__
-from calm_edge.evaluation import trajectory
+from calm_edge.geometry.polyline import path_length
 from calm_edge.report import curves, map_image, map_sections, page, tables
 from calm_edge.types import Bytes, Float, Float32
 
@@ -114,4 +114,4 @@ def account(data: JoinedData) -> str:
 
 
 def _length(drive: DriveRow) -> float:
-    return float(trajectory.path_length(drive.T_w_c[:, :3, 3]))
+    return path_length(drive.T_w_c[:, :3, 3])

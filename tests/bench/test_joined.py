@@ -19,13 +19,13 @@ def content(apart: bool, closures: int, ate_m: float | None = None) -> dict[str,
 
 
 def test_drives_that_are_apart_have_to_be_said_to_be() -> None:
-    assert all(check.passed for check in apart_checks(content(True, 0), 3, said=True))
+    assert all(check.passed for check in apart_checks(content(True, 0), 3, reported=True))
     for found, code, said in (
         (content(False, 4), 0, False),
         (content(True, 0), 0, True),
         (content(True, 0), 3, False),
     ):
-        assert not all(check.passed for check in apart_checks(found, code, said=said))
+        assert not all(check.passed for check in apart_checks(found, code, reported=said))
 
 
 @pytest.mark.parametrize(

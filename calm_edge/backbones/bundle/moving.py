@@ -94,7 +94,7 @@ def moving(solution: Solution, m: Measurements) -> Bool:
     sigma = max(float(np.median(solution.residual)) / np.sqrt(2 * np.log(2)), LEAST_SIGMA)
     n = np.bincount(m.point, minlength=n_points)
     square = np.bincount(m.point, (solution.residual / sigma) ** 2, n_points)
-    # the solved point is not that of least squares, whose chi-square is not larger
+    # the robust solution's chi-square is an upper bound of that of the least-squares point
     limit = chdtri(np.maximum(2 * np.arange(n.max() + 1) - 3, 1), CHANCE)
     doubtful = (n >= LEAST_SEEN) & (square > limit[n])
     out = np.zeros(n_points, bool)

@@ -19,7 +19,7 @@ Bool = NDArray[np.bool_]
 # much better than there, and so many planes away. On a rendered street with traffic that finds 77 %
 # of the pixels of wrong depth on cars, with MARGIN_PX 93 %, and 0.2 % of those that stand still.
 SURE, BETTER, APART = 0.35, 0.15, 2
-# Pixels about a place that is contradicted, whose windows reach into it.
+# Width of the border around contradicted pixels in which matching windows overlap these.
 MARGIN_PX = 2
 # Least number of such pixels in a window: single ones are at the edges of what hides the rest.
 LEAST = 3

@@ -1,9 +1,9 @@
 """Prior on the length of the path over the keyframes that a window shares with a neighbouring one.
 
 Where nearly all points are far, the noise that the observations of a surface share sets the scale
-of a window, and the solver takes it for independent: it then outvotes the previous window. So a
-window whose scale, by its posterior, is much less certain than a neighbour's is solved again with
-the neighbour's length of the shared path as a prior, in the proportion of the two posteriors.
+of a window, and the solver treats it as independent: it then outweighs the previous window. So a
+window whose posterior sigma of scale is much larger than a neighbour's is solved again with the
+neighbour's length of the shared path as a prior, weighed by the ratio of the two sigmas.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from calm_edge.backbones.bundle.posterior import Posterior, steps
 from calm_edge.backbones.bundle.problem import Measurements, State
 from calm_edge.geometry import se3
+from calm_edge.geometry.polyline import path_length
 from calm_edge.types import Float, Hints, Int, PathLength
 
 # A window takes over the length if its own sigma is larger than the neighbour's by this factor:
@@ -114,5 +115,4 @@ def rescaled(state: State, m: Measurements, prior: LengthPrior) -> State:
 
 def _length(state: State, views: Int) -> float:
     """Length [spacings] of the path through views (V,)."""
-    centres = se3.inverse(state.T_c_s[views])[:, :3, 3]
-    return max(float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum()), 1e-12)
+    return max(path_length(se3.inverse(state.T_c_s[views])[:, :3, 3]), 1e-12)

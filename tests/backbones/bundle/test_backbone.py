@@ -10,9 +10,9 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.backbones.bundle import backbone as bundle
 from calm_edge.backbones.bundle import tracks, window
 from calm_edge.config import BackboneConfig
-from calm_edge.evaluation.trajectory import path_length
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import project_each
+from calm_edge.geometry.polyline import path_length
 from calm_edge.geometry.similarity import align
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
