@@ -161,6 +161,10 @@ class Hints:
         late_s = None if self.late_s is None else self.late_s[:-1]
         return replace(self, eyes=self.eyes[:-1], t_ns=self.t_ns[:-1], late_s=late_s, loop=False)
 
+    def without_neighbours(self) -> Hints:
+        """Hints without what neighbouring batches say of shared keyframes."""
+        return replace(self, overlap=None, lengths=())
+
 
 @dataclass(frozen=True, slots=True)
 class Landmarks:

@@ -1,7 +1,7 @@
 import numpy as np
 
 from calm_edge.geometry.camera import Perspective
-from calm_edge.types import Hints, Landmarks, Prediction, Submap
+from calm_edge.types import Hints, KitBelief, Landmarks, Overlap, PathLength, Prediction, Submap
 
 N = 5  # three primary views, an assistant's, a loop keyframe
 CAMERAS = tuple(Perspective.from_hfov(60.0 + n, 64, 48) for n in range(N))
@@ -51,3 +51,13 @@ def test_a_submap_without_its_loop_keyframe():
     assert np.array_equal(submap.T_s_c_raw, POSES[:-1])
     assert np.array_equal(submap.T_s_c, 2 * POSES[:-1])
     assert submap.t_ns.tolist() == submap.exposed_ns.tolist() == [0, 100, 200, 300]
+
+
+def test_hints_without_neighbours_keep_the_kit_and_drop_what_other_windows_say():
+    one, none = np.zeros(1), np.zeros((0, 0))
+    kit = KitBelief(one, np.eye(1))
+    overlap = Overlap(np.arange(2), np.tile(np.eye(4), (2, 1, 1)), one, one, none, none)
+    lengths = (PathLength(np.arange(2), 3.0, 0.02),)
+    hints = Hints(np.zeros(2, int), np.arange(2), kit=kit, overlap=overlap, lengths=lengths)
+    alone = hints.without_neighbours()
+    assert alone.kit is kit and alone.overlap is None and alone.lengths == ()

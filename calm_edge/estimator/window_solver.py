@@ -196,7 +196,7 @@ class WindowSolver:
         if corrected:
             self._retimed()
             # the window before was solved with the wrong stamps
-            hints = replace(hinted(), overlap=None)
+            hints = hinted().without_neighbours()
             prediction = self._backbone.infer(images, hints)
         elif failure is not None:
             raise failure

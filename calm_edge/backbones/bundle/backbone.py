@@ -150,7 +150,7 @@ class BundleBackbone:
         """
         if hints.kit is None or self.kit_sigma(hints)[1] < layout.FOCAL_KNOWN:
             return None
-        anew = replace(hints, kit=None, overlap=None)
+        anew = replace(hints.without_neighbours(), kit=None)
         beliefs = kit_beliefs(anew)
         del beliefs[layout.families(hints.kit.mean)]
         with suppress(BackboneError):
