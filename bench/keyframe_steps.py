@@ -14,7 +14,7 @@ from calm_edge.evaluation.trajectory import associate
 from calm_edge.evaluation.truth import Truth
 from calm_edge.recording.reader import Recording
 from calm_edge.trajectories import folded
-from calm_edge.types import Float, Int
+from calm_edge.types import METRIC_LOG_SIGMA, Float, Int
 from device.frame import Eye
 
 # A step, the distance between consecutive keyframes, is garbage if the log of its ratio to the true
@@ -28,11 +28,14 @@ class Steps(NamedTuple):
     """What became of the primary keyframes of a drive.
 
     placed: share of them in a sub-map. The others are reported as lost, or bridged by constant
-    velocity. garbage: share of garbage among the steps within sub-maps.
+    velocity. garbage: share of garbage among the steps within sub-maps. metric, garbage_of_metric:
+    the same of the sub-maps that are reported as metric alone.
     """
 
     placed: float
     garbage: float
+    metric: float
+    garbage_of_metric: float
 
 
 def judged(recording: Path, truth: Truth) -> Steps:
@@ -52,10 +55,18 @@ def judged(recording: Path, truth: Truth) -> Steps:
     ids, T_w_c = trajectory.keyframe_ids[i], trajectory.T_w_c[i]
     step = np.linalg.norm(np.diff(T_w_c[:, :3, 3], axis=0), axis=1)
     true = np.linalg.norm(np.diff(truth.T_w_c[j, :3, 3], axis=0), axis=1)
-    submaps = {update.submap.id: update.submap.primary_ids for update in updates}
-    together = within_submap(ids, submaps.values())
-    placed = len(keyframes.intersection(trajectory.keyframe_ids.tolist()))
-    return Steps(placed / max(len(keyframes), 1), garbage_share(step[together], true[together]))
+    submaps = {update.submap.id: update.submap for update in updates}
+    every = [submap.primary_ids for submap in submaps.values()]
+    metric = [s.primary_ids for s in submaps.values() if s.scale_log_sigma <= METRIC_LOG_SIGMA]
+    placed = keyframes.intersection(trajectory.keyframe_ids.tolist())
+    n = max(len(keyframes), 1)
+    together, of_metric = within_submap(ids, every), within_submap(ids, metric)
+    return Steps(
+        len(placed) / n,
+        garbage_share(step[together], true[together]),
+        len(placed.intersection(i for members in metric for i in members)) / n,
+        garbage_share(step[of_metric], true[of_metric]),
+    )
 
 
 def within_submap(ids: Int, submaps: Iterable[Sequence[int]]) -> NDArray[np.bool_]:

@@ -57,9 +57,9 @@ class Outcome:
     alignment, percent of the path. sim3_m: ATE after alignment by a similarity. scale: of that
     similarity, which takes the trajectory to the truth: 1 if the trajectory is exact. scale_sigma:
     claimed sigma of its log, inf if nothing determined it; None if no sigma is reported. placed,
-    garbage: as in `keyframe_steps.Steps`. focal_error, focal_sigma: of the log focal, one per eye;
-    an unknown sigma is inf. live, final: errors of relative poses by length. failed: reason why
-    there is no result, else empty.
+    garbage, metric, garbage_of_metric: as in `keyframe_steps.Steps`. focal_error, focal_sigma: of
+    the log focal, one per eye; an unknown sigma is inf. live, final: errors of relative poses by
+    length. failed: reason why there is no result, else empty.
     """
 
     drive: str
@@ -76,6 +76,8 @@ class Outcome:
     live: Mapping[str, Stretches] = field(default_factory=dict)
     final: Mapping[str, Stretches] = field(default_factory=dict)
     failed: str = ""
+    metric: float = 0.0
+    garbage_of_metric: float = 0.0
 
     @property
     def observed(self) -> tuple[bool, bool]:
@@ -216,6 +218,8 @@ def _measured(drive: Trial, checkout: Path, sequence: Path, recording: Path) -> 
         focal_sigma,
         live,
         final,
+        metric=judged.metric,
+        garbage_of_metric=judged.garbage_of_metric,
     )
 
 

@@ -24,6 +24,8 @@ COLUMNS = (
     "sigma %",
     "placed %",
     "garbage %",
+    "metric %",
+    "garbage of metric %",
     "focal errors %",
     "sigmas %",
 )
@@ -67,7 +69,8 @@ def _table(version: str, options: argparse.Namespace, found: list[Outcome]) -> T
     without = sum(one.ate_percent is None for one in found)
     note = (
         f"{len(found)} drives, {without} without a result: wholly garbage, of an infinite ATE; "
-        "garbage is counted among the steps between keyframes of one sub-map"
+        "garbage is counted among the steps between keyframes of one sub-map; metric are keyframes "
+        "of sub-maps that claim a metre, the live pose of others is DEGRADED"
     )
     kind, checks = options.kind, requirements(found, LIMITS[options.kind])
     title, name = f"Lottery of {kind} drives, {version}", f"lottery_{kind}_{version}"
@@ -83,6 +86,8 @@ def _row(one: Outcome) -> tuple[Any, ...]:
         None if one.scale_sigma is None else 100 * one.scale_sigma,
         100 * one.placed,
         100 * one.garbage,
+        100 * one.metric,
+        100 * one.garbage_of_metric,
         _percent(one.focal_error),
         _percent(one.focal_sigma),
     )

@@ -97,9 +97,11 @@ def scales(found: Sequence[Outcome]) -> Normalised:
 
 def _keyframes(found: Sequence[Outcome], asked: Limits) -> tuple[Check, ...]:
     garbage = 100 * float(np.mean([one.garbage for one in found]))
+    of_metric = 100 * float(np.mean([one.garbage_of_metric for one in found]))
     placed = 100 * float(np.mean([one.placed for one in found]))
     return (
         _most("garbage steps, of keyframes not said to be lost, %", asked.garbage, garbage),
+        _most("garbage steps, of sub-maps that claim a metre, %", asked.garbage, of_metric),
         Check(
             "keyframes neither lost nor bridged, %",
             f">= {asked.placed:g}",

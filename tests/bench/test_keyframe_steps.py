@@ -64,6 +64,24 @@ def test_keyframes_of_an_unsolved_window_are_lost_and_not_garbage(tmp_path):
     assert (found.placed, found.garbage) == (0.5, 0.0)
 
 
+def test_a_wrong_sub_map_that_claims_no_metre_is_no_garbage_of_metric_ones(tmp_path):
+    """Three windows of 20 keyframes, the last ones of twice the size and said not to be metric."""
+    T, t_ns = curve(60), stamps(60)
+    wrong = T.copy()
+    wrong[40:, :3, 3] = T[40, :3, 3] + 2 * (T[40:, :3, 3] - T[40, :3, 3])
+    writer = RecordingWriter(tmp_path / "r", Config(), {}, lossless=True)
+    for submap_id in range(3):
+        ids = range(20 * submap_id, 20 * submap_id + 20)
+        writer.write_window(_window(submap_id, ids))
+        one = _update(wrong, t_ns, submap_id, ids)
+        sigma = 0.3 if submap_id == 2 else 0.02
+        writer.write_update(replace(one, submap=replace(one.submap, scale_log_sigma=sigma)))
+    writer.close()
+    found = judged(tmp_path / "r", Truth(t_ns, T))
+    assert found.placed == 1.0 and found.garbage == pytest.approx(1 / 3, abs=0.01)
+    assert found.metric == pytest.approx(2 / 3) and found.garbage_of_metric == 0.0
+
+
 def test_a_recording_without_sub_maps_has_nothing_to_judge(tmp_path):
     RecordingWriter(tmp_path / "r", Config(), {}, lossless=True).close()
     with pytest.raises(EvaluationError, match="no keyframe"):

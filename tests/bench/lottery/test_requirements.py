@@ -36,6 +36,7 @@ def test_honest_drives_meet_every_requirement():
     ("fault", "missed"),
     [
         ({"garbage": 0.05}, "garbage steps"),
+        ({"garbage_of_metric": 0.05}, "garbage steps"),
         ({"placed": 0.1}, "keyframes neither lost nor bridged"),
         ({"ate_percent": 2.0}, "focals observed"),
         ({"yaw_deg": 1.0}, "focals called observed with less than 2 degrees and no hint"),
