@@ -129,6 +129,19 @@ def test_a_window_is_solved_better_without_what_moves():
     assert off[1] < off[0]
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_wrong_length_of_the_path_is_not_a_motion_of_the_points(factor):
+    """Hardly any of the points that stand still is lost in a window of a wrong scale."""
+    m, state, _ = window_with([0, 0, 0], count=40)
+    T_c_s = state.T_c_s.copy()
+    T_a_p = T_c_s[N:] @ np.linalg.inv(T_c_s[:N])
+    T_c_s[:N, :3, 3] *= factor
+    T_c_s[N:] = T_a_p @ T_c_s[:N]
+    wrong = unsolved(m, replace(state, T_c_s=T_c_s))
+    assert np.median(wrong.residual) > 2
+    assert moving.moving(wrong, m).mean() < 0.02
+
+
 @pytest.fixture(scope="module")
 def behind_a_van():
     """Six pictures of each eye, 0.3 s apart, behind a van at our speed; its pixels; the truth."""
