@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
 
+# Twice the cosine of a rotation angle, 120 degrees, from which on its logarithm is taken otherwise.
+LARGE_ANGLE = -1.0
+
 
 def hat(v: Float) -> Float:
     """Cross-product matrices (..., 3, 3) of vectors (..., 3)."""
@@ -37,6 +40,19 @@ def so3_exp(w: Float) -> Float:
 def so3_log(R: Float) -> Float:
     """Rotation vectors (..., 3) [rad] of matrices (..., 3, 3); accurate up to and including pi."""
     R = np.asarray(R, np.float64)
+    # 2 sin(angle) times the axis, and 2 cos(angle)
+    w = R[..., [2, 0, 1], [1, 2, 0]] - R[..., [1, 2, 0], [2, 0, 1]]
+    cosine = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0
+    if (cosine < LARGE_ANGLE).any():
+        return _so3_log_of_large(R)
+    sine = np.sqrt((w * w).sum(-1))
+    small = sine < 1e-9
+    factor = np.where(small, 0.5, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))
+    return np.asarray(factor[..., None] * w)
+
+
+def _so3_log_of_large(R: Float) -> Float:
+    """As `so3_log`, also near pi, where the axis is lost in the antisymmetric part."""
     # via the quaternion, computed from its largest component: stable at 0 and at pi
     m = R
     t = np.stack(
@@ -124,9 +140,15 @@ def exp(xi: Float) -> Float:
 
 def log(T: Float) -> Float:
     """Logarithm of SE(3): twists (..., 6) of poses (..., 4, 4)."""
-    w = so3_log(T[..., :3, :3])
-    rho = np.linalg.solve(so3_left_jacobian(w), T[..., :3, 3, None])[..., 0]
-    return np.concatenate([rho, w], -1)
+    w, t = so3_log(T[..., :3, :3]), T[..., :3, 3, None]
+    theta2 = (w * w).sum(-1)[..., None, None]
+    small = theta2 < 1e-4
+    half = np.sqrt(np.where(small, 1.0, theta2)) / 2
+    # the inverse of the left Jacobian of SO(3) is I - W / 2 + c W^2
+    c = np.where(small, 1 / 12 + theta2 / 720, (1 - half / np.tan(half)) / (4 * half**2))
+    W = hat(w)
+    across = W @ t
+    return np.concatenate([(t - across / 2 + c * (W @ across))[..., 0], w], -1)
 
 
 def interpolate(T_0: Float, T_1: Float, alpha: Float | float) -> Float:

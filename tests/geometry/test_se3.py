@@ -52,6 +52,15 @@ def test_so3_log_up_to_and_including_half_a_turn(axis, angle):
     assert np.linalg.norm(w) == pytest.approx(angle, abs=1e-6)
 
 
+@pytest.mark.parametrize("angle", [1e-12, 0.0099, 0.0101, 2.0943, 2.0945, 3.1])
+def test_log_is_exact_on_both_sides_of_its_limits(angle):
+    """At the angles at which formulas for small and for large rotations take over."""
+    rng = np.random.default_rng(0)
+    xi = rng.normal(size=(100, 6))
+    xi[:, 3:] *= angle / np.linalg.norm(xi[:, 3:], axis=1, keepdims=True)
+    np.testing.assert_allclose(se3.log(se3.exp(xi)), xi, atol=1e-13)
+
+
 @given(vectors)
 def test_quaternions_equal_scipys_with_nonnegative_w_last(w):
     R = se3.so3_exp(w)
