@@ -12,12 +12,15 @@ from calm_edge.backbones.bundle import tracks, window
 from calm_edge.config import BackboneConfig
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import project_each
+from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.geometry.polyline import path_length
 from calm_edge.geometry.similarity import align
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
+from calm_edge.kit.lens import Family
 from calm_edge.recording.sequence_folder import ORIGIN_NS
 from calm_edge.types import Float, Hints, KitBelief, Prediction
+from tests.backbones.bundle import exact_window
 from tests.synthetic.drive import exposed, make_rig
 from tests.synthetic.render import render_views
 from tests.synthetic.settings import Settings
@@ -283,3 +286,24 @@ def test_a_wrong_tail_is_rejected_behind_a_right_median(solved, turn):
     uv[wrong] += [40.0, 25.0]
     with pytest.raises(BackboneError, match="do not fit one rigid scene"):
         BACKBONE.resolve(with_pixels(solved, uv), turn.hints)
+
+
+def test_a_belief_in_the_wrong_family_of_lenses_is_given_up_before_the_focals_are_known():
+    """Fisheye lenses of 120 degrees, where earlier windows said perspective ones."""
+    theta = exact_window.theta_of()
+    theta[layout.FAMILY], theta[layout.DISTORTION] = Family.FISHEYE, 0.0
+    theta[layout.LOG_FOCAL] = -np.log(np.radians(120))
+    m = exact_window.window(exact_window.turn(6), theta, noise_px=0.2).m
+    belief = layout.prior((None, None))
+    information = np.zeros_like(belief.information)
+    information[layout.LOG_FOCAL, layout.LOG_FOCAL] = 0.08**-2.0
+    t_ns = ORIGIN_NS + np.round(m.t * 1e9).astype(np.int64)
+    hints = Hints(m.eye, t_ns, sizes=exact_window.SIZE, kit=KitBelief(belief.mean, information))
+    found = BACKBONE._of_other_lenses(m, hints)
+    assert found is not None
+    primary, assistant = found[0].cameras[0], found[0].cameras[-1]
+    assert isinstance(primary, Fisheye) and isinstance(assistant, Fisheye)
+    f = np.exp(theta[layout.LOG_FOCAL]) * exact_window.SIZE[:, 0]
+    assert np.allclose([primary.fx, assistant.fx], f, rtol=0.03)
+    known = replace(hints, kit=KitBelief(belief.mean, 4 * information))
+    assert BACKBONE._of_other_lenses(m, known) is None
