@@ -7,15 +7,32 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from calm_edge.types import Metre
 
 
+# What the messages begin with: the program, and the drive if several are worked on at once.
+_PREFIX = ContextVar("_PREFIX", default="calm-edge: ")
+
+
 def say(text: str) -> None:
     """Print a message line to stderr."""
-    print(f"calm-edge: {text}", file=sys.stderr, flush=True)
+    print(f"{_PREFIX.get()}{text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def messages_of(drive: str) -> Iterator[None]:
+    """Begin the messages with the name of a drive as well."""
+    before = _PREFIX.set(f"{_PREFIX.get()}{drive}: ")
+    try:
+        yield
+    finally:
+        _PREFIX.reset(before)
 
 
 def is_coloured(stream: TextIO) -> bool:

@@ -6,13 +6,14 @@ import argparse
 import os
 import shutil
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calm_edge.commands.configuration import add_set
-from calm_edge.commands.console import print_metre, say, say_no_metre
+from calm_edge.commands.console import messages_of, print_metre, say, say_no_metre
 from calm_edge.commands.drive_reference import only
 from calm_edge.commands.exit_codes import LOSS, OK
 from calm_edge.commands.map_pages import Options
@@ -151,7 +152,8 @@ def run(arguments: argparse.Namespace) -> int:
         shutil.rmtree(unfinished, ignore_errors=True)
     leftover = unfinished if out.exists() else out
     made_of = plan(path, config, again=again)
-    with interrupted_by_sigterm(), Unfinished(unfinished, config, made_of) as work:
+    named = messages_of(out.name) if arguments.part else nullcontext()
+    with named, interrupted_by_sigterm(), Unfinished(unfinished, config, made_of) as work:
         try:
             started = time.monotonic()
             times = MapTimes()

@@ -98,7 +98,7 @@ def test_drives_of_equal_names_are_numbered_and_parts_are_commands(tmp_path: Pat
 
 
 def test_the_part_that_the_command_makes_is_the_one_that_is_joined(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_recording(tmp_path / "rec")
     solved = update(LENSES, 0.01)
@@ -123,6 +123,8 @@ def test_the_part_that_the_command_makes_is_the_one_that_is_joined(
     settings = ["mapping.grid=20"]
     command = part_command(path, tmp_path / "part", settings, "preview")
     assert main(command[2:]) == 0
+    # several drives are worked on at once
+    assert "calm-edge: part: depth of sub-maps: 1 of 1" in capsys.readouterr().err
     (config,) = agreed_configs([path], settings, "preview")
     # a setting goes over the preset
     assert config.mapping.grid == 20 and config.backbone.depth_every == 3
