@@ -67,15 +67,17 @@ def whitened_lengths(state: State, m: Measurements) -> Float:
 
 def total_cost(
     state: State,
-    m: Measurements,
+    residual: Float,
     ties: RigTies,
     prior: KitBelief,
     scale: float,
     pose_priors: Sequence[PosePrior] = (),
 ) -> float:
-    """Half the robust cost of pixels, rig ties, and the priors on kit and poses."""
-    length = whitened_lengths(state, m)
-    pixels = scale**2 * np.log1p((length / scale) ** 2).sum()
+    """Half the robust cost of pixels, rig ties, and the priors on kit and poses.
+
+    residual: (O,) the state's `whitened_lengths`.
+    """
+    pixels = scale**2 * np.log1p((residual / scale) ** 2).sum()
     T = state.T_c_s
     tie = tie_residuals(
         T[ties.before], T[ties.after], T[ties.assistant],
@@ -132,10 +134,11 @@ def solve(
     """
     structure = Structure.of(m, len(state.points))
     damping = 1e-3
-    cost = total_cost(state, m, ties, prior, robust_scale, pose_priors)
+    residual = whitened_lengths(state, m)
+    cost = total_cost(state, residual, ties, prior, robust_scale, pose_priors)
     n = m.n_views
     for _ in range(max_iterations):
-        weight = robust_weights(whitened_lengths(state, m), robust_scale)
+        weight = robust_weights(residual, robust_scale)
         normal = normal_equations(state, m, ties, structure, weight, damping)
         H, g = add_priors(normal, state, prior, pose_priors)
         H[np.diag_indices_from(H)] *= 1 + damping
@@ -151,10 +154,11 @@ def solve(
             damping *= 10
             continue
         trial = _step(state, n, delta, normal.point_step(delta))
-        trial_cost = total_cost(trial, m, ties, prior, robust_scale, pose_priors)
+        trial_residual = whitened_lengths(trial, m)
+        trial_cost = total_cost(trial, trial_residual, ties, prior, robust_scale, pose_priors)
         if trial_cost < cost:
             gain = (cost - trial_cost) / max(cost, 1e-12)
-            state, cost = trial, trial_cost
+            state, cost, residual = trial, trial_cost, trial_residual
             damping = max(damping / 10, 1e-9)
             if gain < tolerance:
                 break
@@ -162,4 +166,4 @@ def solve(
             damping *= 10
             if damping > 1e8:
                 break
-    return Solution(state, cost, whitened_lengths(state, m))
+    return Solution(state, cost, residual)
