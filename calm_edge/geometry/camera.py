@@ -23,8 +23,9 @@ Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Int = NDArray[np.int64]
 
-# inverse of the distortion: Newton iterations, initialised from a table over the angle
-NEWTON_STEPS = 8
+# inverse of the distortion: most Newton iterations, initialised from a table over the angle; the
+# last step [normalised coordinates, rad], but for pixels farther out than the table by this factor
+NEWTON_STEPS, LAST_STEP, TABLE_REACH = 8, 1e-12, 1.01
 # angle off the axis up to which `within_reach` holds for a camera without a limit
 MAX_REACH_RAD = np.radians(89.99)
 TABLE_RAD = np.radians(np.linspace(0.0, 89.9, 1000))
@@ -184,16 +185,17 @@ class Perspective(Camera):
             return seen
         r = np.tan(TABLE_RAD[self.max_angle > TABLE_RAD])
         radius = np.linalg.norm(seen, axis=-1, keepdims=True)
-        q = (
-            seen
-            * np.interp(radius, r * radial(r**2, self.distortion)[0], r)
-            / np.maximum(radius, 1e-300)
-        )
+        table = r * radial(r**2, self.distortion)[0]
+        q = seen * np.interp(radius, table, r) / np.maximum(radius, 1e-300)
+        shown = radius[..., 0] < TABLE_REACH * table[-1]
         with np.errstate(all="ignore"):
             for _ in range(NEWTON_STEPS):
                 (a, b), (_, c) = distorted_jacobian(np.moveaxis(q, -1, 0), self.distortion)
                 e, f = np.moveaxis(self._distorted(q) - seen, -1, 0)
-                q = q - np.stack([c * e - b * f, a * f - b * e], -1) / (a * c - b * b)[..., None]
+                step = np.stack([c * e - b * f, a * f - b * e], -1) / (a * c - b * b)[..., None]
+                q = q - step
+                if not (np.abs(step[shown]) > LAST_STEP).any():
+                    break
             met = np.abs(self._distorted(q) - seen) < 1e-9 * (1 + radius)
             inside = np.linalg.norm(q, axis=-1) < np.tan(self.max_angle)
         return np.where((met.all(-1) & inside)[..., None], q, np.nan)

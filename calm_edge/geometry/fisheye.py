@@ -9,7 +9,15 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from calm_edge.geometry.camera import NEWTON_STEPS, TABLE_RAD, Camera, Float, first_root
+from calm_edge.geometry.camera import (
+    LAST_STEP,
+    NEWTON_STEPS,
+    TABLE_RAD,
+    TABLE_REACH,
+    Camera,
+    Float,
+    first_root,
+)
 
 MAX_FISHEYE_DEG = 160.0
 # Nearer to the axis the quotients by the radius lose their digits.
@@ -56,11 +64,15 @@ class Fisheye(Camera):
     def rays(self, uv: Float) -> Float:
         q = (uv - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
         r, angles = np.linalg.norm(q, axis=-1), TABLE_RAD[self.max_angle > TABLE_RAD]
-        angle = np.interp(r, self._radius(angles)[0], angles)
+        table = self._radius(angles)[0]
+        angle, shown = np.interp(r, table, angles), r < TABLE_REACH * table[-1]
         with np.errstate(all="ignore"):
             for _ in range(NEWTON_STEPS):
                 radius, slope = self._radius(angle)
-                angle = angle - (radius - r) / slope
+                step = (radius - r) / slope
+                angle = angle - step
+                if not (np.abs(step[shown]) > LAST_STEP).any():
+                    break
             met = np.abs(self._radius(angle)[0] - r) < 1e-9
             across = q * (np.sin(angle) / np.maximum(r, 1e-300))[..., None]
         ray = np.concatenate([across, np.cos(angle)[..., None]], -1)
