@@ -107,9 +107,9 @@ def spacing_of(
         w = np.zeros(3)
         for _ in range(RIG_ITERATIONS):
             size = np.linalg.norm(error + J @ w, axis=1)
-            weight = 1 / (RESECTION_PX**2 + size**2)
-            H = np.einsum("nij,n,nik->jk", J, weight, J) + np.eye(3) / RIG_SIGMA_RAD**2
-            w = np.linalg.solve(H, -np.einsum("nij,n,ni->j", J, weight, error))
+            weighted = (J / (RESECTION_PX**2 + size**2)[:, None, None]).reshape(-1, 3)
+            H = weighted.T @ J.reshape(-1, 3) + np.eye(3) / RIG_SIGMA_RAD**2
+            w = np.linalg.solve(H, -weighted.T @ error.ravel())
         size = np.linalg.norm(error + J @ w, axis=1)
         return float(np.log1p((size / RESECTION_PX) ** 2).sum() + w @ w / RIG_SIGMA_RAD**2)
 
