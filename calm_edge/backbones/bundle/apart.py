@@ -12,6 +12,7 @@ import numpy as np
 
 from calm_edge.backbones.bundle import window
 from calm_edge.backbones.bundle.initialise import driven, normalised, resection, triangulated
+from calm_edge.backbones.bundle.normal_equations import grouped
 from calm_edge.backbones.bundle.problem import Measurements, State, rig_ties
 from calm_edge.backbones.bundle.solver import robust_weights, solve
 from calm_edge.geometry import se3
@@ -126,11 +127,14 @@ def _refined(
         residual, J, J_zoom = _errors(T[view], points, rays, log_zoom)
         error = np.linalg.norm(residual, axis=1) * f
         w = robust_weights(error, max(NARROW_PX, float(np.median(error)))) * f**2
-        H, g = np.zeros((A, 6, 6)), np.zeros((A, 6))
-        cross, own, pull = np.zeros((A, 6)), sigma**-2.0, log_zoom * sigma**-2.0
-        np.add.at(H, view, np.einsum("n,nki,nkj->nij", w, J, J))
-        np.add.at(g, view, np.einsum("n,nki,nk->ni", w, J, residual))
-        np.add.at(cross, view, np.einsum("n,nki,nk->ni", w, J, J_zoom))
+        # by pose, of the derivatives by itself, by the zoom, and of the residual
+        by_view = grouped(view)
+        joined = np.concatenate([J, J_zoom[..., None], residual[..., None]], 2)
+        sums = np.zeros((A, 6, 8))
+        blocks = np.swapaxes(w[:, None, None] * J, 1, 2) @ joined
+        sums[by_view.keys] = np.moveaxis(by_view.sum(np.moveaxis(blocks, 0, -1)), -1, 0)
+        H, cross, g = sums[..., :6].copy(), sums[..., 6], sums[..., 7]
+        own, pull = sigma**-2.0, log_zoom * sigma**-2.0
         own += float((w * (J_zoom**2).sum(1)).sum())
         pull += float((w * (J_zoom * residual).sum(1)).sum())
         H += 1e-6 * np.trace(H, axis1=1, axis2=2)[:, None, None] * np.eye(6) + 1e-9 * np.eye(6)

@@ -48,8 +48,9 @@ class Groups:
 
 
 def grouped(key: Int) -> Groups:
+    """Group rows by keys (O,), none negative."""
     order = np.argsort(key, kind="stable")
-    starts = np.flatnonzero(np.r_[True, np.diff(key[order]) > 0])
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
     return Groups(order, starts, key[order][starts])
 
 

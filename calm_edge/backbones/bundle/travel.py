@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import eigh
 
+from calm_edge.backbones.bundle.normal_equations import Groups, grouped
 from calm_edge.backbones.bundle.problem import Measurements
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Int
@@ -136,7 +137,11 @@ def directed_turns(m: Matches, start: Float, sigma_rad: float) -> Course:
     """
     P = len(m.dt)
     direction, turns = start, np.zeros((P, 3))
-    pose_of = 2 + 3 * m.pair[:, None] + np.arange(3)
+    by_pair = grouped(m.pair)
+    # unknowns of each pair: the direction, and its own turn
+    rows = np.c_[
+        np.tile([0, 1], (len(by_pair.keys), 1)), 2 + 3 * by_pair.keys[:, None] + np.arange(3)
+    ]
     for k in range(ITERATIONS):
         scale_px = max(EPIPOLAR_PX, FIRST_PX * NARROWING**k)
         basis = np.linalg.svd(direction[None])[2][1:]
@@ -145,14 +150,9 @@ def directed_turns(m: Matches, start: Float, sigma_rad: float) -> Course:
         w_across = 1 / (1 + (across / scale_px) ** 2) / EPIPOLAR_PX**2
         w_across /= 1 + (FIRST_RAD * NARROWING**k / sine) ** 2
         w_along = FAR_WEIGHT / (1 + (across**2 + along**2) / FAR_PX**2) ** 2 / FAR_PX**2
-        J = np.concatenate([J_d, J_w], 1)
-        rows = np.c_[np.broadcast_to([0, 1], (len(J), 2)), pose_of]
         H, g = np.zeros((2 + 3 * P, 2 + 3 * P)), np.zeros(2 + 3 * P)
-        np.add.at(H, (rows[:, :, None], rows[:, None]), w_across[:, None, None] * _outer(J))
-        np.add.at(g, rows, (w_across * across)[:, None] * J)
-        weighted = w_along[:, None, None] * _outer(J_along)
-        np.add.at(H, (pose_of[:, :, None], pose_of[:, None]), weighted)
-        np.add.at(g, pose_of, (w_along * along)[:, None] * J_along)
+        _add(H, g, rows, by_pair, np.concatenate([J_d, J_w], 1), across, w_across)
+        _add(H, g, rows[:, 2:], by_pair, J_along, along, w_along)
         H[:2, :2] += np.eye(2) / sigma_rad**2
         g[:2] += basis @ (direction - start) / sigma_rad**2
         H += np.eye(len(H)) * 1e-3  # a pair that shares nothing keeps its turn
@@ -165,6 +165,19 @@ def directed_turns(m: Matches, start: Float, sigma_rad: float) -> Course:
             break
     # both ends of the axis fit alike; the camera looks ahead rather than back
     return Course(direction if direction[2] > 0 else -direction, np.asarray(turns))
+
+
+def _add(
+    H: Float, g: Float, rows: Int, by_pair: Groups, J: Float, residual: Float, weight: Float
+) -> None:
+    """Add weighted residuals (n,), with derivatives J (n, k), to normal equations H, g.
+
+    rows: (G, k) unknowns of each pair of `by_pair`.
+    """
+    joined = np.concatenate([J, residual[:, None]], 1).T
+    sums = by_pair.sum(joined[:, None] * (weight * J.T))
+    np.add.at(H, (rows[:, :, None], rows[:, None]), sums[:-1].transpose(2, 0, 1))
+    np.add.at(g, rows, sums[-1].T)
 
 
 def _residuals(
@@ -198,10 +211,6 @@ def _normal(axis: Float, a: Float) -> tuple[Float, Float]:
     normal = np.cross(axis, a)
     sine = np.maximum(np.linalg.norm(normal, axis=1), NEAREST_RAD)
     return normal / sine[:, None], sine
-
-
-def _outer(J: Float) -> Float:
-    return np.asarray(J[:, :, None] * J[:, None])
 
 
 def signed_steps(m: Matches, along: Course) -> Float:

@@ -8,6 +8,14 @@ from calm_edge.kit import layout
 from tests.backbones.bundle.exact_window import perturbed, theta_of, turn, window
 
 
+def test_rows_of_equal_keys_are_summed_and_no_rows_have_no_sums():
+    some = equations.grouped(np.array([2, 0, 2, 5]))
+    assert some.keys.tolist() == [0, 2, 5]
+    assert some.sum(np.array([[1.0, 2, 3, 4], [0, 0, 1, 0]])).tolist() == [[2, 4, 4], [0, 1, 0]]
+    none = equations.grouped(np.zeros(0, np.int64))
+    assert none.sum(np.zeros((3, 4, 0))).shape == (3, 4, 0)
+
+
 def test_eliminating_points_is_the_schur_complement():
     made = window(turn(3), theta_of(), n_points=25, noise_px=1.0)
     angle = np.random.default_rng(2).uniform(0, np.pi, len(made.m.uv))
