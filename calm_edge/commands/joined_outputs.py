@@ -95,6 +95,7 @@ def fused(
     """
     from calm_edge.mapping.cloud_file import CloudWriter
     from calm_edge.mapping.mapper import Mapper
+    from calm_edge.offline.densify import pictures
     from calm_edge.offline.drive_part import depth_of
     from calm_edge.offline.joined_drives import numbered
     from calm_edge.offline.map_drive import MAP
@@ -109,8 +110,7 @@ def fused(
             if depth is None:
                 continue
             window = part.placed.recording.window(record)
-            images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
-            mapper.add(numbered(update.submap, n), *depth, images)
+            mapper.add(numbered(update.submap, n), *depth, pictures(window, depth[0]))
     say("fusing and deforming the sub-maps")
     sizes = []
     with CloudWriter(out / MAP, replace=True) as cloud:

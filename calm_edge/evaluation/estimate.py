@@ -240,25 +240,34 @@ def from_recording(path: Path) -> Estimate:
     return recorded(recording, list(recording.updates()))
 
 
-def recorded(recording: Recording, updates: Sequence[LocalizerUpdate]) -> Estimate:
-    """Estimate from a recording and its updates. Raises RecordingError.
+def of_recording(
+    source: str, recording: Recording, updates: Sequence[LocalizerUpdate], spacing_m: float | None
+) -> Estimate:
+    """Estimate of the updates, with what a recording says besides; without live poses.
 
     The pose age is the last `pose_age_ms` on the topic /status, else computed from publish time
-    and exposure of the logged poses.
+    and exposure of the logged poses. Raises RecordingError.
     """
     from calm_edge.recording.schema import IMAGE_TOPICS, STATUS
 
-    path = recording.path
     ages = [s["pose_age_ms"] for s in recording.json_messages(STATUS) if s.get("pose_age_ms")]
     first = next(recording.frames(Eye.PRIMARY), None)
-    estimate = from_updates(
-        str(path),
+    return from_updates(
+        source,
         updates,
         recording.count(IMAGE_TOPICS[Eye.PRIMARY]),
-        recording.config.scale.spacing_m,
-        ages[-1] if ages else _published_ages(path),
+        spacing_m,
+        ages[-1] if ages else _published_ages(recording.path),
         (first.sequence, first.t_ns) if first else None,
     )
+
+
+def recorded(recording: Recording, updates: Sequence[LocalizerUpdate]) -> Estimate:
+    """Estimate from a recording and its updates. Raises RecordingError."""
+    from calm_edge.recording.schema import STATUS
+
+    path = recording.path
+    estimate = of_recording(str(path), recording, updates, recording.config.scale.spacing_m)
     live = tuple(sorted(recording.poses(), key=lambda sample: sample.t_ns))
     metre = estimate.metre
     if not estimate.submaps:

@@ -8,7 +8,7 @@ inverses also converge near 90 degrees off the axis.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Self
@@ -183,9 +183,8 @@ class Perspective(Camera):
         seen = np.stack([(uv[..., 0] - self.cx) / self.fx, (uv[..., 1] - self.cy) / self.fy], -1)
         if self.is_pinhole:
             return seen
-        r = np.tan(TABLE_RAD[self.max_angle > TABLE_RAD])
         radius = np.linalg.norm(seen, axis=-1, keepdims=True)
-        table = r * radial(r**2, self.distortion)[0]
+        table, r = _table(self.distortion)
         q = seen * np.interp(radius, table, r) / np.maximum(radius, 1e-300)
         shown = radius[..., 0] < TABLE_REACH * table[-1]
         with np.errstate(all="ignore"):
@@ -218,17 +217,27 @@ class Perspective(Camera):
 def project_each(cameras: Sequence[Camera], view: Int, p_c: Float) -> Float:
     """Project points (M, 3), in the axes of views (M,), to pixels (M, 2) of these views."""
     uv = np.empty((len(p_c), 2))
-    for n in np.unique(view):
-        uv[view == n] = cameras[n].project(p_c[view == n])
+    for camera, rows in _by_camera(cameras, view):
+        uv[rows] = camera.project(p_c[rows])
     return uv
 
 
 def back_project_each(cameras: Sequence[Camera], view: Int, uv: Float, depth: Float) -> Float:
     """Back-project pixels (M, 2) of views (M,) with z-depths (M,) to points in the views' axes."""
     p_c = np.empty((len(uv), 3))
-    for n in np.unique(view):
-        p_c[view == n] = cameras[n].back_project(uv[view == n], depth[view == n])
+    for camera, rows in _by_camera(cameras, view):
+        p_c[rows] = camera.back_project(uv[rows], depth[rows])
     return p_c
+
+
+def _by_camera(cameras: Sequence[Camera], view: Int) -> Iterator[tuple[Camera, NDArray[np.bool_]]]:
+    """The cameras of views (M,), each once, and a mask (M,) of the rows that it has seen."""
+    number = {camera: n for n, camera in enumerate(dict.fromkeys(cameras))}
+    of_view = np.array([number[camera] for camera in cameras])[view]
+    for camera, n in number.items():
+        rows = of_view == n
+        if rows.any():
+            yield camera, rows
 
 
 def _entries(K: Float) -> tuple[float, float, float, float]:
@@ -251,6 +260,13 @@ def _perspective_limit(distortion: tuple[float, ...]) -> float:
     radius, D = Polynomial([0, 1, 0, k1, 0, k2, 0, k3]), Polynomial([1, 0, k4, 0, k5, 0, k6])
     slope = radius.deriv() * D - radius * D.deriv()
     return float(np.arctan(min(first_root(slope, np.inf), first_root(D, np.inf))))
+
+
+@lru_cache
+def _table(distortion: tuple[float, ...]) -> tuple[Float, Float]:
+    """Distorted radii, increasing, and those without distortion, below the limit."""
+    r = np.tan(TABLE_RAD[_perspective_limit(distortion) > TABLE_RAD])
+    return r * radial(r**2, distortion)[0], r
 
 
 def first_root(polynomial: Polynomial, end: float) -> float:

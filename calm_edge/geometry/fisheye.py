@@ -52,7 +52,7 @@ class Fisheye(Camera):
 
     def project_jacobian(self, p_c: Float) -> Float:
         rho, angle = _off_axis(p_c)
-        radius, slope = self._radius(angle)
+        radius, slope = _radius(angle, self.distortion), _slope(angle, self.distortion)
         square, gain = rho**2 + p_c[..., 2] ** 2, radius / rho
         bend = (slope * p_c[..., 2] / square - gain) / rho**2
         along = np.concatenate([bend[..., None] * p_c[..., :2], -(slope / square)[..., None]], -1)
@@ -63,17 +63,16 @@ class Fisheye(Camera):
 
     def rays(self, uv: Float) -> Float:
         q = (uv - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
-        r, angles = np.linalg.norm(q, axis=-1), TABLE_RAD[self.max_angle > TABLE_RAD]
-        table = self._radius(angles)[0]
+        r = np.linalg.norm(q, axis=-1)
+        table, angles = _table(self.distortion)
         angle, shown = np.interp(r, table, angles), r < TABLE_REACH * table[-1]
         with np.errstate(all="ignore"):
             for _ in range(NEWTON_STEPS):
-                radius, slope = self._radius(angle)
-                step = (radius - r) / slope
+                step = (_radius(angle, self.distortion) - r) / _slope(angle, self.distortion)
                 angle = angle - step
                 if not (np.abs(step[shown]) > LAST_STEP).any():
                     break
-            met = np.abs(self._radius(angle)[0] - r) < 1e-9
+            met = np.abs(_radius(angle, self.distortion) - r) < 1e-9
             across = q * (np.sin(angle) / np.maximum(r, 1e-300))[..., None]
         ray = np.concatenate([across, np.cos(angle)[..., None]], -1)
         return np.where((met & (angle < self.max_angle))[..., None], ray, np.nan)
@@ -84,17 +83,12 @@ class Fisheye(Camera):
 
     def _plane(self, p_c: Float) -> Float:
         rho, angle = _off_axis(p_c)
-        return np.asarray(p_c[..., :2] * (self._radius(angle)[0] / rho)[..., None])
+        return np.asarray(p_c[..., :2] * (_radius(angle, self.distortion) / rho)[..., None])
 
     def _terms(self, p_c: Float) -> Float:
         rho, angle = _off_axis(p_c)
         powers = angle[..., None] ** np.arange(3, 3 + 2 * len(self.distortion), 2) / rho[..., None]
         return np.asarray(p_c[..., :2, None] * powers[..., None, :])
-
-    def _radius(self, angle: Float) -> tuple[Float, Float]:
-        """Image radius [focal lengths] at angles [rad], and its derivative."""
-        radius = _odd(self.distortion)
-        return radius(angle), radius.deriv()(angle)
 
 
 def angle_radial(s: Float, k: Sequence[Float | float]) -> tuple[Float, Float]:
@@ -129,13 +123,33 @@ def _off_axis(p_c: Float) -> tuple[Float, Float]:
     return rho, np.arctan2(rho, z)
 
 
-def _odd(distortion: tuple[float, ...]) -> Polynomial:
-    """Image radius as a polynomial of the angle."""
-    odd = np.zeros(2 * len(distortion) + 2)
-    odd[1::2] = (1.0, *distortion)
-    return Polynomial(odd)
+def _radius(angle: Float, distortion: tuple[float, ...]) -> Float:
+    """Image radius [focal lengths] at angles [rad]."""
+    return _even(angle, (1.0, *distortion)) * angle
+
+
+def _slope(angle: Float, distortion: tuple[float, ...]) -> Float:
+    """Derivative of `_radius` by the angle."""
+    return _even(angle, [(2 * n + 1) * term for n, term in enumerate((1.0, *distortion))])
+
+
+def _even(x: Float, terms: Sequence[float]) -> Float:
+    """c0 + c1 x^2 + c2 x^4 + ... of the terms c, by Horner's rule."""
+    total = np.full(np.shape(x), terms[-1])
+    for term in reversed(terms[:-1]):
+        total = total * x * x + term
+    return total
+
+
+@lru_cache
+def _table(distortion: tuple[float, ...]) -> tuple[Float, Float]:
+    """Image radii [focal lengths], increasing, and their angles [rad], below the limit."""
+    angles = TABLE_RAD[_fisheye_limit(distortion) > TABLE_RAD]
+    return _radius(angles, distortion), angles
 
 
 @lru_cache
 def _fisheye_limit(distortion: tuple[float, ...]) -> float:
-    return first_root(_odd(distortion).deriv(), np.pi / 2)
+    slope = np.zeros(2 * len(distortion) + 1)
+    slope[::2] = [(2 * n + 1) * term for n, term in enumerate((1.0, *distortion))]
+    return first_root(Polynomial(slope), np.pi / 2)

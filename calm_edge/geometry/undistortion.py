@@ -6,20 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calm_edge.geometry.camera import Camera, Float32, Perspective
+from calm_edge.geometry.camera import Camera, Float, Float32, Perspective
 
 
 @dataclass(frozen=True, slots=True)
 class Undistortion:
-    """Maps for cv2.remap to a pinhole camera. map_x, map_y: (H, W) px, -1 for invalid pixels.
+    """Maps for cv2.remap from a lens's picture to that of a pinhole camera of the same size.
 
-    cut: share of the original image that is outside the pinhole camera's image.
+    map_x, map_y: (H, W) px, -1 for invalid pixels.
     """
 
+    lens: Camera
     camera: Perspective
     map_x: Float32
     map_y: Float32
-    cut: float
+
+    @property
+    def cut(self) -> float:
+        """Share of the original picture that is outside the pinhole camera's."""
+        pixels = _pixels(self.lens)
+        seen = self.camera.project(self.lens.back_project(pixels, np.ones(pixels.shape[:2])))
+        size = np.array([self.lens.width, self.lens.height])
+        kept = ((seen > -0.5 - 1e-6) & (seen < size - 0.5 + 1e-6)).all(-1)
+        return float(1 - kept.mean())
 
 
 def undistortion(lens: Camera, max_fov_deg: float = 100.0) -> Undistortion:
@@ -34,10 +43,13 @@ def undistortion(lens: Camera, max_fov_deg: float = 100.0) -> Undistortion:
     reach = np.tan(np.minimum(angle, np.radians(max_fov_deg) / 2))
     fx = float(np.max(np.abs(sides - lens.cx) / reach))
     pinhole = Perspective(fx, fx * lens.fy / lens.fx, lens.cx, lens.cy, *size)
-    pixels = np.stack(np.meshgrid(*map(np.arange, size)), -1).astype(np.float64)
-    rays = pinhole.rays(pixels)
+    rays = pinhole.rays(_pixels(pinhole))
     uv = np.where(rays[..., 2:] > np.cos(lens.max_angle), lens.project(rays), -1.0)
-    seen = pinhole.project(lens.back_project(pixels, np.ones(pixels.shape[:2])))
-    kept = ((seen > -0.5 - 1e-6) & (seen < np.array(size) - 0.5 + 1e-6)).all(-1)
     map_x, map_y = np.moveaxis(uv.astype(np.float32), -1, 0)
-    return Undistortion(pinhole, map_x, map_y, float(1 - kept.mean()))
+    return Undistortion(lens, pinhole, map_x, map_y)
+
+
+def _pixels(camera: Camera) -> Float:
+    """All pixels (H, W, 2) of a camera's picture."""
+    across = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    return np.stack(across, -1).astype(np.float64)

@@ -59,6 +59,8 @@ def extract(
     tables = [seeds]
     for t in range(n_views):
         pixel = draw_candidates(views.usable[t], ~filled[t], grid, rng)
+        if not len(pixel):
+            continue
         own = np.full(len(pixel), t)
         uv = views.to_image(own, np.stack([pixel % width, pixel // width], -1))
         p_s = lift(views, own, uv, 1 / views.inverse_depth[t].reshape(-1)[pixel].astype(float))

@@ -61,11 +61,12 @@ class Mapper:
         submap: Submap,
         depth: Float32,
         confidence: Float32,
-        images: Sequence[NDArray[np.uint8]],
+        images: Sequence[NDArray[np.uint8] | None],
     ) -> None:
         """Add a sub-map with depth (N, h, w), raw unit, confidence (N, h, w) and N BGR images.
 
-        Raises MappingError if their sizes do not match or the id has been added before.
+        An image may be None if its view has no depth. Raises MappingError if their
+        sizes do not match or the id has been added before.
         """
         fresh = self._skeleton.add(submap, depth, confidence, images)
         self._placed[submap.id] = submap

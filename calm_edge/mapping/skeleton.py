@@ -51,7 +51,7 @@ class Skeleton:
         submap: Submap,
         depth: Float32,
         confidence: Float32,
-        images: Sequence[NDArray[np.uint8]],
+        images: Sequence[NDArray[np.uint8] | None],
     ) -> dict[int, AnchorTable]:
         """Add a sub-map; returns the new anchor rows by sub-map id, propagated ones included.
 

@@ -17,7 +17,8 @@ from calm_edge.types import Bytes, Float32, Int
 class SpooledDepth:
     """Depth of a sub-map. depth: (N, h, w) raw unit. confidence: (N, h, w) in 1/255.
 
-    image_size: (N, 2) width, height of the full images, px.
+    image_size: (N, 2) width, height of the full images, px; of a view without image, that of its
+    depth.
     """
 
     depth: Float32
@@ -37,9 +38,11 @@ class Spool:
         submap_id: int,
         depth: Float32,
         confidence: Float32,
-        images: Sequence[NDArray[np.uint8]],
+        images: Sequence[NDArray[np.uint8] | None],
     ) -> None:
         """Write depth and confidence (N, h, w), and N BGR images resized to (h, w).
+
+        An image may be None if its view has no depth; its colours are then black.
 
         Raises MappingError if the numbers of views differ or the file cannot be written.
         """
@@ -51,7 +54,12 @@ class Spool:
                 "run calm-edge map again"
             )
         size = depth.shape[2], depth.shape[1]
-        small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in images]
+        small = np.zeros((*depth.shape, 3), np.uint8)
+        sizes = np.full((len(depth), 2), size)
+        for view, image in enumerate(images):
+            if image is not None:
+                small[view] = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+                sizes[view] = image.shape[1::-1]
         try:
             # renamed once complete: an interrupted `map` finds whole files only
             part = self._path(submap_id).with_suffix(".part")
@@ -61,8 +69,8 @@ class Spool:
                     depth=depth.astype(np.float32),
                     # round down, so that a confidence below the threshold stays below it
                     confidence=(np.clip(confidence, 0, 1) * 255 + 1e-3).astype(np.uint8),
-                    color=np.stack(small)[..., ::-1],
-                    image_size=np.array([image.shape[1::-1] for image in images], np.int64),
+                    color=small[..., ::-1],
+                    image_size=sizes.astype(np.int64),
                 )
             part.replace(self._path(submap_id))
         except OSError as error:

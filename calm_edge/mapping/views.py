@@ -118,13 +118,17 @@ def lift_all(views: DenseViews) -> tuple[Int, Float, Float32]:
     n, height, width = views.inverse_depth.shape
     row, column = np.divmod(np.arange(height * width), width)
     pixels = np.stack([column, row], -1)
+    # the pictures of a camera have the same directions
+    seen: dict[tuple[Camera, tuple[float, ...]], Float] = {}
     found = [np.flatnonzero(usable) for usable in views.usable.reshape(n, -1)]
     points, depths = [np.empty((0, 3))], [np.empty(0, np.float32)]
     for view, pixel in enumerate(found):
         depth = 1 / views.inverse_depth[view].reshape(-1)[pixel]
-        uv = views.to_image(np.array(view), pixels[pixel])
+        key = views.cameras[view], tuple(views.map_per_image[view])
+        if key not in seen:
+            seen[key] = key[0].normalized(views.to_image(np.array(view), pixels))
         T = views.T_s_c[view]
-        p_c = views.cameras[view].back_project(uv, depth)
+        p_c = np.column_stack([seen[key][pixel] * depth[:, None], depth])
         points.append(p_c @ T[:3, :3].T + T[:3, 3])
         depths.append(depth)
     pixel = np.concatenate([k * height * width + found_k for k, found_k in enumerate(found)])
@@ -159,21 +163,31 @@ def sample(views: DenseViews, view: Int, uv: NDArray[np.floating]) -> Float:
 def sight(views: DenseViews, p_s: Float, tolerance: float) -> Sightings:
     """Project points (M, 3), sub-map frame, into all views and compare with their depth D.
 
-    A view agrees if |z - D(u)| <= tolerance D(u) (paper VI-A.1).
+    A view agrees if |z - D(u)| <= tolerance D(u) (paper VI-A.1). Of views without depth uv is 0.
     """
-    T_c_s = se3.inverse(views.T_s_c)
-    p_c = np.moveaxis(T_c_s[:, :3, :3] @ p_s.T + T_c_s[:, :3, 3:], 2, 0)
-    z = p_c[..., 2]
-    uv = np.stack([c.project(p_c[:, n]) for n, c in enumerate(views.cameras)], 1)
-    front = np.stack([c.within_reach(p_c[:, n]) for n, c in enumerate(views.cameras)], 1)
-    view = np.broadcast_to(np.arange(len(T_c_s)), z.shape)
-    seen = sample(views, view, uv)
-    known = (seen > 0) & front
-    return Sightings(
-        np.clip(uv, -1e6, 1e6).astype(np.float32),
-        known & (np.abs(z - seen) <= tolerance * seen),
-        known & (z < (1 - tolerance) * seen),
+    shape = len(p_s), len(views.cameras)
+    found = Sightings(
+        np.zeros((*shape, 2), np.float32), np.zeros(shape, bool), np.zeros(shape, bool)
     )
+    T_c_s = se3.inverse(views.T_s_c)
+    for camera, of_camera in _views_by_camera(views).items():
+        T = T_c_s[of_camera]
+        p_c = np.moveaxis(T[:, :3, :3] @ p_s.T + T[:, :3, 3:], 2, 0)
+        z, uv = p_c[..., 2], camera.project(p_c)
+        seen = sample(views, np.broadcast_to(of_camera, z.shape), uv)
+        known = (seen > 0) & camera.within_reach(p_c)
+        found.uv[:, of_camera] = np.clip(uv, -1e6, 1e6)
+        found.agrees[:, of_camera] = known & (np.abs(z - seen) <= tolerance * seen)
+        found.floats[:, of_camera] = known & (z < (1 - tolerance) * seen)
+    return found
+
+
+def _views_by_camera(views: DenseViews) -> dict[Camera, Int]:
+    """Indices of the views that have depth, by their camera."""
+    found: dict[Camera, list[int]] = {}
+    for view in np.flatnonzero(views.usable.any((1, 2))).tolist():
+        found.setdefault(views.cameras[view], []).append(view)
+    return {camera: np.array(of_camera) for camera, of_camera in found.items()}
 
 
 def confirmed(sightings: Sightings, own_view: Int) -> Bool:

@@ -21,7 +21,15 @@ from calm_edge.geometry import picture_mask
 from calm_edge.processes import CHILD_ENVIRONMENT, environment, follow_parent, signals_held
 from calm_edge.recording.reader import Recording
 from calm_edge.recording.window_record import WindowRecord, window_hints
-from calm_edge.types import CalmEdgeError, Float32, Int, LocalizerUpdate, Masks
+from calm_edge.types import (
+    Bytes,
+    CalmEdgeError,
+    Float32,
+    Int,
+    LocalizerUpdate,
+    Masks,
+    SubmapWindow,
+)
 
 WORKERS = 2
 # windows submitted ahead, which bounds the depth maps held in memory
@@ -99,6 +107,12 @@ def _densify(record: WindowRecord, update: LocalizerUpdate) -> tuple[Float32, Fl
     if confidence is None:
         confidence = np.ones_like(prediction.depth)
     return used_depth(prediction.depth, update.masks, record.eyes), confidence
+
+
+def pictures(window: SubmapWindow, depth: Float32) -> list[Bytes | None]:
+    """Pictures (H, W, 3) BGR of the views of a window, None of those without depth (N, h, w)."""
+    each = zip(window.keyframes(), depth, strict=True)
+    return [keyframe.frame.bgr() if known.any() else None for keyframe, known in each]
 
 
 def used_depth(depth: Float32, masks: Masks | None, eyes: Int) -> Float32:

@@ -12,7 +12,7 @@ import numpy as np
 
 from calm_edge.config import Config
 from calm_edge.mapping.spool import Spool
-from calm_edge.offline.densify import densified
+from calm_edge.offline.densify import densified, pictures
 from calm_edge.offline.drive import Drive
 from calm_edge.offline.progress import Progress
 from calm_edge.offline.shared_places import JoinError, PlacedDrive
@@ -58,8 +58,7 @@ def write_part(
         if isinstance(depth, str):
             losses.append(depth)
             continue
-        images = [keyframe.frame.bgr() for keyframe in recording.window(record).keyframes()]
-        spool.write(record.submap_id, *depth, images)
+        spool.write(record.submap_id, *depth, pictures(recording.window(record), depth[0]))
     content = {"recording": str(recording.path.resolve()), "losses": losses}
     replace_text(out / DONE, json.dumps(content) + "\n")
     return losses

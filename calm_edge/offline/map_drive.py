@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from calm_edge.config import Config, merge
-from calm_edge.evaluation.estimate import Estimate, from_recording, from_updates
+from calm_edge.evaluation.estimate import Estimate, of_recording
 from calm_edge.mapping.cloud_file import CloudWriter
 from calm_edge.mapping.mapper import Mapper
 from calm_edge.mapping.seams import Seam, SeamSummary
 from calm_edge.mapping.spool import Spool
-from calm_edge.offline.densify import densified
+from calm_edge.offline.densify import densified, pictures
 from calm_edge.offline.drive import Drive
 from calm_edge.offline.map_times import MapTimes
 from calm_edge.offline.progress import Progress
@@ -75,9 +75,7 @@ def make_cloud(
             drive.losses.append(depth)
             continue
         with times.stage("anchors"):
-            window = recording.window(record)
-            images = [keyframe.frame.bgr() for keyframe in window.keyframes()]
-            mapper.add(update.submap, *depth, images)
+            mapper.add(update.submap, *depth, pictures(recording.window(record), depth[0]))
         progress.step(free=done)
     say("fusing and deforming the sub-maps")
     sizes = []
@@ -108,17 +106,14 @@ def write_trajectory(
 
     quality: name of the preset.
     """
-    logged, origin_ns = from_recording(recording.path), recording.origin_ns
-    first = logged.first_frame
-    estimate = from_updates(
-        str(out),
-        drive.updates,
-        logged.frames,
-        config.scale.spacing_m,
-        logged.pose_age_ms,
-        None if first is None else (first[0], first[1] - origin_ns),
+    origin_ns = recording.origin_ns
+    estimate = of_recording(str(out), recording, drive.updates, config.scale.spacing_m)
+    first = estimate.first_frame
+    estimate = replace(
+        estimate,
+        t_ns=estimate.t_ns - origin_ns,
+        first_frame=None if first is None else (first[0], first[1] - origin_ns),
     )
-    estimate = replace(estimate, t_ns=estimate.t_ns - origin_ns)
     write_tum(out / TUM, estimate.t_ns, estimate.T_w_c)
     write_kitti(out / KITTI, estimate.T_w_c)
     write_submaps(out / SUBMAPS, config, drive, origin_ns)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 from calm_edge.geometry.camera import Camera, Perspective
@@ -23,17 +24,25 @@ _MATRICES = {
 def encode(camera: Camera) -> dict[str, Any]:
     """Encode a camera as the name of its model and all its fields; floats are stored exactly."""
     model = next(name for name, kind in MODELS.items() if isinstance(camera, kind))
-    return {"model": model, **asdict(camera)}
+    return {"model": model, **{field.name: getattr(camera, field.name) for field in fields(camera)}}
 
 
 def decode(value: Any) -> Camera:
     """Decode a camera of `encode`; raises RecordingError."""
     try:
-        fields = dict(value)
-        kind = MODELS[fields.pop("model")]
-        return kind(**{**fields, "distortion": tuple(fields["distortion"])})
+        known = dict(value)
+        model, distortion = known.pop("model"), tuple(known.pop("distortion"))
+        return _camera(model, distortion, tuple(known.items()))
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"camera {value!r}: not a valid camera record ({error})") from None
+
+
+@lru_cache
+def _camera(
+    model: str, distortion: tuple[float, ...], others: tuple[tuple[str, float], ...]
+) -> Camera:
+    """The camera with these fields, one for all views of an eye."""
+    return MODELS[model](**dict(others), distortion=distortion)  # type: ignore[arg-type]
 
 
 def replace_matrices(

@@ -13,6 +13,7 @@ import json
 import math
 import types
 from enum import Enum
+from functools import cache
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -97,7 +98,11 @@ def flatten(value: Any, prefix: str = "") -> tuple[dict[str, Any], Arrays]:
 
 def array_bytes(value: Any) -> int:
     """Return the size of the arrays in a dataclass."""
-    return sum(array.nbytes for array in flatten(value)[1].values())
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if not dataclasses.is_dataclass(value):
+        return 0
+    return sum(array_bytes(getattr(value, field.name)) for field in dataclasses.fields(value))
 
 
 def _plain(value: Any) -> Any:
@@ -112,7 +117,7 @@ def unflatten(kind: type[T], header: dict[str, Any], arrays: Arrays, prefix: str
     Raises RecordingError if a field without a default is absent.
     """
     values: dict[str, Any] = {}
-    hints: dict[str, Any] = get_type_hints(kind)
+    hints = _type_hints(kind)  # type: ignore[arg-type]
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         name = prefix + field.name
         hint: Any = hints[field.name]
@@ -137,6 +142,11 @@ def unflatten(kind: type[T], header: dict[str, Any], arrays: Arrays, prefix: str
         return kind(**values)
     except TypeError as error:
         raise RecordingError(f"{kind.__name__}: incomplete record ({error})") from None
+
+
+@cache
+def _type_hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)
 
 
 def encode(name: str, header: dict[str, Any], arrays: Arrays) -> bytes:

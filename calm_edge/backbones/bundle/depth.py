@@ -110,14 +110,16 @@ def sweep_window(
         if across is not None:
             moving[i] = contradicted(across, views[i].zeta / np.float32(step))
     depth, confidence = np.zeros((2, len(images), size[1], size[0]), np.float32)
+    pairs = [(prediction.cameras[i], cameras[i]) for i in views]
+    there = {pair: _places(*pair, size) for pair in pairs if pair[0] is not pair[1]}
     for i, view in views.items():
         others = [views[j] for j in compared[i]]
         parts = judge(agree(view, others, AGREE_RELATIVE, AGREE_STEPS * step))
         if i in moving:
             gone = region(moving[i] & (parts[1] > CONFIDENT))
             parts[0][gone] = parts[1][gone] = 0
-        lens, camera = prediction.cameras[i], cameras[i]
-        depth[i], confidence[i] = (_as_seen(part, lens, camera) for part in parts)
+        place = there.get((prediction.cameras[i], cameras[i]))
+        depth[i], confidence[i] = (_as_seen(part, place) for part in parts)
     return depth, confidence
 
 
@@ -162,19 +164,26 @@ def _straightened(gray: Bytes, straight: Undistortion | None) -> Bytes:
     return np.asarray(seen, np.uint8)
 
 
-def _as_seen(part: Float32, lens: Camera, pinhole: Camera) -> Float32:
-    """Values (h, w) of the pixels of an undistorted picture at those of the picture as it is."""
-    if lens is pinhole:
-        return part
-    h, w = part.shape
+def _places(lens: Camera, pinhole: Camera, size: tuple[int, int]) -> Float32:
+    """Where the pixels of a lens's picture of w x h px are in the undistorted one: (2, h, w) px."""
+    w, h = size
     small = [camera.scaled(w / camera.width, h / camera.height) for camera in (lens, pinhole)]
     pixels = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
     rays = small[0].rays(pixels)
     seen = rays[..., 2] > MIN_COSINE
     there = np.where(seen[..., None], small[1].project(np.where(seen[..., None], rays, 1.0)), -1.0)
-    x, y = np.moveaxis(there.astype(np.float32), -1, 0)
+    return np.moveaxis(there.astype(np.float32), -1, 0)
+
+
+def _as_seen(part: Float32, place: Float32 | None) -> Float32:
+    """Values (h, w) of the pixels of an undistorted picture at those of the picture as it is.
+
+    place: of `_places`; None where the two are the same.
+    """
+    if place is None:
+        return part
     # the nearest: between two depths there is nothing
-    return np.asarray(cv2.remap(part, x, y, cv2.INTER_NEAREST), np.float32)
+    return np.asarray(cv2.remap(part, place[0], place[1], cv2.INTER_NEAREST), np.float32)
 
 
 def judge(agreement: Agreement) -> tuple[Float32, Float32]:
