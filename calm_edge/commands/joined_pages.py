@@ -47,7 +47,6 @@ def write_pages(
     from calm_edge.report.account import unit
     from calm_edge.report.joined_page import JoinedData, write_joined
     from calm_edge.report.joined_view import joined as joined_view
-    from calm_edge.report.keyframe_pictures import MAX_PAIRS
     from calm_edge.report.map_page import write_map_page
 
     together = [each for each in finished if not each.apart]
@@ -55,7 +54,7 @@ def write_pages(
     views = []
     for each in together:
         own = each.part.placed.recording, each.part.config, each.drive, each.estimate
-        most = max(MAX_PAIRS // len(together), 2)
+        most = max(options.pairs // len(together), 2)
         views.append(drive_view(*own, each.color, each.tiles, (), options, most))
     view = joined_view(title, [each.name for each in together], views)
     marks = [np.zeros((0, 4), np.float32), *(seam.marks for seam in seams)]

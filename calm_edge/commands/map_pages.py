@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from calm_edge.report.map_page import MapView
     from calm_edge.types import Bytes, Int
 
+# keyframes with pictures in map.html of a preview: each takes about 6 ms
+PREVIEW_PAIRS = 100
+
 
 @dataclass(frozen=True, slots=True)
 class Options:
@@ -32,6 +35,13 @@ class Options:
     quality: str = "normal"
     pictures: bool = True
     blur: Blur | None = None
+
+    @property
+    def pairs(self) -> int:
+        """Most keyframes whose pictures are in map.html."""
+        from calm_edge.report.keyframe_pictures import MAX_PAIRS
+
+        return PREVIEW_PAIRS if self.quality == "preview" else MAX_PAIRS
 
 
 def title(recording: Recording) -> str:
@@ -58,13 +68,13 @@ def drive_view(
     """
     from calm_edge.report.drive_view import map_view
     from calm_edge.report.events import marked_events
-    from calm_edge.report.keyframe_pictures import MAX_PAIRS, keyframe_pictures
+    from calm_edge.report.keyframe_pictures import keyframe_pictures
 
     origin = recording.origin_ns
     stamps = estimate.t_ns + origin
     shown: Sequence[KeyframePictures] = ()
     if options.pictures:
-        pairs = MAX_PAIRS if most is None else most
+        pairs = options.pairs if most is None else most
         shown = keyframe_pictures(recording, drive.windows, stamps, options.blur, pairs)
     submaps = [update.submap for update in drive.updates]
     grain = config.mapping.cloud_voxel * config.scale.spacing

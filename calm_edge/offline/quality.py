@@ -8,7 +8,7 @@ from typing import Any
 # that get depth and with the area of the depth maps; a map of few points also draws sooner.
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "preview": {
-        "backbone": {"depth_side_px": 128, "depth_every": 3},
+        "backbone": {"depth_side_px": 120, "depth_every": 3},
         "mapping": {"grid": 16, "cloud_voxel": 0.4},
     },
     "normal": {},

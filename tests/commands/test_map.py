@@ -1,10 +1,12 @@
-"""`map` solves with one thread of linear algebra for each process."""
+"""`map` solves with one thread of linear algebra for each process; a preview has fewer pictures."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 from pathlib import Path
+
+from calm_edge.commands.map_pages import Options
 
 
 def test_linear_algebra_has_one_thread(tmp_path: Path) -> None:
@@ -21,3 +23,7 @@ def test_linear_algebra_has_one_thread(tmp_path: Path) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
     )
     assert run.stdout.split() == ["False", "1", "1"]
+
+
+def test_a_preview_has_pictures_of_fewer_keyframes() -> None:
+    assert Options("preview").pairs < Options().pairs == Options("fine").pairs

@@ -29,6 +29,13 @@ def test_depth_confidence_and_colour_are_read_back(tmp_path):
     assert (color[0] == [0, 0, 200]).all() and (color[1] == [100, 0, 0]).all()
 
 
+def test_a_view_without_picture_is_black(tmp_path):
+    spool = Spool(tmp_path)
+    spool.write(0, DEPTH, CONFIDENCE, [None, images()[1]])
+    assert not spool.color(0)[0].any() and (spool.color(0)[1] == [100, 0, 0]).all()
+    assert spool.depth(0).image_size.tolist() == [[20, 12], [60, 48]]
+
+
 def test_confidence_is_never_rounded_up_and_bytes_survive(tmp_path):
     spool = Spool(tmp_path)
     half = np.full_like(DEPTH, 0.5)

@@ -103,6 +103,23 @@ def test_points_agree_are_hidden_or_float_in_a_view(piece):
     assert not behind.agrees.any() and not behind.floats.any()
 
 
+def test_a_view_without_depth_sights_nothing_and_changes_no_other(piece):
+    views = piece.views()
+    view, xy = everywhere(views)
+    uv = views.to_image(view, xy)
+    p_s = lift(views, view, uv, sample(views, view, uv))
+    usable = views.usable.copy()
+    usable[1] = False
+    full, less = (
+        sight(views, p_s, 0.02),
+        sight(dataclasses.replace(views, usable=usable), p_s, 0.02),
+    )
+    assert full.agrees[:, 1].any() and not (less.agrees[:, 1] | less.floats[:, 1]).any()
+    for name in ("uv", "agrees", "floats"):
+        there, here = (np.delete(getattr(found, name), 1, axis=1) for found in (full, less))
+        np.testing.assert_array_equal(here, there)
+
+
 def test_confirmation_needs_another_view_and_no_contradicting_majority():
     agrees = np.array([[1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0]], bool)
     floats = np.array([[0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 1, 1], [0, 0, 0, 1]], bool)

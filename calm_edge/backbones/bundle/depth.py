@@ -24,7 +24,7 @@ from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 
 DEPTH_SIDE_PX = 192
 OVERSAMPLE = 2
-PLANES = 64
+PLANES = 64  # of depth maps of DEPTH_SIDE_PX or more
 # The nearest plane has NEAR_SHARE times the depth that NEAR_PERCENT % of the landmarks are below:
 # landmarks lie on texture, and the road before the bumper is nearer than any of them.
 NEAR_PERCENT = 1.0
@@ -90,7 +90,8 @@ def sweep_window(
         for i, g in enumerate(gray)
     ]
     nearest = nearest_depth(prediction.without_loop() if hints.loop else prediction)
-    zeta = np.linspace(0, 1 / nearest, PLANES)
+    planes = plane_count(side_px)
+    zeta = np.linspace(0, 1 / nearest, planes)
     small = [_shrink(g, size) for g in gray]
     t_ns = np.asarray(hints.t_ns)
     everything = np.arange(len(images))
@@ -103,7 +104,7 @@ def sweep_window(
     step = float(zeta[1] - zeta[0])
     for i in kept.tolist():
         both = reject_moving and eyes[matched[i][:1]].tolist() == [1 - eyes[i]]
-        across = np.zeros((PLANES, size[1], size[0]), np.float32) if both else None
+        across = np.zeros((planes, size[1], size[0]), np.float32) if both else None
         scores = match_scores(sweep[i], [sweep[j] for j in matched[i]], zeta, size, across)
         camera = _resized(cameras[i], gray[i], size)
         views[i] = DepthView(choose(scores, small[i], zeta), camera, prediction.T_s_c[i])
@@ -121,6 +122,11 @@ def sweep_window(
         place = there.get((prediction.cameras[i], cameras[i]))
         depth[i], confidence[i] = (_as_seen(part, place) for part in parts)
     return depth, confidence
+
+
+def plane_count(side_px: int) -> int:
+    """Number of planes for depth maps of a longer side: of smaller ones the step in px is kept."""
+    return round(PLANES * min(1.0, side_px / DEPTH_SIDE_PX))
 
 
 def depth_views(eyes: Int, loop: bool, every: int) -> Int:

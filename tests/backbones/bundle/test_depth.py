@@ -9,10 +9,12 @@ import pytest
 from calm_edge.backbones.bundle.agreement import Agreement
 from calm_edge.backbones.bundle.depth import (
     FARTHEST,
+    PLANES,
     depth_views,
     judge,
     nearest_depth,
     neighbours,
+    plane_count,
     sweep_window,
 )
 from calm_edge.geometry import se3
@@ -106,6 +108,10 @@ def test_depth_of_every_second_view_in_fewer_pixels(turn):
     error, confidence, real = errors(turn, depth, confidence)
     sure = real & (confidence > 0.5)
     assert sure[kept].sum() > 0.2 * real[kept].sum() and np.median(error[sure]) < 0.03
+
+
+def test_smaller_depth_maps_have_fewer_planes_and_larger_ones_no_more():
+    assert [plane_count(side) for side in (96, 192, 288)] == [PLANES // 2, PLANES, PLANES]
 
 
 def test_a_loop_view_is_kept_and_matched_against_its_nearest(turn):
