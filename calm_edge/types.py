@@ -137,6 +137,8 @@ class Hints:
     travel: (3,) direction of travel of earlier batches, unit vector in the primary's axes, or None.
     masks: parts of the images that show no scene, or None.
     lengths: by the neighbouring batches, as far as they are solved.
+    lenses: known lens of each camera, or None: a backbone that knows pinhole cameras alone gets
+    pictures undistorted by it.
     """
 
     eyes: Int
@@ -155,6 +157,7 @@ class Hints:
     travel: Float | None = None
     masks: Masks | None = None
     lengths: tuple[PathLength, ...] = ()
+    lenses: tuple[Camera | None, Camera | None] = (None, None)
 
     def without_loop(self) -> Hints:
         """Hints of the window alone."""

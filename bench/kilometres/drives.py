@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from bench.drives import DATA
+from bench.kilometres.lenses import LENSES
 from bench.kilometres.streams import Streams
 from bench.scripted import ScriptedScene, Street
 from bench.scripted.scene import read_cameras, read_poses
 from calm_edge.config import Config
 from calm_edge.frontend.association import WindowBuilder
 from calm_edge.geometry import se3
-from calm_edge.geometry.camera import Perspective
+from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.geometry.polyline import path_length
 from calm_edge.recording import picture_folder, sequence_folder
 from calm_edge.types import Bytes, CalmEdgeError, Float, Int, Keyframe, SubmapWindow
@@ -57,12 +59,18 @@ class Drive:
 
 
 def kitti(
-    name: str, config: Config, seed: int = 0, streams: Streams | None = None, frames: int = 0
+    name: str,
+    config: Config,
+    seed: int = 0,
+    streams: Streams | None = None,
+    frames: int = 0,
+    lens: str = "",
 ) -> Drive:
     """Scripted drive along the poses of KITTI odometry `00` ... `10`.
 
     The rig and the assistant's field of view are drawn by the seed. frames: number of first poses
-    to use, 0 for all. Raises DriveError if the poses are missing.
+    to use, 0 for all. lens: of `lenses.LENSES`, empty for pinhole cameras. Raises DriveError if the
+    poses are missing.
     """
     path = TRAJECTORIES / f"kitti_odom_{name}.txt"
     if not path.is_file():
@@ -83,11 +91,12 @@ def kitti(
         KITTI_FOCAL_PX, KITTI_FOCAL_PX, (width - 1) / 2, (height - 1) / 2, width, height
     )
     assistant = Perspective.from_hfov(rng.uniform(70.0, 95.0), 1280, 400)
+    behind: Callable[[Perspective], Camera] = LENSES[lens] if lens else lambda camera: camera
     scene = ScriptedScene(
         t_ns=t_ns,
         T_w_p=T_w_p,
         T_p_a=rig(rng, KITTI_SPACING_M),
-        cameras=(primary, assistant),
+        cameras=(behind(primary), behind(assistant)),
         street=Street.along(T_w_p),
     )
     return cut(f"kitti_{name}", scene, config, streams or Streams(), seed)

@@ -70,7 +70,9 @@ def cached(drive: Drive, dials: ScriptedErrors, folder: Path = CACHE) -> CachedB
 
 
 def _key(hints: Hints) -> str:
-    return hashlib.sha256(hints.eyes.tobytes() + hints.t_ns.tobytes()).hexdigest()[:24]
+    key = hashlib.sha256(hints.eyes.tobytes() + hints.t_ns.tobytes())
+    key.update(repr(hints.lenses).encode())
+    return key.hexdigest()[:24]
 
 
 def _write(file: Path, prediction: Prediction) -> None:

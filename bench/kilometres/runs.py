@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
@@ -12,10 +12,15 @@ import numpy as np
 from bench.kilometres.drives import Drive
 from bench.kilometres.loops import ScriptedLoops
 from bench.kilometres.predictions import CachedBackbone
-from calm_edge.config import Config, merge
+from calm_edge.backbones.base import Backbone
+from calm_edge.backbones.undistorted import UndistortedPictures
+from calm_edge.config import CalibratedCameraConfig, CalibrationConfig, Config, merge
 from calm_edge.estimator.localizer import Localizer
+from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.geometry.similarity import align
-from calm_edge.types import Float, Int
+from calm_edge.types import Float, Int, Submap
+
+_OPTICS = "fx", "fy", "cx", "cy", "width", "height", "distortion"
 
 # Method to run instead of the Localizer; returns keyframe ids (N,) and T_w_p (N, 4, 4), any unit.
 Aligner = Callable[[Drive, CachedBackbone, Config, ScriptedLoops | None], tuple[Int, Float]]
@@ -26,11 +31,13 @@ class Variant:
     """A configuration of our method, or a baseline instead of it.
 
     changes: {section: {key: value}} to the configuration. aligner: runs instead of the Localizer.
+    calibrated: the lenses are known, and the pictures are undistorted.
     """
 
     name: str
     changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     aligner: Aligner | None = None
+    calibrated: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +46,8 @@ class Outcome:
 
     keyframe_ids: (N,). T_w_p: (N, 4, 4), any unit. ate_sim3_m, ate_se3_m: ATE [m] after similarity
     and after rigid alignment; the latter is meaningful since the spacing is given. ms: wall time
-    per sub-map, `finish` included. missing: number of keyframes without a pose.
+    per sub-map, `finish` included. missing: number of keyframes without a pose. focal_percent:
+    error of the focal lengths at the end, rms of both eyes; NaN for a baseline.
     """
 
     keyframe_ids: Int
@@ -50,6 +58,7 @@ class Outcome:
     n_submaps: int
     ms: float
     missing: int
+    focal_percent: float = float("nan")
 
     @property
     def percent(self) -> float:
@@ -73,11 +82,23 @@ def run(
     known = {"scale": {"spacing_m": spacing_m}, "loops": {"enabled": loops is not None}}
     config = merge(config or Config(), known)
     config = merge(config, {section: dict(keys) for section, keys in variant.changes.items()})
+    played: Backbone = backbone
+    if variant.calibrated:
+        config = replace(config, calibration=_calibration(drive))
+        played = UndistortedPictures(backbone)
+    focal_percent = float("nan")
     start = perf_counter()
     if variant.aligner:
         ids, T_w_p = variant.aligner(drive, backbone, config, loops)
     else:
-        ids, T_w_p = _localized(drive, backbone, config, loops, inspect)
+        localizer = _localized(drive, played, config, loops)
+        trajectory = localizer.finish()
+        ids, T_w_p = np.zeros(0, np.int64), np.zeros((0, 4, 4))
+        if inspect is not None:
+            inspect(localizer)
+        if trajectory is not None:
+            ids, T_w_p = trajectory.keyframe_ids, trajectory.T_w_c
+            focal_percent = _focal_percent(drive, localizer.submaps[-1])
     ms = (perf_counter() - start) * 1e3 / len(drive.windows)
     truth = drive.T_w_p[ids]
     return Outcome(
@@ -89,26 +110,38 @@ def run(
         n_submaps=len(drive.windows),
         ms=ms,
         missing=len(drive.keyframes) - len(ids),
+        focal_percent=focal_percent,
     )
 
 
 def _localized(
-    drive: Drive,
-    backbone: CachedBackbone,
-    config: Config,
-    loops: ScriptedLoops | None,
-    inspect: Callable[[Localizer], None] | None,
-) -> tuple[Int, Float]:
-    """Run the Localizer over all windows; return final keyframe ids (N,) and T_w_p (N, 4, 4)."""
+    drive: Drive, backbone: Backbone, config: Config, loops: ScriptedLoops | None
+) -> Localizer:
+    """The Localizer after all windows, not finished."""
     localizer = Localizer(config, backbone, loops)
     for window in drive.windows:
         localizer.process(window)
-    trajectory = localizer.finish()
-    if inspect is not None:
-        inspect(localizer)
-    if trajectory is None:
-        return np.zeros(0, np.int64), np.zeros((0, 4, 4))
-    return trajectory.keyframe_ids, trajectory.T_w_c
+    return localizer
+
+
+def _calibration(drive: Drive) -> CalibrationConfig:
+    """The true cameras of a drive as a calibration."""
+    return CalibrationConfig(
+        cameras=tuple(
+            CalibratedCameraConfig(
+                model="fisheye" if isinstance(camera, Fisheye) else "perspective",
+                **{name: getattr(camera, name) for name in _OPTICS},
+            )
+            for camera in drive.scene.cameras
+        )
+    )
+
+
+def _focal_percent(drive: Drive, submap: Submap) -> float:
+    cameras = submap.cameras[0], submap.cameras[submap.n_primary if submap.assistant_ids else 0]
+    pairs = zip(cameras, drive.scene.cameras, strict=True)
+    off = np.log([one.fx / true.fx for one, true in pairs])
+    return float(100 * np.sqrt((off**2).mean()))
 
 
 def aligned_error(T_w_p: Float, truth: Float, *, with_scale: bool) -> float:

@@ -10,6 +10,7 @@ from bench.scripted import coupled, landmarks
 from bench.scripted import depth as model_depth
 from bench.scripted.errors import Errors
 from bench.scripted.landmarks import Bool, Sightings
+from bench.scripted.pictures import given, taken_for
 from bench.scripted.scene import ScriptedScene, rays
 from calm_edge.geometry import se3
 from calm_edge.types import Float, Float32, Hints, Int, Landmarks, Prediction
@@ -41,7 +42,9 @@ def false_place(t_ns: int, n_primary: int) -> tuple[int, Float]:
 class Batch:
     """Prediction for one batch of N views.
 
-    The hints determine it: they seed the random errors.
+    Pictures are undistorted by the lenses of the hints; where these are unknown a lens bends them,
+    and the cameras of the prediction are pinholes all the same. The hints determine it: they seed
+    the random errors.
     """
 
     def __init__(self, scene: ScriptedScene, errors: Errors, hints: Hints) -> None:
@@ -53,10 +56,12 @@ class Batch:
         self._draw = errors.draw(hints, self._T_w_c)
         self._false_loop = self._place_false_loop()
         self._size = scene.size[hints.eyes]
-        self._true = [scene.cameras[eye] for eye in hints.eyes]
+        pictures = [given(*pair) for pair in zip(scene.cameras, hints.lenses, strict=True)]
+        self._true = [pictures[eye] for eye in hints.eyes]
+        pinholes = [taken_for(camera) for camera in pictures]
         self._cameras = tuple(
-            replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
-            for camera, factor in zip(self._true, np.exp(self._draw.focal).tolist(), strict=True)
+            replace(pinholes[eye], fx=pinholes[eye].fx * factor, fy=pinholes[eye].fy * factor)
+            for eye, factor in zip(hints.eyes, np.exp(self._draw.focal).tolist(), strict=True)
         )
         self._sightings = self._sight()
         self._loop_found = True

@@ -34,11 +34,19 @@ class Sightings:
 
 
 def project_all(cameras: Sequence[Camera], T_w_c: Float, p_w: Float) -> tuple[Float, Float]:
-    """Project points (M, 3) into N views T_w_c (N, 4, 4): pixels (N, M, 2), z-depths (N, M)."""
+    """Project points (M, 3) into N views T_w_c (N, 4, 4): pixels (N, M, 2), z-depths (N, M).
+
+    Pixels are -1 beyond the limit of a lens.
+    """
     T_c_w = se3.inverse(T_w_c)
     p_c = p_w @ np.swapaxes(T_c_w[:, :3, :3], 1, 2) + T_c_w[:, None, :3, 3]
-    uv = np.stack([camera.project(p) for camera, p in zip(cameras, p_c, strict=True)])
+    uv = np.stack([_projected(camera, p) for camera, p in zip(cameras, p_c, strict=True)])
     return uv, p_c[..., 2]
+
+
+def _projected(camera: Camera, p_c: Float) -> Float:
+    uv = camera.project(p_c)
+    return uv if camera.is_pinhole else np.where(camera.within_reach(p_c)[:, None], uv, -1.0)
 
 
 def inside(uv: Float, size: Int) -> Bool:

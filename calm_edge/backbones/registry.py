@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from importlib import import_module
 
-from calm_edge.backbones.base import Backbone, BackboneError
+from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
+from calm_edge.backbones.undistorted import UndistortedPictures
 from calm_edge.config import Config
 
 # name -> "module:class"; the class is created by its from_config(Config)
@@ -23,7 +24,7 @@ BACKBONES = {
 def open_backbone(config: Config) -> Backbone:
     """Create the backbone of `backbone.name`: `NAME`, `NAME:ARGUMENT`, or the name of a model.
 
-    Raises BackboneError.
+    One that does not estimate the kit gets undistorted pictures. Raises BackboneError.
     """
     asked = config.backbone.name
     name = asked.partition(":")[0]
@@ -38,7 +39,7 @@ def open_backbone(config: Config) -> Backbone:
             f"backbone.name = {asked!r}: needs {error.name}, which is not installed here"
         ) from None
     backbone: Backbone = backbone_class.from_config(config)
-    return backbone
+    return backbone if isinstance(backbone, ResolvingBackbone) else UndistortedPictures(backbone)
 
 
 def _kind_of_model(name: str) -> str:

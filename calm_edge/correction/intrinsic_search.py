@@ -10,7 +10,9 @@ from calm_edge.config import CorrectionConfig
 from calm_edge.correction.eye_search import EyeSearch, median
 from calm_edge.correction.matches import PairMatches, from_landmarks, from_sift
 from calm_edge.correction.pool import pooled
-from calm_edge.correction.test_bank import GroupBuilder
+from calm_edge.correction.test_bank import GroupBuilder, GroupSource
+from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.through_lens import lens_moved_px, lens_of
 from calm_edge.types import Bytes, GlobalIntrinsics, Landmarks, Submap
 from device.frame import Eye
 
@@ -18,6 +20,9 @@ from device.frame import Eye
 # threshold, and a share of its sigma.
 _MOVED_LOG = 0.005
 _MOVED_SIGMAS = 0.5
+# The bank holds for one lens: if it moves by more than this anywhere in the picture, candidates are
+# collected anew, and the matrices are estimated again.
+LENS_MOVED_PX = 1.0
 
 
 class IntrinsicSearch:
@@ -26,13 +31,20 @@ class IntrinsicSearch:
     Time per sub-map is bounded: candidates are limited, and images and landmarks not kept. A test
     group is started every `group_every` sub-maps, alternating between the cameras, and built in as
     many steps; with a full bank, n_group times less often.
+
+    Focal lengths and fundamental matrices are those of undistorted pixels, where the cameras of the
+    sub-maps know a lens (`ThroughLens`). When it moves, the groups are built again from the matches
+    as taken.
     """
 
     def __init__(self, config: CorrectionConfig) -> None:
         self._config = config
         self._eyes = {eye: EyeSearch(config) for eye in Eye}
+        self._lenses: dict[Eye, Camera | None] = {}
         self._builders: dict[Eye, GroupBuilder] = {}
+        self._waiting: dict[Eye, list[GroupSource]] = {eye: [] for eye in Eye}
         self._count = 0
+        self._earlier: list[GlobalIntrinsics] = []
         self._current: GlobalIntrinsics | None = None
         self._applied: GlobalIntrinsics | None = None
 
@@ -40,6 +52,11 @@ class IntrinsicSearch:
     def intrinsics(self) -> GlobalIntrinsics | None:
         """Current estimate; None until there are views of both cameras."""
         return self._current
+
+    @property
+    def earlier(self) -> tuple[GlobalIntrinsics, ...]:
+        """The last estimates for lenses that have been replaced since, oldest first."""
+        return tuple(self._earlier)
 
     def _estimate(self) -> GlobalIntrinsics | None:
         eyes = [self._eyes[eye] for eye in Eye]
@@ -75,19 +92,42 @@ class IntrinsicSearch:
             views, ids = views_of(submap, eye)
             if not views:
                 continue
-            self._eyes[eye].add_candidate(median(submap.cameras_raw[view] for view in views))
+            camera = median(submap.cameras_raw[view] for view in views)
+            self._follow_lens(eye, camera)
+            self._eyes[eye].add_candidate(camera)
             self._build(eye)
-            if self._is_due(eye):
+            if self._waiting[eye] and eye not in self._builders:
+                source = self._waiting[eye].pop(0)
+                self._builders[eye] = source.builder(self._config, camera)
+            elif self._is_due(eye):
                 matches = self._matches(views, landmarks, images)
                 if matches is not None:
-                    self._builders[eye] = GroupBuilder(matches, views, ids, self._config)
+                    self._builders[eye] = GroupBuilder(matches, views, ids, self._config, camera)
         self._count += 1
         return self._has_changed()
+
+    def _follow_lens(self, eye: Eye, camera: Camera) -> None:
+        """Begin anew for an eye whose lens has moved; its groups wait to be built again."""
+        lens = lens_of(camera)
+        if lens_moved_px(self._lenses.setdefault(eye, lens), lens) <= LENS_MOVED_PX:
+            return
+        if self._current is not None:
+            self._earlier.append(self._current)
+            self._current = None
+        self._lenses[eye] = lens
+        self._builders.pop(eye, None)
+        sources = [group.source for group in self._eyes[eye].bank.groups]
+        self._waiting[eye] = [source for source in sources if source is not None]
+        self._eyes[eye] = EyeSearch(self._config)
 
     def finish(self) -> bool:
         """Finish the test groups being built; returns whether to rectify again, as `add`."""
         for eye in list(self._builders):
             self._close(eye)
+        for eye, sources in self._waiting.items():
+            while sources:
+                self._builders[eye] = sources.pop(0).builder(self._config, self._eyes[eye].shape())
+                self._close(eye)
         return self._has_changed()
 
     def _is_due(self, eye: Eye) -> bool:

@@ -1,4 +1,7 @@
-"""Matches between views of a batch, for the estimation of fundamental matrices (paper V-A)."""
+"""Matches between views of a batch, for the estimation of fundamental matrices (paper V-A).
+
+Their pixels are those of the pictures as taken; `undistorted` gives those of a pinhole camera.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import cv2
 import numpy as np
 
 from calm_edge.geometry import sift
+from calm_edge.geometry.camera import Camera
 from calm_edge.types import Bytes, Float, Float32, Int, Landmarks
 
 
@@ -74,3 +78,21 @@ def from_sift(images: Sequence[Bytes], views: Sequence[int], max_features: int) 
         gray = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
         features[view] = sift.detect(gray, max_features)
     return SiftMatches(features)
+
+
+@dataclass(frozen=True, slots=True)
+class StoredMatches:
+    """Matches of the pairs of views (view_a, view_b) that were stored: pixels (M, 2), (M, 2)."""
+
+    pixels: dict[tuple[int, int], tuple[Float, Float]]
+
+    def pair(self, view_a: int, view_b: int) -> tuple[Float, Float]:
+        """Pixels as stored."""
+        return self.pixels[view_a, view_b]
+
+
+def undistorted(camera: Camera, uv_a: Float, uv_b: Float) -> tuple[Float, Float]:
+    """Undistort matches (M, 2), (M, 2) of one camera, without those beyond its lens."""
+    uv_a, uv_b = camera.undistorted(uv_a), camera.undistorted(uv_b)
+    seen = np.isfinite(uv_a).all(1) & np.isfinite(uv_b).all(1)
+    return uv_a[seen], uv_b[seen]

@@ -1,19 +1,20 @@
 """Test bank of one camera: groups of fundamental matrices to score intrinsics on (paper V-A).
 
-A group has the matrices of the image pairs of one sub-map.
+A group has the matrices of the image pairs of one sub-map, in undistorted pixels where the lens is
+known.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
 
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction import spectral
-from calm_edge.correction.matches import PairMatches
+from calm_edge.correction.matches import PairMatches, StoredMatches, undistorted
 from calm_edge.correction.spectral import FocalSensitivity
 from calm_edge.geometry import epipolar
 from calm_edge.geometry.camera import Camera
@@ -29,11 +30,27 @@ _FOCALS = 12
 class BankGroup:
     """A test group: F (P, 3, 3) px of P image pairs of one camera, x_b^T F x_a = 0.
 
-    sensitivity: of the scores of these matrices to the focal, and their noise.
+    The pixels of F are undistorted ones. sensitivity: of the scores of these matrices to the focal,
+    and their noise. source: what it was built from, to build it again for another lens.
     """
 
     F: Float
     sensitivity: FocalSensitivity
+    source: GroupSource | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GroupSource:
+    """Matches, as taken, of the pairs of views of a group; keyframe_ids: by batch index."""
+
+    keyframe_ids: dict[int, int]
+    matches: StoredMatches = field(default_factory=lambda: StoredMatches({}))
+
+    def builder(self, config: CorrectionConfig, camera: Camera) -> GroupBuilder:
+        """Build the group again, in pixels undistorted by another camera."""
+        ids = self.keyframe_ids
+        again = GroupBuilder(self.matches, list(ids), list(ids.values()), config, camera)
+        return again.among(self.matches.pixels)
 
 
 def focal_range(shape: Camera) -> tuple[float, float]:
@@ -44,8 +61,9 @@ def focal_range(shape: Camera) -> tuple[float, float]:
 class GroupBuilder:
     """Builds a test group from all pairs of a sub-map's views of one camera, in several steps.
 
-    views: batch indices, keyframe_ids: of these views. Deterministic. The steps spread the time
-    over several sub-maps; `matches` is kept until then.
+    views: batch indices, keyframe_ids: of these views. camera: by which pixels are undistorted,
+    None to take them as they are. Deterministic. The steps spread the time over several sub-maps;
+    `matches` is kept until then.
     """
 
     def __init__(
@@ -54,12 +72,19 @@ class GroupBuilder:
         views: Sequence[int],
         keyframe_ids: Sequence[int],
         config: CorrectionConfig,
+        camera: Camera | None = None,
     ) -> None:
-        self._matches, self._config = matches, config
+        self._matches, self._config, self._camera = matches, config, camera
         self._ids = dict(zip(views, keyframe_ids, strict=True))
+        self._source = GroupSource(self._ids)
         self._todo = list(combinations(views, 2))
         self._share = -(-len(self._todo) // max(config.group_every, 1))
         self._found: list[Fundamental] = []
+
+    def among(self, pairs: Collection[tuple[int, int]]) -> GroupBuilder:
+        """Use these pairs of views alone."""
+        self._todo = [pair for pair in self._todo if pair in pairs]
+        return self
 
     @property
     def done(self) -> bool:
@@ -70,11 +95,12 @@ class GroupBuilder:
         pairs, self._todo = self._todo[: self._share], self._todo[self._share :]
         for view_a, view_b in pairs:
             ids = self._ids[view_a], self._ids[view_b]
-            fit = epipolar.fundamental(
-                *self._matches.pair(view_a, view_b), seed=(ids[0] * 8191 + ids[1]) % (1 << 31)
-            )
+            taken = self._matches.pair(view_a, view_b)
+            pixels = taken if self._camera is None else undistorted(self._camera, *taken)
+            fit = epipolar.fundamental(*pixels, seed=(ids[0] * 8191 + ids[1]) % (1 << 31))
             if fit is not None and fit.inliers.sum() >= self._config.n_feature:
                 self._found.append(fit)
+                self._source.matches.pixels[view_a, view_b] = taken
 
     def finish(self, shape: Camera) -> BankGroup | None:
         """Process the remaining pairs and return the group; None if under n_pair pairs have an F.
@@ -88,7 +114,7 @@ class GroupBuilder:
         F = np.stack([fit.F for fit in self._found])
         steps = np.stack([fit.steps for fit in self._found])
         focals = np.geomspace(*focal_range(shape), _FOCALS)
-        return BankGroup(F, spectral.focal_sensitivity(shape, F, steps, focals))
+        return BankGroup(F, spectral.focal_sensitivity(shape, F, steps, focals), self._source)
 
 
 class TestBank:

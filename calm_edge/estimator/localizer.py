@@ -16,6 +16,7 @@ from time import perf_counter
 import numpy as np
 
 from calm_edge.backbones.base import Backbone, BackboneError, ResolvingBackbone
+from calm_edge.backbones.undistorted import UndistortedPictures
 from calm_edge.config import Config
 from calm_edge.estimator import gaps, scale, window_submap
 from calm_edge.estimator.atlas import Atlas, SkippedWindow
@@ -24,6 +25,7 @@ from calm_edge.estimator.ego_masks import EgoMasks
 from calm_edge.estimator.held_windows import HeldWindows, unsettled
 from calm_edge.estimator.kit_memory import KitMemory, lost_scale
 from calm_edge.estimator.kit_watch import KitWatch, Slip, Suspect
+from calm_edge.estimator.known_lenses import KnownLenses
 from calm_edge.estimator.loop_closing import LoopClosing
 from calm_edge.estimator.metre import ALONE, DriveMetre
 from calm_edge.estimator.rectifier import Rectifier
@@ -61,7 +63,6 @@ REPLACED_PER_WINDOW = 8
 # At the end of a drive all windows are solved again, and then, at most so many times, those whose
 # focal has moved since.
 RELINEARISED = 2
-UNUSED = "the calibration is not used: this backbone estimates the cameras by itself"
 
 
 class Localizer:
@@ -86,8 +87,9 @@ class Localizer:
         self._memory = KitMemory(backbone, config.backbone.resolve_windows)
         self._kit_prior = KitPrior(config)
         estimates_kit = isinstance(backbone, ResolvingBackbone)
-        self._unused = () if estimates_kit or not config.calibration.cameras else (UNUSED,)
-        self._rectifier = Rectifier(config, isinstance(backbone, ResolvingBackbone))
+        undistorts = isinstance(backbone, UndistortedPictures)
+        self._lenses = KnownLenses(config, self._kit_prior) if undistorts else None
+        self._rectifier = Rectifier(config, estimates_kit)
         if loops is None and config.loops.enabled:
             descriptor = descriptor_of(backbone, config.loops.descriptor)
             loops = PlaceLoops(config.loops, descriptor)
@@ -121,6 +123,7 @@ class Localizer:
             watch=self._watch,
             stamps=self._stamps,
             ego=self._ego,
+            lenses=self._lenses,
             retimed=self._retime,
         )
 
@@ -199,7 +202,8 @@ class Localizer:
                 self._memory.add(window.submap_id, prediction, solved.hints)
             if sigma is not None and unsettled(prediction):
                 self._held.hold(window, sigma)
-            lines += self._kit_prior.contradicted(self._memory.evidence()) + self._unused
+            lines += self._kit_prior.contradicted(self._evidence)
+            lines += () if self._lenses is None else self._lenses.notices
             lines += (self._stamps.notice,) if self._stamps.notice else ()
             lines += self._ego.notices
             notices = self._new_notices(lines)
@@ -340,7 +344,7 @@ class Localizer:
         self._request()
         self._atlas.settle(self._optimiser)
         if self.metre.metric:
-            self._kit_prior.save(self._memory.evidence(), self._ego.log_odds)
+            self._kit_prior.save(self._evidence, self._ego.log_odds)
         return self.trajectory()
 
     def kit_sigma(self, submap_id: int) -> Float | None:
@@ -350,6 +354,11 @@ class Localizer:
     def trajectory(self) -> Trajectory:
         """All primary keyframes that have a pose, sorted by id."""
         return self._atlas.trajectory()
+
+    @property
+    def _evidence(self) -> KitBelief | None:
+        """What this drive has shown of the kit, by whichever backbone."""
+        return self._memory.evidence() if self._lenses is None else self._lenses.evidence
 
     def _retime(self) -> None:
         """The time offset was corrected: windows solved before had wrong stamps."""

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calm_edge.config import Config
-from calm_edge.correction.intrinsic_search import IntrinsicSearch
+from calm_edge.correction.intrinsic_search import LENS_MOVED_PX, IntrinsicSearch
 from calm_edge.correction.rectify import rectified
 from calm_edge.estimator import scale
 from calm_edge.estimator.time_offset import TimeOffsetEstimator
+from calm_edge.geometry.through_lens import lens_moved_px, lens_of
 from calm_edge.types import Bytes, Float, GlobalIntrinsics, Landmarks, Submap
 
 # Placed sub-maps are rectified again once the time offset has changed by the larger of this and
@@ -27,11 +28,21 @@ OFFSET_MOVED_S = 0.001
 class Calibration:
     """Estimates of the intrinsics and of the time offset.
 
-    intrinsics: None if there are none yet. offset_s: 0 while it is unobserved.
+    intrinsics: newest last, each for the lenses of its cameras. offset_s: 0 while it is unobserved.
     """
 
-    intrinsics: GlobalIntrinsics | None
+    intrinsics: tuple[GlobalIntrinsics, ...]
     offset_s: float
+
+    def intrinsics_of(self, submap: Submap) -> GlobalIntrinsics | None:
+        """The newest estimate for the lenses with which a sub-map of both eyes was solved."""
+        cameras = submap.cameras[0], submap.cameras[submap.n_primary]
+        for intrinsics in reversed(self.intrinsics):
+            pairs = zip(cameras, intrinsics.cameras, strict=True)
+            moved = (lens_moved_px(lens_of(one), lens_of(other)) for one, other in pairs)
+            if max(moved) <= LENS_MOVED_PX:
+                return intrinsics
+        return None
 
 
 class Rectifier:
@@ -75,7 +86,9 @@ class Rectifier:
     @property
     def calibration(self) -> Calibration:
         """The current estimates."""
-        return Calibration(self.intrinsics, self._offset_s)
+        search = self._search
+        newest = () if search is None or search.intrinsics is None else (search.intrinsics,)
+        return Calibration((*(search.earlier if search else ()), *newest), self._offset_s)
 
     def rectify(self, submap: Submap, calibration: Calibration | None = None) -> Submap:
         """Rectify a sub-map from its raw poses and cameras; raises ScaleError.
@@ -103,8 +116,8 @@ class Rectifier:
         calibration = calibration or self.calibration
         if self._clock is not None:
             raw = replace(raw, assistant_late_ns=round(calibration.offset_s * 1e9))
-        intrinsics = calibration.intrinsics
-        if intrinsics is None or not raw.assistant_ids:
+        intrinsics = calibration.intrinsics_of(raw) if raw.assistant_ids else None
+        if intrinsics is None:
             return raw
         sigma = _effective_sigma(raw, intrinsics)
         return replace(rectified(raw, intrinsics, self._config.correction), focal_log_sigma=sigma)

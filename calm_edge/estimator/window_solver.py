@@ -16,6 +16,7 @@ from calm_edge.estimator.ego_masks import EgoMasks
 from calm_edge.estimator.judgement import judge
 from calm_edge.estimator.kit_memory import KitMemory
 from calm_edge.estimator.kit_watch import KitWatch
+from calm_edge.estimator.known_lenses import KnownLenses
 from calm_edge.estimator.loop_closing import LoopClosing
 from calm_edge.estimator.metre import DriveMetre
 from calm_edge.estimator.rectifier import Rectifier
@@ -57,7 +58,8 @@ class Reconstruction:
 class WindowSolver:
     """Solves windows with the drive's memories, which its owner updates with what is solved.
 
-    retimed: called when the estimate of the assistant's time offset was corrected.
+    lenses: None if pictures are not undistorted. retimed: called when the estimate of the
+    assistant's time offset was corrected.
     """
 
     def __init__(
@@ -74,13 +76,14 @@ class WindowSolver:
         watch: KitWatch,
         stamps: StampCorrection,
         ego: EgoMasks,
+        lenses: KnownLenses | None,
         retimed: Callable[[], None],
     ) -> None:
         self._config, self._backbone = config, backbone
         self._memory, self._kit_prior, self._rectifier = memory, kit_prior, rectifier
         self._loops, self._direction, self._metre = loops, direction, metre
         self._watch, self._stamps, self._retimed = watch, stamps, retimed
-        self._ego = ego
+        self._ego, self._lenses = ego, lenses
 
     def solved(
         self, window: SubmapWindow, sources: Sequence[Submap], stage_ms: dict[str, float]
@@ -147,6 +150,9 @@ class WindowSolver:
         if not known:
             with timed(stage_ms, "mask"):
                 self._learn_masks(window, images, hints, prediction)
+            if self._lenses is not None:
+                with timed(stage_ms, "lens"):
+                    self._lenses.learn(images, hints, prediction)
         closed = self._loops.closure(window, submap, prediction, candidate, sources)
         if window.loop_keyframe is not None and closed is None:
             if known:
@@ -234,6 +240,7 @@ class WindowSolver:
             apart=self._stamps.wanted(window.submap_id),
             travel=self._direction.direction,
             masks=self._ego.masks,
+            lenses=(None, None) if self._lenses is None else self._lenses.of(sizes),
         )
         return replace(
             hints,

@@ -1,7 +1,8 @@
 """Camera models: projection of points in camera axes (x right, y down, z forward) and its inverse.
 
 Pixels: the centre of the top-left one is (0, 0). `Perspective` is OpenCV's pinhole model with
-distortion (calib3d); `geometry/fisheye.py` has the fisheye model. Unlike cv2.undistortPoints, the
+distortion (calib3d); `geometry/fisheye.py` has the fisheye model, `geometry/through_lens.py` that
+of models that are given undistorted pictures. Unlike cv2.undistortPoints, the
 inverses also converge near 90 degrees off the axis.
 """
 
@@ -82,6 +83,11 @@ class Camera(ABC):
     def pinhole(self) -> Perspective:
         """The camera without its distortion."""
         return Perspective(self.fx, self.fy, self.cx, self.cy, self.width, self.height)
+
+    @property
+    def standard(self) -> Camera:
+        """The camera in a model that other programs know: perspective or fisheye."""
+        return self
 
     def project(self, p_c: Float) -> Float:
         """Project camera points (..., 3) to pixels (..., 2); invalid beyond max_angle."""

@@ -1,12 +1,18 @@
-"""Undistortion maps from a camera with distortion to a pinhole camera."""
+"""Undistortion maps from a camera with distortion to a pinhole camera, and back."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calm_edge.geometry.camera import Camera, Float, Float32, Perspective
+
+# Cosine of the largest angle off the axis at which undistorted values are read, with margin.
+_MIN_COSINE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +35,20 @@ class Undistortion:
         size = np.array([self.lens.width, self.lens.height])
         kept = ((seen > -0.5 - 1e-6) & (seen < size - 0.5 + 1e-6)).all(-1)
         return float(1 - kept.mean())
+
+    def picture(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Undistort a picture (H, W) or (H, W, 3); black where the lens shows nothing."""
+        return np.asarray(cv2.remap(image, self.map_x, self.map_y, cv2.INTER_AREA), np.uint8)
+
+    def as_taken(self, values: Float32) -> Float32:
+        """Values (h, w) of the pixels of the undistorted picture at those of the picture as taken.
+
+        Of any size; 0 outside of the undistorted picture. The nearest are taken: between two depths
+        there is nothing.
+        """
+        h, w = values.shape
+        x, y = _places(self.lens, self.camera, w, h)
+        return np.asarray(cv2.remap(values, x, y, cv2.INTER_NEAREST), np.float32)
 
 
 def undistortion(lens: Camera, max_fov_deg: float = 100.0) -> Undistortion:
@@ -53,3 +73,14 @@ def _pixels(camera: Camera) -> Float:
     """All pixels (H, W, 2) of a camera's picture."""
     across = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     return np.stack(across, -1).astype(np.float64)
+
+
+@lru_cache(maxsize=8)
+def _places(lens: Camera, pinhole: Camera, w: int, h: int) -> Float32:
+    """Where the pixels of a lens's picture of w x h px are in the undistorted one: (2, h, w) px."""
+    small = [camera.scaled(w / camera.width, h / camera.height) for camera in (lens, pinhole)]
+    pixels = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
+    rays = small[0].rays(pixels)
+    seen = (rays[..., 2] > _MIN_COSINE)[..., None]
+    there = np.where(seen, small[1].project(np.where(seen, rays, 1.0)), -1.0)
+    return np.moveaxis(there.astype(np.float32), -1, 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.through_lens import lens_of
 from calm_edge.kit import layout
 from calm_edge.kit.belief import product
 from calm_edge.kit.observed import MAX_LOG_FOCAL_SIGMA
@@ -13,16 +14,23 @@ from device.frame import Eye
 
 
 def cameras(update: LocalizerUpdate) -> dict[Eye, Camera]:
-    """Camera of each eye whose focal length is observed: of the kit, else of the sub-map."""
+    """Camera of each eye whose focal length is observed: of the kit, else of the sub-map.
+
+    In models that other programs know. Those of undistorted pictures are the sub-map's: its poses
+    belong to their focal lengths.
+    """
     submap = update.submap
     found: dict[Eye, Camera] = {Eye.PRIMARY: submap.cameras[0]}
     if submap.assistant_ids:
         found[Eye.ASSISTANT] = submap.cameras[submap.n_primary]
-    sizes = picture_sizes(submap) if len(found) == 2 else None
+    by_kit = len(found) == 2 and not any(map(lens_of, found.values()))
+    sizes = picture_sizes(submap) if by_kit else None
     if sizes is not None and (theta := _kit(update, sizes)) is not None:
         found = dict(zip(Eye, layout.cameras(theta, sizes), strict=True))
     sigma = submap.focal_log_sigma
-    return {eye: camera for eye, camera in found.items() if sigma[eye] <= MAX_LOG_FOCAL_SIGMA}
+    return {
+        eye: camera.standard for eye, camera in found.items() if sigma[eye] <= MAX_LOG_FOCAL_SIGMA
+    }
 
 
 def readout_s(update: LocalizerUpdate) -> float:

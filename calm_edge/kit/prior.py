@@ -48,6 +48,11 @@ class KitPrior:
             return calibrated
         return product([calibrated, earlier])
 
+    @property
+    def earlier(self) -> KitBelief | None:
+        """The belief of earlier drives, untested as long as nothing contradicts it."""
+        return self._remembered
+
     def open(self, sizes: Int | None) -> None:
         """Use what was stored, or calibrated, for images of these sizes (2, 2) [px].
 

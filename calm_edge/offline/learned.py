@@ -7,6 +7,7 @@ import numpy as np
 from calm_edge import __version__
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.through_lens import lens_of
 from calm_edge.interchange.calibration.calibration import (
     CalibratedCamera,
     Calibration,
@@ -93,8 +94,9 @@ def _of_submap(recording: Recording, last: LocalizerUpdate) -> tuple[Calibration
     for eye, view in enumerate((0, submap.n_primary)):
         camera, sigma = submap.cameras[view], float(submap.focal_log_sigma[eye])
         _require_observed(recording, EYES[eye], sigma)
-        cameras.append(CalibratedCamera(camera, "learned"))
-        notes.append(f"{_optics(EYES[eye], camera, sigma)}; lens and centre are not estimated")
+        cameras.append(CalibratedCamera(camera.standard, "learned"))
+        lens = "lens and centre are" if lens_of(camera) is None else "the lens is known and"
+        notes.append(f"{_optics(EYES[eye], camera, sigma)}; {lens} not estimated")
     return Calibration(tuple(cameras)), [*notes, "rig         not estimated, left out"]
 
 

@@ -9,10 +9,15 @@ from typing import Any
 
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.geometry.fisheye import Fisheye
+from calm_edge.geometry.through_lens import ThroughLens
 from calm_edge.recording import RecordingError
 from device.frame import Eye
 
-MODELS: dict[str, type[Camera]] = {"perspective": Perspective, "fisheye": Fisheye}
+MODELS: dict[str, type[Camera]] = {
+    "perspective": Perspective,
+    "fisheye": Fisheye,
+    "through lens": ThroughLens,
+}
 # names of the intrinsics arrays (N, 3, 3) px of version 0.1.0 -> fields that replace them
 _MATRICES = {
     "prediction.K": "prediction.cameras",
@@ -24,7 +29,10 @@ _MATRICES = {
 def encode(camera: Camera) -> dict[str, Any]:
     """Encode a camera as the name of its model and all its fields; floats are stored exactly."""
     model = next(name for name, kind in MODELS.items() if isinstance(camera, kind))
-    return {"model": model, **{field.name: getattr(camera, field.name) for field in fields(camera)}}
+    found = {field.name: getattr(camera, field.name) for field in fields(camera)}
+    if isinstance(camera, ThroughLens):
+        found["lens"] = encode(camera.lens)
+    return {"model": model, **found}
 
 
 def decode(value: Any) -> Camera:
@@ -32,6 +40,8 @@ def decode(value: Any) -> Camera:
     try:
         known = dict(value)
         model, distortion = known.pop("model"), tuple(known.pop("distortion"))
+        if "lens" in known:
+            known["lens"] = decode(known["lens"])
         return _camera(model, distortion, tuple(known.items()))
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"camera {value!r}: not a valid camera record ({error})") from None
@@ -39,10 +49,10 @@ def decode(value: Any) -> Camera:
 
 @lru_cache
 def _camera(
-    model: str, distortion: tuple[float, ...], others: tuple[tuple[str, float], ...]
+    model: str, distortion: tuple[float, ...], others: tuple[tuple[str, Any], ...]
 ) -> Camera:
     """The camera with these fields, one for all views of an eye."""
-    return MODELS[model](**dict(others), distortion=distortion)  # type: ignore[arg-type]
+    return MODELS[model](**dict(others), distortion=distortion)
 
 
 def replace_matrices(

@@ -9,6 +9,7 @@ import pytest
 
 from calm_edge.geometry.camera import Perspective
 from calm_edge.geometry.fisheye import Fisheye
+from calm_edge.geometry.through_lens import ThroughLens
 from calm_edge.recording import RecordingError, camera_record
 from device.frame import Eye
 
@@ -22,6 +23,15 @@ PLAIN = Perspective(500.0, 501.0, 319.5, 239.5, 640, 480)
         PLAIN,
         Perspective(500 / 3, 501.0, 319.5, 0.1, 640, 480, (0.1, -1 / 3, 1e-9)),
         Fisheye(300.0, 301.0, 319.5, 239.5, 640, 480, (0.01, 1 / 7)),
+        ThroughLens(
+            290.0,
+            1 / 3,
+            320.0,
+            239.5,
+            640,
+            480,
+            lens=Fisheye(300.0, 301.0, 319.5, 239.5, 640, 480, (0.01, 1 / 7)),
+        ),
     ],
 )
 def test_json_and_back_is_the_same_camera(camera):

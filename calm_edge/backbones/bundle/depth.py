@@ -41,9 +41,8 @@ AGREE_STEPS = 0.5
 SPREAD = 0.05
 CONFIDENT = 0.5  # what other views do not agree on needs no contradiction by the other eye
 FRINGE_PX = 5  # width of the border around sky where depth is dropped
-# Field of view of undistorted pictures; cosine of the largest angle off their axis, with margin.
+# Field of view of undistorted pictures.
 MAX_FOV_DEG = 100.0
-MIN_COSINE = 0.2
 FARTHEST = 80.0  # spacings: indistinguishable from infinity beyond
 
 
@@ -77,10 +76,8 @@ def sweep_window(
         lens if s is None else s.camera
         for lens, s in zip(prediction.cameras, straight, strict=True)
     ]
-    gray = [
-        _straightened(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8), s)
-        for image, s in zip(images, straight, strict=True)
-    ]
+    gray = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images]
+    gray = [g if s is None else s.picture(g) for g, s in zip(gray, straight, strict=True)]
     sweep = [
         SweepView(
             whitened(_shrink(g, sweep_size)),
@@ -111,16 +108,14 @@ def sweep_window(
         if across is not None:
             moving[i] = contradicted(across, views[i].zeta / np.float32(step))
     depth, confidence = np.zeros((2, len(images), size[1], size[0]), np.float32)
-    pairs = [(prediction.cameras[i], cameras[i]) for i in views]
-    there = {pair: _places(*pair, size) for pair in pairs if pair[0] is not pair[1]}
     for i, view in views.items():
         others = [views[j] for j in compared[i]]
         parts = judge(agree(view, others, AGREE_RELATIVE, AGREE_STEPS * step))
         if i in moving:
             gone = region(moving[i] & (parts[1] > CONFIDENT))
             parts[0][gone] = parts[1][gone] = 0
-        place = there.get((prediction.cameras[i], cameras[i]))
-        depth[i], confidence[i] = (_as_seen(part, place) for part in parts)
+        s = straight[i]
+        depth[i], confidence[i] = (part if s is None else s.as_taken(part) for part in parts)
     return depth, confidence
 
 
@@ -161,35 +156,6 @@ def _undistortions(lenses: Sequence[Camera]) -> list[Undistortion | None]:
         for lens in dict.fromkeys(lenses)
     }
     return [made[lens] for lens in lenses]
-
-
-def _straightened(gray: Bytes, straight: Undistortion | None) -> Bytes:
-    if straight is None:
-        return gray
-    seen = cv2.remap(gray, straight.map_x, straight.map_y, cv2.INTER_AREA)
-    return np.asarray(seen, np.uint8)
-
-
-def _places(lens: Camera, pinhole: Camera, size: tuple[int, int]) -> Float32:
-    """Where the pixels of a lens's picture of w x h px are in the undistorted one: (2, h, w) px."""
-    w, h = size
-    small = [camera.scaled(w / camera.width, h / camera.height) for camera in (lens, pinhole)]
-    pixels = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
-    rays = small[0].rays(pixels)
-    seen = rays[..., 2] > MIN_COSINE
-    there = np.where(seen[..., None], small[1].project(np.where(seen[..., None], rays, 1.0)), -1.0)
-    return np.moveaxis(there.astype(np.float32), -1, 0)
-
-
-def _as_seen(part: Float32, place: Float32 | None) -> Float32:
-    """Values (h, w) of the pixels of an undistorted picture at those of the picture as it is.
-
-    place: of `_places`; None where the two are the same.
-    """
-    if place is None:
-        return part
-    # the nearest: between two depths there is nothing
-    return np.asarray(cv2.remap(part, place[0], place[1], cv2.INTER_NEAREST), np.float32)
 
 
 def judge(agreement: Agreement) -> tuple[Float32, Float32]:

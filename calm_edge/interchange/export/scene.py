@@ -150,7 +150,7 @@ def lenses(last: LocalizerUpdate, assumed: list[str]) -> dict[Eye, Camera]:
     views = {Eye.PRIMARY: 0}
     if submap.assistant_ids:
         views[Eye.ASSISTANT] = submap.n_primary
-    lenses = {eye: observed.get(eye, submap.cameras[view]) for eye, view in views.items()}
+    lenses = {eye: observed.get(eye, submap.cameras[view].standard) for eye, view in views.items()}
     for eye, lens in lenses.items():
         sigma = 100 * float(submap.focal_log_sigma[eye])
         doubt = "" if eye in observed else ", not observed in this drive: a guess"
