@@ -3,11 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.scripted.motions import group, motion, seen
+from bench.scripted.motions import CAMERA, group, motion, seen
 from calm_edge.config import CorrectionConfig
 from calm_edge.correction.eye_search import MAX_CANDIDATES
 from calm_edge.correction.intrinsic_search import IntrinsicSearch, views_of
 from calm_edge.correction.pool import BIAS_LOG_SIGMA
+from calm_edge.geometry.camera import Camera
+from calm_edge.geometry.through_lens import ThroughLens
 from device.frame import Eye
 from tests.correction.submaps import both_eyes, submap
 
@@ -145,3 +147,60 @@ def test_a_group_with_more_information_changes_the_estimate():
     assert eye.is_informative and np.exp(eye.measured.log_focal) == pytest.approx(700, rel=0.02)
     eye.add_group(group("tangent", 0))
     assert eye.is_informative and len(eye.bank.groups) == 1
+
+
+# A lens with barrel distortion, and one that is a pixel off and more.
+BARREL = replace(CAMERA, distortion=(-0.25, 0.06))
+NEARLY = replace(CAMERA, distortion=(-0.23, 0.06))
+
+
+def behind(lens: Camera, k: int):
+    """Sub-map k whose model got pictures undistorted by `lens`, with guesses of the focal."""
+    made = submap(k, tuple(GUESSES[k]), N)
+    cameras = tuple(
+        ThroughLens(c.fx, c.fy, c.cx, c.cy, c.width, c.height, lens=lens) for c in made.cameras
+    )
+    return replace(made, cameras=cameras, cameras_raw=cameras)
+
+
+def drive_behind(search, lenses):
+    """Feed the search with matches of pictures by BARREL, undistorted by these lenses."""
+    answers = []
+    for k, lens in enumerate(lenses):
+        T = motion("general" if k % 4 < 2 else "-general", N)
+        eyes = (seen(T, 2 * k + eye, camera=BARREL, points=900) for eye in (0, 1))
+        made = submap(k, tuple(GUESSES[k]), N) if lens is None else behind(lens, k)
+        answers.append(search.add(made, both_eyes(*eyes, N), None))
+    return answers
+
+
+def test_matches_are_undistorted_by_the_lens_that_is_known():
+    straight, bent = IntrinsicSearch(CONFIG), IntrinsicSearch(CONFIG)
+    drive_behind(straight, [BARREL] * 8)
+    drive_behind(bent, [None] * 8)
+    off = [np.abs(np.log(s.intrinsics.focals / 700)).max() for s in (straight, bent)]
+    assert off[0] < 0.03 < 0.06 < off[1]
+    assert all(camera.lens is BARREL for camera in straight.intrinsics.cameras)
+
+
+def test_a_lens_that_moves_begins_anew_with_the_matches_of_before():
+    search = IntrinsicSearch(CONFIG)
+    answers = drive_behind(search, [None] * 5 + [BARREL] * 3)
+    assert answers[5]
+    (earlier,) = {id(each): each for each in search.earlier}.values()
+    assert all(not isinstance(camera, ThroughLens) for camera in earlier.cameras)
+    search.finish()
+    held = search.intrinsics
+    assert all(camera.lens is BARREL for camera in held.cameras)
+    # the guesses of before do not count, their matches do
+    assert np.abs(np.log(held.focals / 700)).max() < 0.03 and (held.focal_log_sigma < 0.05).all()
+
+
+def test_a_lens_that_hardly_moves_is_the_same():
+    near = replace(BARREL, cx=BARREL.cx + 0.5)
+    search = IntrinsicSearch(CONFIG)
+    drive_behind(search, [BARREL, BARREL, near, near])
+    assert search.earlier == ()
+    moved = IntrinsicSearch(CONFIG)
+    drive_behind(moved, [NEARLY, NEARLY, BARREL, BARREL])
+    assert moved.earlier

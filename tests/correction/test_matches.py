@@ -1,7 +1,8 @@
 import cv2
 import numpy as np
 
-from calm_edge.correction.matches import from_landmarks, from_sift
+from calm_edge.correction.matches import StoredMatches, from_landmarks, from_sift, undistorted
+from calm_edge.geometry.camera import Perspective
 from calm_edge.types import Landmarks
 
 
@@ -72,3 +73,13 @@ def test_no_feature_is_matched_twice():
     uv_a, uv_b = matches.pair(0, 1)
     assert len(uv_a) > 50
     assert len(np.unique(uv_a, axis=0)) == len(np.unique(uv_b, axis=0)) == len(uv_a)
+
+
+def test_matches_are_undistorted_and_those_beyond_the_lens_left_out():
+    lens = Perspective(100.0, 100.0, 50.0, 50.0, 400, 400, (-0.3,))
+    uv = np.array([[60.0, 55.0], [100.0, 40.0], [350.0, 50.0]])
+    pair = StoredMatches({(0, 2): (uv, uv[:, ::-1])}).pair(0, 2)
+    a, b = undistorted(lens, *pair)
+    assert len(a) == len(b) == 2
+    assert np.allclose(a, lens.undistorted(uv[:2])) and np.abs(a[1] - uv[1]).max() > 3
+    assert np.array_equal(undistorted(lens.pinhole, *pair)[0], uv)

@@ -86,3 +86,18 @@ def test_an_empty_bank_has_empty_columns():
 def test_the_focal_range_is_in_image_widths():
     low, high = test_bank.focal_range(CAMERA)
     assert (low, high) == pytest.approx((0.3 * 1226, 3 * 1226))
+
+
+def test_a_group_is_built_again_for_another_lens_from_its_matches():
+    lens = replace(CAMERA, distortion=(-0.25, 0.06))
+    landmarks = seen(motion("general"), 0, camera=lens)
+    bent = builder(landmarks).finish(CAMERA)
+    again = bent.source.builder(CONFIG, lens).finish(CAMERA)
+    T = motion("general")
+    exact = from_landmarks(seen(T, 0, noise_px=0))
+    pairs = list(bent.source.matches.pixels)
+    off = [
+        np.mean([np.median(np.abs(epipolar.sampson(F, *exact.pair(*p)))) for F, p in made])
+        for made in (zip(bent.F, pairs, strict=True), zip(again.F, pairs, strict=True))
+    ]
+    assert off[1] < 0.05 and off[0] > 5 * off[1]

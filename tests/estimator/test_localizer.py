@@ -8,7 +8,7 @@ from calm_edge.backbones.base import BackboneError
 from calm_edge.config import Config, merge
 from calm_edge.estimator import localizer as localizer_module
 from calm_edge.estimator import metre
-from calm_edge.estimator.localizer import UNUSED, Localizer
+from calm_edge.estimator.localizer import Localizer
 from calm_edge.geometry import se3
 from calm_edge.kit import layout
 from calm_edge.trajectories import folded
@@ -55,15 +55,6 @@ def test_without_a_spacing_the_world_is_in_spacings():
     T_units = T.copy()
     T_units[:, :3, 3] /= SPACING_M
     assert position_error(live(updates).T_w_c, T_units).max() < 1e-9
-
-
-def test_a_calibration_that_the_backbone_does_not_use_is_said_once():
-    camera = {"model": "perspective", "fx": 400, "fy": 400, "cx": 319.5, "cy": 179.5}
-    camera |= {"width": 640, "height": 360}
-    config = merge(METRES, {"calibration": {"cameras": [camera]}})
-    _, updates = drive(curved(40), ScriptedErrors(), config)
-    lines = [line for update in updates for line in update.notices]
-    assert lines.count(UNUSED) == 1
 
 
 def test_a_drive_without_a_metre_saves_no_kit(monkeypatch):

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from calm_edge.config import Config, merge
-from calm_edge.estimator.rectifier import Rectifier
+from calm_edge.estimator.rectifier import Calibration, Rectifier
 from calm_edge.estimator.scale import ScaleError
 from calm_edge.geometry.camera import Perspective
-from calm_edge.types import Submap
+from calm_edge.geometry.through_lens import ThroughLens
+from calm_edge.types import GlobalIntrinsics, Submap
 from tests.drives import PERIOD_NS, START_NS, T_P_A, curved
 
 N = 12
+CAMERA = Perspective(500.0, 500.0, 319.5, 119.5, 640, 240)
 SPACING = float(np.linalg.norm(T_P_A[:3, 3]))
 ONE_FACTOR = merge(Config(), {"scale": {"rectify": False}})
 
@@ -65,3 +67,24 @@ def test_without_rectification_only_the_first_needs_a_scale():
     alone = replace(raw_submap(3, 3.0), assistant_ids=())
     with pytest.raises(ScaleError, match="no assistant"):
         rectifier.rectify(alone)
+
+
+def test_a_sub_map_is_corrected_by_the_focals_found_behind_its_own_lens():
+    before, after = (replace(CAMERA, fx=CAMERA.fx * s, fy=CAMERA.fy * s) for s in (0.9, 1.1))
+    lens = replace(CAMERA, distortion=(-0.2,))
+    optics = after.fx, after.fy, after.cx, after.cy, after.width, after.height
+    behind = ThroughLens(*optics, lens=lens)
+    other = replace(behind, lens=replace(lens, distortion=(-0.3,)))
+    known = [GlobalIntrinsics((c, c), np.ones(2), np.full(2, 0.01)) for c in (before, behind)]
+    calibration = Calibration(tuple(known), 0.0)
+    raw = raw_submap(0, 1.0)
+
+    def through(camera):
+        cameras = (replace(camera, fx=500.0, fy=500.0),) * (2 * N)
+        return replace(raw, cameras=cameras, cameras_raw=cameras)
+
+    rectifier = Rectifier(Config(), estimates_kit=False)
+    for camera, focal in ((CAMERA, before.fx), (behind, after.fx), (other, 500.0)):
+        placed = rectifier.rectify(through(camera), calibration)
+        assert [c.fx for c in placed.cameras] == pytest.approx([focal] * (2 * N))
+        assert {type(c) for c in placed.cameras} == {type(camera)}

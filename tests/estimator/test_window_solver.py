@@ -71,6 +71,7 @@ def solver(loops: LoopClosing | None = None) -> tuple[WindowSolver, Counting, Dr
         watch=KitWatch(),
         stamps=StampCorrection(),
         ego=EgoMasks(Masks()),
+        lenses=None,
         retimed=lambda: None,
     )
     return made, backbone, metre

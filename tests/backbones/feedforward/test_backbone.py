@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from calm_edge.backbones.base import BackboneError
-from calm_edge.backbones.feedforward.backbone import FeedforwardBackbone
 from calm_edge.backbones.onnx import model_folder, verdict
 from calm_edge.backbones.onnx.model_folder import read_manifest
 from calm_edge.backbones.onnx.precision import pinned
@@ -128,7 +127,7 @@ def test_depth_that_was_dropped_is_computed_again(folder):
 def test_models_are_backbones_by_name(folder, monkeypatch):
     monkeypatch.setattr(model_folder, "search_path", lambda: [folder.parent])
     for name in (folder.name, f"feedforward:{folder.name}"):
-        assert isinstance(open_backbone(config_of(name)), FeedforwardBackbone)
+        assert open_backbone(config_of(name)).infer(paint(centres(2)), hints_of(2)).cameras
     with pytest.raises(BackboneError, match=rf"'none': unknown; known: .*{folder.name}"):
         open_backbone(config_of("none"))
 

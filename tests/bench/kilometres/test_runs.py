@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bench.__main__ import main
 from bench.kilometres import drives, predictions, runs
+from bench.kilometres.lenses import barrel
 from bench.kilometres.streams import Streams
 from bench.scripted import ScriptedErrors
 from calm_edge.config import Config
@@ -28,6 +31,16 @@ def test_a_variant_changes_the_config_and_nothing_else(drive, tmp_path):
     ours = runs.run(drive, backbone, runs.Variant("ours"))
     unscaled = runs.run(drive, backbone, runs.Variant("raw", {"scale": {"rectify": False}}))
     assert ours.ate_se3_m < 0.01 < 0.1 < unscaled.ate_se3_m
+
+
+def test_a_calibrated_lens_straightens_the_drive(tmp_path):
+    bent = replace(street(80, turn=0.02), cameras=tuple(map(barrel, street(80).cameras)))
+    drive = drives.cut("bent", bent, Config(), Streams(), 0)
+    backbone = predictions.cached(drive, ScriptedErrors(coupled=True), tmp_path)
+    ours = runs.run(drive, backbone, runs.Variant("ours"))
+    calibrated = runs.run(drive, backbone, runs.Variant("calibrated", calibrated=True))
+    assert calibrated.focal_percent < 0.5 < 2 < ours.focal_percent
+    assert calibrated.ate_sim3_m < 0.05 < ours.ate_sim3_m
 
 
 def test_another_aligner_takes_the_localizers_place(drive, tmp_path):
