@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -39,6 +40,7 @@ class UndistortedBy(Perspective):
         return self.true.normalized(self.lens.project(self.pinhole.rays(uv)))
 
 
+@lru_cache(maxsize=8)
 def given(true: Camera, lens: Camera | None) -> Camera:
     """Camera of pictures by `true`, as taken, or undistorted by a lens that is known."""
     if lens is None or lens.is_pinhole:

@@ -1,4 +1,4 @@
-"""Lenses that are known before a drive, or of its first turns, well enough to undistort pictures.
+"""Lenses that a calibration or a belief on the kit knows well enough to undistort pictures.
 
 A focal length need not be known for that, only how the picture bends: a backbone that knows pinhole
 cameras finds the focal length itself.

@@ -114,7 +114,7 @@ def test_nothing_that_leaves_has_a_pinhole_camera_with_pixels_as_taken(calibrate
             p_c = se3.transform(T_c_s[view], marks.points_s[marks.index[rows]])
             off = np.linalg.norm(camera.project(p_c) - marks.uv[rows], axis=1)
             assert np.median(off) < 0.2
-        # so are the tracker's, and what other programs read
+        # other programs read a lens too
         for eye, camera in estimated.cameras(update).items():
             assert type(camera) is type(LENSES[eye])
             assert camera.distortion[0] == pytest.approx(LENSES[eye].distortion[0], abs=2e-3)
