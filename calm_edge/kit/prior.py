@@ -50,7 +50,7 @@ class KitPrior:
 
     @property
     def earlier(self) -> KitBelief | None:
-        """The belief of earlier drives, untested as long as nothing contradicts it."""
+        """The belief of earlier drives, which counts until this drive contradicts it."""
         return self._remembered
 
     def open(self, sizes: Int | None) -> None:
