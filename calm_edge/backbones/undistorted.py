@@ -33,6 +33,8 @@ class UndistortedPictures:
         """Reconstruct a window, see Backbone.infer."""
         lenses = [hints.lenses[eye] for eye in hints.eyes.tolist()]
         maps = [_maps(lens) for lens in lenses]
+        if not any(maps):
+            return self._backbone.infer(images, hints)
         return _as_taken(self._backbone.infer(_undistorted(images, maps), hints), maps)
 
     def densify(self, images: Pictures, hints: Hints, prediction: Prediction) -> Prediction:
@@ -41,6 +43,8 @@ class UndistortedPictures:
             return prediction
         lenses = [c.lens if isinstance(c, ThroughLens) else None for c in prediction.cameras]
         maps = [_maps(lens) for lens in lenses]
+        if not any(maps):
+            return self._backbone.densify(images, hints, prediction)
         of_eye = dict(zip(hints.eyes.tolist(), lenses, strict=True))
         hints = replace(hints, lenses=(of_eye.get(0), of_eye.get(1)))
         straight = _straight(prediction, maps)
@@ -60,8 +64,6 @@ def _undistorted(images: Pictures, maps: Sequence[Undistortion | None]) -> Pictu
 
 def _as_taken(prediction: Prediction, maps: Sequence[Undistortion | None]) -> Prediction:
     """Prediction of undistorted pictures, in the pixels of these as taken."""
-    if not any(maps):
-        return prediction
     cameras = tuple(
         camera if each is None else _through(camera, each)
         for camera, each in zip(prediction.cameras, maps, strict=True)
