@@ -232,6 +232,8 @@ def _prediction(
     assert joint is not None
     sigma = np.hypot(sigmas(joint), joint.mean - state.theta)[layout.LOG_FOCAL]
     cameras = layout.cameras(state.theta, m.size)
+    # a window may show its own focals better than all windows together are known to
+    scale_sigma = max(known.scale_log_sigma(state, m), float(sigma.min()))
     return Prediction(
         cameras=tuple(cameras[eye] for eye in m.eye),
         T_s_c=se3.inverse(state.T_c_s),
@@ -240,7 +242,7 @@ def _prediction(
         kit=evidence,
         assistant_late_s=float(state.theta[layout.TIME_OFFSET]),
         stamps_off_s=ties.late_s if ties.late_s.any() else None,
-        scale_log_sigma=np.inf if evidence is None else known.scale_log_sigma(state, m),
+        scale_log_sigma=np.inf if evidence is None else scale_sigma,
         covariance=known.of_views(np.flatnonzero(m.eye == 0)).astype(np.float32),
     )
 

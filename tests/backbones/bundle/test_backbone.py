@@ -152,6 +152,11 @@ def test_a_straight_drive_has_the_true_shape_and_a_large_focal_sigma(solved_stra
     assert shape_error(solved_straight, straight)[0] < 0.01
 
 
+def test_the_scale_is_known_no_better_than_the_focals(solved_straight):
+    """An error of both focals is one of the parallax, and that of the scale."""
+    assert solved_straight.scale_log_sigma >= solved_straight.focal_log_sigma.min()
+
+
 def sharp(log_focal, sigma):
     """A belief on the two focals alone."""
     mean, information = np.zeros(layout.SIZE), np.zeros((layout.SIZE, layout.SIZE))
