@@ -202,7 +202,8 @@ def _measured(drive: Trial, checkout: Path, sequence: Path, recording: Path) -> 
     updates = list(Recording(recording).updates())
     scale_sigma = claimed.scale_sigma(updates)
     focal_error, focal_sigma = _focals(figures, truth)
-    common = Common(scale_sigma, focal_sigma[0] if focal_sigma else None)
+    focal = focal_sigma[0] if focal_sigma else None
+    common = Common(scale_sigma, focal, claimed.axes_sigma(updates))
     live, final = _relative(recording, truth, common)
     return Outcome(
         drive.name,

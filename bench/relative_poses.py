@@ -129,11 +129,13 @@ def _of_scale(T: Float, i: Int, j: Int, sigma: Float) -> Float:
 class Common(NamedTuple):
     """Sigmas of the errors that a whole drive has in common, of which its graph does not know.
 
-    scale, focal: of the log scale and of the primary's log focal; None or inf if unknown.
+    scale, focal: of the log scale and of the primary's log focal; None or inf if unknown. axes:
+    (2,) of its axes about x and y [rad], by its principal point; None if not reported.
     """
 
     scale: float | None
     focal: float | None
+    axes: tuple[float, float] | None = None
 
 
 def of_final(drive: Drive, config: Config, truth: Truth, common: Common) -> dict[str, Stretches]:
@@ -156,10 +158,12 @@ def of_final(drive: Drive, config: Config, truth: Truth, common: Common) -> dict
         total = np.zeros((len(i), 6, 6))
         for k, (origin, end) in enumerate(zip(a[i].tolist(), a[j].tolist(), strict=True)):
             total[k] = marginals.covariances(np.array([end]), origin)[0]
-        scale, focal = (np.nan if sigma is None else sigma for sigma in common)
+        scale, focal = (np.nan if s is None else s for s in (common.scale, common.focal))
         total[:, :3, :3] += _of_scale(T, i, j, np.full(len(i), scale))
         effect = focal_effect(T, i, j)
         total += (focal**2 if np.isfinite(focal) else np.nan) * effect[:, :, None] * effect[:, None]
+        by_axes = axes_effect(T, i, j) * np.array(common.axes or (0.0, 0.0))
+        total += by_axes @ np.swapaxes(by_axes, 1, 2)
         out[name] = _stretches(T, T_truth, i, j, total)
     return out
 
@@ -181,6 +185,16 @@ def focal_effect(T: Float, i: Int, j: Int) -> Float:
             moved = [moved[0] @ steps[step], moved[1] @ turned[step]]
         out[k] = se3.log(se3.inverse(moved[0]) @ moved[1]) / _SHARE
     return out
+
+
+def axes_effect(T: Float, i: Int, j: Int) -> Float:
+    """Derivatives (B, 6, 2) of the motions from poses i to poses j by turns of all axes about x, y.
+
+    A principal point that is off turns the axes of a camera by the same angle at all times, and the
+    car then seems to move aside. T: (N, 4, 4).
+    """
+    back = se3.inverse(T[j]) @ T[i]
+    return np.asarray((np.eye(6) - se3.adjoint(back))[:, :, 3:5])
 
 
 def _stretches(T: Float, T_truth: Float, i: Int, j: Int, covariance: Float) -> Stretches:

@@ -115,3 +115,13 @@ def test_a_straight_path_does_not_depend_on_the_focal():
     T[:, 2, 3] = np.arange(30.0)
     effect = relative_poses.focal_effect(T, np.array([0]), np.array([29]))
     np.testing.assert_allclose(effect, 0, atol=1e-9)
+
+
+def test_a_turn_of_all_axes_is_a_motion_aside():
+    """The derivatives are those of the motion between poses whose axes are all turned alike."""
+    T, w = curve(60), np.array([0.0, 0.0, 0.0, 2e-4, -3e-4, 0.0])
+    i, j = np.array([0, 20]), np.array([30, 59])
+    turned = T @ se3.exp(w)
+    expected = relative_poses.errors(turned, T, i, j)
+    np.testing.assert_allclose(relative_poses.axes_effect(T, i, j) @ w[3:5], expected, atol=3e-6)
+    assert np.abs(expected[:, :3]).max() > 1e-3
