@@ -71,7 +71,7 @@ class Tracker:
         """
         self.moves = self.moves[:0]
         guess = self._predict(t_ns)
-        fit = self._follow(gray, guess)
+        fit = self._follow(gray, guess, t_ns if own_stamp else None)
         T_m_c = None if fit is None else fit.T_w_c
         self._past.append(PastFrame(t_ns, gray, None, T_m_c))
         while t_ns - self._past[0].t_ns >= REMEMBERED_NS:
@@ -229,7 +229,8 @@ class Tracker:
     def _threshold(self, gray: Bytes) -> float:
         return float(max(2.0, INLIER_PX * long_side(gray) / self.config.flow_reference_width_px))
 
-    def _follow(self, gray: Bytes, T_predicted: Float | None) -> PoseFit | None:
+    def _follow(self, gray: Bytes, T_predicted: Float | None, t_ns: int | None) -> PoseFit | None:
+        """Pose by the tracks; None without one that a car can have at t_ns (None: not measured)."""
         tracks = self._tracks
         if tracks is None or T_predicted is None or len(tracks.p_m) < MIN_INLIERS:
             return None
@@ -240,6 +241,10 @@ class Tracker:
         step = np.linalg.norm(uv - tracks.uv[good], axis=1)
         fit = self._locate(tracks.camera, p_m, uv, T_predicted, gray)
         if fit is None or fit.n_inliers < MIN_INLIERS:
+            return None
+        T_o_c = se3.inverse(self.T_map_odom) @ fit.T_w_c
+        # such as by tracks that jumped by a period of a barrier
+        if t_ns is not None and tracks.submap_errors.metric and self._path.jumps(t_ns, T_o_c):
             return None
         self.moves = np.hstack([moved[good], tracks.uv[good]])[fit.inlier]
         # at standstill the image tracked from is kept, so that noise does not cause drift

@@ -12,6 +12,9 @@ from calm_edge.types import Float, Int
 WINDOW_NS = 400_000_000
 # Share of an axis's deviation from the parabola that is taken from all three.
 OF_ALL_AXES = 0.1
+# No car changes its velocity between frames by more than this [m/s^2], six times full braking, and
+# by more than this share of its speed: poses by far points alone are noisy.
+MAX_ACCELERATION, MAX_VELOCITY_JUMP = 60.0, 0.6
 _UNKNOWN = np.full((6, 6), np.nan)
 
 
@@ -111,6 +114,20 @@ class RecentPath:
         (t_0, T_0, *_), (t_1, T_1, *_) = self._rows[-2], self._rows[-1]
         return se3.interpolate(T_0, T_1, (t_ns - t_0) / (t_1 - t_0))
 
+    def jumps(self, t_ns: int, T_o_c: Float) -> bool:
+        """Whether no car moves from the last two poses [m] to this one; False without two.
+
+        The step must differ as well as the velocity, so that a late stamp alone is no jump.
+        """
+        if len(self._rows) < 2 or not (self._rows[-1][3] and self._rows[-2][3]):
+            return False
+        (t_0, T_0, *_), (t_1, T_1, *_) = self._rows[-2], self._rows[-1]
+        seconds = np.array([t_1 - t_0, t_ns - t_1]) * 1e-9
+        steps = np.array([T_1[:3, 3] - T_0[:3, 3], T_o_c[:3, 3] - T_1[:3, 3]])
+        velocities = steps / seconds[:, None]
+        hard = np.linalg.norm(np.diff(velocities, axis=0)) > MAX_ACCELERATION * seconds.mean()
+        return bool(hard and _differ(steps) and _differ(velocities))
+
     def twist(self) -> tuple[Float, Float]:
         """Twist (6,) at the newest pose and its covariance (6, 6), see `twist_now`.
 
@@ -120,3 +137,9 @@ class RecentPath:
             return np.full(6, np.nan), _UNKNOWN
         stamps, poses, covariances, _ = zip(*(row for row in self._rows if row[3]), strict=True)
         return twist_now(np.array(stamps, np.int64), np.stack(poses), np.stack(covariances))
+
+
+def _differ(two: Float) -> bool:
+    """Whether two vectors (2, 3) differ by more than MAX_VELOCITY_JUMP of the longer one."""
+    longer = np.linalg.norm(two, axis=1).max()
+    return bool(np.linalg.norm(two[1] - two[0]) > MAX_VELOCITY_JUMP * longer)

@@ -105,6 +105,29 @@ def test_standing_still_is_a_live_pose_without_velocity() -> None:
     assert np.linalg.norm(samples[-1].T_w_c[:3, 3] - samples[0].T_w_c[:3, 3]) < 0.01
 
 
+def test_a_pose_that_no_car_reaches_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All tracks of one frame jump by a period of what they are on; the next are right again."""
+    poses = drive(24)
+    tracker = attached(poses, 12)
+    feed(tracker, poses[12:16], 12)
+    right = tracker._locate
+
+    def aliased(*arguments: object) -> object:
+        fit = right(*arguments)  # type: ignore[arg-type]
+        assert fit is not None
+        T = fit.T_w_c.copy()
+        T[:3, 3] += [0.0, 0.0, 9.0]
+        return replace(fit, T_w_c=T)
+
+    with monkeypatch.context() as context:
+        context.setattr(tracker, "_locate", aliased)
+        (lost,) = feed(tracker, poses[16:17], 16)
+    assert lost.status is PoseStatus.LOST and np.isnan(lost.T_w_c).all()
+    after = feed(tracker, poses[17:24], 17)
+    assert all(s.status is PoseStatus.LIVE for s in after)
+    np.testing.assert_allclose(after[-1].T_w_c[:3, 3], poses[23][:3, 3], atol=0.1)
+
+
 def test_a_frame_without_a_stamp_of_its_own_has_a_pose_and_no_velocity() -> None:
     poses = drive(24)
     tracker = attached(poses, 12)

@@ -138,3 +138,38 @@ def test_poses_without_a_stamp_of_their_own_have_no_say() -> None:
             np.testing.assert_array_equal(path.newest, T[k + 1])
     np.testing.assert_allclose(path.twist()[0], expected, atol=1e-9)
     assert np.isfinite(path.twist()[1]).all()
+
+
+def moved(*z_at_ms: tuple[float, float], own: bool = True) -> RecentPath:
+    """A path straight ahead: (z [m], t [ms]) of each pose."""
+    path = RecentPath()
+    for z, t_ms in z_at_ms:
+        path.add(round(t_ms * 1e6), at(z), SURE[0], own_stamp=own)
+    return path
+
+
+def at(z: float) -> Float:
+    return se3.compose(np.eye(3), np.array([0.0, 0.0, z]))
+
+
+@pytest.mark.parametrize(
+    ("z", "t_ms", "jumps"),
+    [
+        (2.6, 200, False),
+        (2.5, 200, False),  # braking by 10 m/s^2
+        (1.3 + 0.3, 200, True),  # tracks that jumped back by a period of a barrier
+        (1.3 + 4.0, 200, True),
+        (0.0, 200, True),
+        (1.3 + 3.9, 400, False),  # two frames were dropped
+        (2.6, 120, False),  # a stamp that is 80 ms too early
+    ],
+)
+def test_a_jump_is_a_step_that_no_car_makes(z: float, t_ms: float, jumps: bool) -> None:
+    """13 m/s so far."""
+    assert moved((0.0, 0), (1.3, 100)).jumps(round(t_ms * 1e6), at(z)) is jumps
+
+
+def test_noise_at_standstill_and_a_start_are_no_jumps() -> None:
+    assert not moved((0.0, 0), (0.05, 100)).jumps(200_000_000, at(-0.1))
+    assert not moved((0.0, 0)).jumps(100_000_000, at(1.3))
+    assert not moved((0.0, 0), (1.3, 100), own=False).jumps(200_000_000, at(1.3))
