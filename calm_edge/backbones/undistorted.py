@@ -1,21 +1,22 @@
-"""Undistorted pictures for a backbone that knows pinhole cameras alone (paper III)."""
+"""Undistorted pictures for a backbone that models pinhole cameras only (paper III)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calm_edge.backbones.base import Backbone
 from calm_edge.geometry.camera import Camera, Perspective
-from calm_edge.geometry.through_lens import ThroughLens
-from calm_edge.geometry.undistortion import Undistortion, undistortion
-from calm_edge.types import Float32, Hints, Landmarks, Prediction
+from calm_edge.geometry.through_lens import ThroughLens, lens_of
+from calm_edge.geometry.undistortion import Undistortion, undistortions
+from calm_edge.types import Float, Float32, Hints, Landmarks, Prediction
 
 Pictures = Sequence[NDArray[np.uint8]]
+# of each view; None where the picture is not undistorted
+Maps = Sequence[Undistortion | None]
 
 
 class UndistortedPictures:
@@ -31,8 +32,7 @@ class UndistortedPictures:
 
     def infer(self, images: Pictures, hints: Hints) -> Prediction:
         """Reconstruct a window, see Backbone.infer."""
-        lenses = [hints.lenses[eye] for eye in hints.eyes.tolist()]
-        maps = [_maps(lens) for lens in lenses]
+        maps = undistortions([hints.lenses[eye] for eye in hints.eyes.tolist()])
         if not any(maps):
             return self._backbone.infer(images, hints)
         return _as_taken(self._backbone.infer(_undistorted(images, maps), hints), maps)
@@ -41,8 +41,8 @@ class UndistortedPictures:
         """Add depth, see Backbone.densify; the lenses are those of the prediction's cameras."""
         if prediction.depth is not None:
             return prediction
-        lenses = [c.lens if isinstance(c, ThroughLens) else None for c in prediction.cameras]
-        maps = [_maps(lens) for lens in lenses]
+        lenses = [lens_of(camera) for camera in prediction.cameras]
+        maps = undistortions(lenses)
         if not any(maps):
             return self._backbone.densify(images, hints, prediction)
         of_eye = dict(zip(hints.eyes.tolist(), lenses, strict=True))
@@ -52,58 +52,59 @@ class UndistortedPictures:
         return replace(prediction, depth=dense.depth, confidence=dense.confidence)
 
 
-@lru_cache(maxsize=8)
-def _maps(lens: Camera | None) -> Undistortion | None:
-    return None if lens is None or lens.is_pinhole else undistortion(lens)
-
-
-def _undistorted(images: Pictures, maps: Sequence[Undistortion | None]) -> Pictures:
+def _undistorted(images: Pictures, maps: Maps) -> Pictures:
     pairs = zip(images, maps, strict=True)
     return [image if each is None else each.picture(image) for image, each in pairs]
 
 
-def _as_taken(prediction: Prediction, maps: Sequence[Undistortion | None]) -> Prediction:
+def _as_taken(prediction: Prediction, maps: Maps) -> Prediction:
     """Prediction of undistorted pictures, in the pixels of these as taken."""
-    cameras = tuple(
-        camera if each is None else _through(camera, each)
-        for camera, each in zip(prediction.cameras, maps, strict=True)
-    )
-    marks = prediction.landmarks
-    if marks is not None:
-        uv = marks.uv.astype(np.float64)
-        for view, each in enumerate(maps):
-            if each is not None:
-                own = marks.view == view
-                rays = each.camera.rays(uv[own])
-                uv[own] = each.lens.project(rays)
-        marks = replace(marks, uv=uv.astype(np.float32))
+
+    def taken(each: Undistortion, uv: Float) -> Float:
+        return each.lens.project(each.camera.rays(uv))
+
     return replace(
         prediction,
-        cameras=cameras,
-        landmarks=marks,
+        cameras=_cameras(prediction, maps, _through),
+        landmarks=_landmarks(prediction, maps, taken),
         depth=_each_as_taken(prediction.depth, maps),
         confidence=_each_as_taken(prediction.confidence, maps),
     )
 
 
-def _straight(prediction: Prediction, maps: Sequence[Undistortion | None]) -> Prediction:
+def _straight(prediction: Prediction, maps: Maps) -> Prediction:
     """The reverse of `_as_taken` for a prediction without depth."""
-    cameras = tuple(
-        camera if each is None else _pinhole(camera, each)
-        for camera, each in zip(prediction.cameras, maps, strict=True)
+
+    def straight(each: Undistortion, uv: Float) -> Float:
+        return each.camera.project(each.lens.rays(uv))
+
+    return replace(
+        prediction,
+        cameras=_cameras(prediction, maps, _pinhole),
+        landmarks=_landmarks(prediction, maps, straight),
     )
+
+
+def _cameras(
+    prediction: Prediction, maps: Maps, convert: Callable[[Camera, Undistortion], Camera]
+) -> tuple[Camera, ...]:
+    """Cameras of the views, converted where there are maps."""
+    pairs = zip(prediction.cameras, maps, strict=True)
+    return tuple(camera if each is None else convert(camera, each) for camera, each in pairs)
+
+
+def _landmarks(
+    prediction: Prediction, maps: Maps, convert: Callable[[Undistortion, Float], Float]
+) -> Landmarks | None:
+    """Landmarks with their pixels (N, 2) converted in the views that have maps."""
     marks = prediction.landmarks
-    if marks is not None:
-        marks = _straight_landmarks(marks, maps)
-    return replace(prediction, cameras=cameras, landmarks=marks)
-
-
-def _straight_landmarks(marks: Landmarks, maps: Sequence[Undistortion | None]) -> Landmarks:
+    if marks is None:
+        return None
     uv = marks.uv.astype(np.float64)
     for view, each in enumerate(maps):
         if each is not None:
             own = marks.view == view
-            uv[own] = each.camera.project(each.lens.rays(uv[own]))
+            uv[own] = convert(each, uv[own])
     return replace(marks, uv=uv.astype(np.float32))
 
 
@@ -120,7 +121,7 @@ def _pinhole(camera: Camera, maps: Undistortion) -> Perspective:
     return Perspective.from_matrix(K, camera.width, camera.height)
 
 
-def _each_as_taken(values: Float32 | None, maps: Sequence[Undistortion | None]) -> Float32 | None:
+def _each_as_taken(values: Float32 | None, maps: Maps) -> Float32 | None:
     if values is None:
         return None
     pairs = zip(values, maps, strict=True)

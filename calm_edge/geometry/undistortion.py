@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -67,6 +68,16 @@ def undistortion(lens: Camera, max_fov_deg: float = 100.0) -> Undistortion:
     uv = np.where(rays[..., 2:] > np.cos(lens.max_angle), lens.project(rays), -1.0)
     map_x, map_y = np.moveaxis(uv.astype(np.float32), -1, 0)
     return Undistortion(lens, pinhole, map_x, map_y)
+
+
+def undistortions(lenses: Sequence[Camera | None]) -> list[Undistortion | None]:
+    """Maps of views by their lenses, computed once a lens; None for a pinhole and for no lens."""
+    return [None if lens is None or lens.is_pinhole else _of_lens(lens) for lens in lenses]
+
+
+@lru_cache(maxsize=8)
+def _of_lens(lens: Camera) -> Undistortion:
+    return undistortion(lens)
 
 
 def _pixels(camera: Camera) -> Float:

@@ -121,14 +121,13 @@ def _refined(
     (n,) index of the pose. log_zoom: log of the focal over f, to start from.
     """
     A = len(T)
-    T = T.copy()
+    T, by_view = T.copy(), grouped(view)
     error = np.full(len(view), np.inf)
     for _ in range(REFINEMENTS if len(view) else 0):
         residual, J, J_zoom = _errors(T[view], points, rays, log_zoom)
         error = np.linalg.norm(residual, axis=1) * f
         w = robust_weights(error, max(NARROW_PX, float(np.median(error)))) * f**2
         # by pose, of the derivatives by itself, by the zoom, and of the residual
-        by_view = grouped(view)
         joined = np.concatenate([J, J_zoom[..., None], residual[..., None]], 2)
         sums = np.zeros((A, 6, 8))
         blocks = np.swapaxes(w[:, None, None] * J, 1, 2) @ joined

@@ -19,7 +19,7 @@ from calm_edge.backbones.bundle.scanline import aggregate
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera
 from calm_edge.geometry.flow import long_side
-from calm_edge.geometry.undistortion import Undistortion, undistortion
+from calm_edge.geometry.undistortion import undistortions
 from calm_edge.types import Bytes, Float, Float32, Hints, Int, Prediction
 
 DEPTH_SIDE_PX = 192
@@ -41,8 +41,6 @@ AGREE_STEPS = 0.5
 SPREAD = 0.05
 CONFIDENT = 0.5  # what other views do not agree on needs no contradiction by the other eye
 FRINGE_PX = 5  # width of the border around sky where depth is dropped
-# Field of view of undistorted pictures.
-MAX_FOV_DEG = 100.0
 FARTHEST = 80.0  # spacings: indistinguishable from infinity beyond
 
 
@@ -56,7 +54,7 @@ def sweep_window(
 ) -> tuple[Float32, Float32]:
     """Depth and confidence (N, h, w) of N images (H, W, 3) in batch order.
 
-    Planes are swept over undistorted pictures, MAX_FOV_DEG across at most, and the result is
+    Planes are swept over undistorted pictures, 100 degrees across at most, and the result is
     brought back to the pictures as they are: the z-depths of both are the same.
 
     depth: z in the sub-map's unit, 0 unknown. confidence: [0, 1], about the probability that the
@@ -71,7 +69,7 @@ def sweep_window(
     eyes = np.asarray(hints.eyes)
     size = _shrunk(images[0], side_px)
     sweep_size = size[0] * OVERSAMPLE, size[1] * OVERSAMPLE
-    straight = _undistortions(prediction.cameras)
+    straight = undistortions(prediction.cameras)
     cameras = [
         lens if s is None else s.camera
         for lens, s in zip(prediction.cameras, straight, strict=True)
@@ -147,15 +145,6 @@ def neighbours(among: Int, eyes: Int, t_ns: Int, T_s_c: Float, loop: bool) -> di
     if loop:
         found[int(among[-1])] = own[loop_sources(T_s_c[among])].tolist()
     return found
-
-
-def _undistortions(lenses: Sequence[Camera]) -> list[Undistortion | None]:
-    """Maps of each view's picture to a pinhole camera, None where it is one."""
-    made = {
-        lens: None if lens.is_pinhole else undistortion(lens, MAX_FOV_DEG)
-        for lens in dict.fromkeys(lenses)
-    }
-    return [made[lens] for lens in lenses]
 
 
 def judge(agreement: Agreement) -> tuple[Float32, Float32]:
