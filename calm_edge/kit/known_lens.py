@@ -1,7 +1,7 @@
 """Lenses that a calibration or a belief on the kit knows well enough to undistort pictures.
 
-A focal length need not be known for that, only how the picture bends: a backbone that knows pinhole
-cameras finds the focal length itself.
+A focal length need not be known for that, only how the picture bends: a backbone that models
+pinhole cameras estimates the focal length itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from calm_edge.geometry.fisheye import FieldTooWide
 from calm_edge.kit import layout
 from calm_edge.kit.belief import covariance, product
 from calm_edge.kit.calibration import camera_of, matched
-from calm_edge.types import Float, KitBelief
+from calm_edge.types import KitBelief
 
 # Largest sigma of pixels, as share of the picture's width: 1.3 px of 640.
 BEND_KNOWN = 0.002
@@ -57,7 +57,10 @@ def bend_sigma(belief: KitBelief, eye: int, width: int, height: int) -> float:
     rays = rays[rays[:, 2] > _LEAST_Z]
     terms = layout.OPTICS[eye]
     C = covariance(belief)[np.ix_(terms, terms)]
-    moved = np.stack([_moved(belief, eye, term, camera, rays) for term in terms], -1)
+    # by fx, fy, cx, cy and the terms of the lens -> by the kit's terms, with widths as unit
+    P = camera.parameter_jacobian(rays)
+    by_log_focal = P[..., :2] @ [[camera.fx], [camera.fy]]
+    moved = np.concatenate([by_log_focal, width * P[..., 2:4], P[..., 4:]], -1)
     q = rays[:, :2] / rays[:, 2:]
     one, none = np.ones(len(q)), np.zeros(len(q))
     pinhole = np.stack([[q[:, 0], none], [none, q[:, 1]], [one, none], [none, one]], -1)
@@ -66,12 +69,3 @@ def bend_sigma(belief: KitBelief, eye: int, width: int, height: int) -> float:
     A, b = A.reshape(-1, A.shape[-1]), moved.reshape(-1, len(terms))
     bend = b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
     return float(np.sqrt(np.einsum("ni,ij,nj->", bend, C, bend) / len(rays)))
-
-
-def _moved(belief: KitBelief, eye: int, term: int, camera: Camera, rays: Float) -> Float:
-    """Derivative (N, 2) of the pixels of rays (N, 3) by a term of the lens."""
-    step = 1e-5
-    theta = belief.mean.copy()
-    theta[term] += step
-    other = layout.camera(theta, eye, camera.width, camera.height)
-    return np.asarray((other.project(rays) - camera.project(rays)) / step)
