@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 
 import numpy as np
 
+from calm_edge.config import CalibratedCameraConfig, CalibrationConfig
 from calm_edge.geometry.camera import Camera, Perspective
 from calm_edge.geometry.fisheye import Fisheye
 
@@ -28,3 +30,15 @@ def fisheye(camera: Perspective) -> Camera:
 
 
 LENSES: dict[str, Callable[[Perspective], Camera]] = {"barrel": barrel, "fisheye": fisheye}
+
+
+def calibration_of(cameras: Sequence[Camera]) -> CalibrationConfig:
+    """Cameras, perspective or fisheye, as a calibration that is given to `record`."""
+    return CalibrationConfig(
+        cameras=tuple(
+            CalibratedCameraConfig(
+                model="fisheye" if isinstance(camera, Fisheye) else "perspective", **asdict(camera)
+            )
+            for camera in cameras
+        )
+    )

@@ -10,17 +10,15 @@ from typing import Any
 import numpy as np
 
 from bench.kilometres.drives import Drive
+from bench.kilometres.lenses import calibration_of
 from bench.kilometres.loops import ScriptedLoops
 from bench.kilometres.predictions import CachedBackbone
 from calm_edge.backbones.base import Backbone
 from calm_edge.backbones.undistorted import UndistortedPictures
-from calm_edge.config import CalibratedCameraConfig, CalibrationConfig, Config, merge
+from calm_edge.config import Config, merge
 from calm_edge.estimator.localizer import Localizer
-from calm_edge.geometry.fisheye import Fisheye
 from calm_edge.geometry.similarity import align
 from calm_edge.types import Float, Int, Submap
-
-_OPTICS = "fx", "fy", "cx", "cy", "width", "height", "distortion"
 
 # Method to run instead of the Localizer; returns keyframe ids (N,) and T_w_p (N, 4, 4), any unit.
 Aligner = Callable[[Drive, CachedBackbone, Config, ScriptedLoops | None], tuple[Int, Float]]
@@ -84,7 +82,7 @@ def run(
     config = merge(config, {section: dict(keys) for section, keys in variant.changes.items()})
     played: Backbone = backbone
     if variant.calibrated:
-        config = replace(config, calibration=_calibration(drive))
+        config = replace(config, calibration=calibration_of(drive.scene.cameras))
         played = UndistortedPictures(backbone)
     focal_percent = float("nan")
     start = perf_counter()
@@ -122,19 +120,6 @@ def _localized(
     for window in drive.windows:
         localizer.process(window)
     return localizer
-
-
-def _calibration(drive: Drive) -> CalibrationConfig:
-    """The true cameras of a drive as a calibration."""
-    return CalibrationConfig(
-        cameras=tuple(
-            CalibratedCameraConfig(
-                model="fisheye" if isinstance(camera, Fisheye) else "perspective",
-                **{name: getattr(camera, name) for name in _OPTICS},
-            )
-            for camera in drive.scene.cameras
-        )
-    )
 
 
 def _focal_percent(drive: Drive, submap: Submap) -> float:

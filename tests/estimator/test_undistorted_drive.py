@@ -1,15 +1,16 @@
-"""A drive behind lenses by a backbone that knows pinhole cameras alone, from windows to poses."""
+"""A drive behind lenses by a backbone of pinhole cameras, from windows to poses."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from bench.kilometres.lenses import calibration_of
 from bench.scripted import ScriptedBackbone, ScriptedErrors
 from calm_edge.backbones.undistorted import UndistortedPictures
-from calm_edge.config import CalibratedCameraConfig, Config, merge
+from calm_edge.config import Config, merge
 from calm_edge.estimator.localizer import Localizer
 from calm_edge.geometry import se3
 from calm_edge.geometry.camera import Camera, Perspective
@@ -55,19 +56,12 @@ def scene():
     return replace(street(N, turn=0.02), cameras=LENSES)
 
 
-def driven(scene, calibrated: bool, errors: ScriptedErrors):
+def driven(scene, known: bool, errors: ScriptedErrors):
     """Localizer, updates and network after the drive."""
     spacing = float(np.linalg.norm(scene.T_p_a[:3, 3]))
     config = merge(Config(), {"scale": {"spacing_m": spacing}, "loops": {"enabled": False}})
-    if calibrated:
-        entries = [
-            CalibratedCameraConfig(
-                model="fisheye" if isinstance(lens, Fisheye) else "perspective",
-                **asdict(lens),
-            )
-            for lens in LENSES
-        ]
-        config = replace(config, calibration=replace(config.calibration, cameras=tuple(entries)))
+    if known:
+        config = replace(config, calibration=calibration_of(LENSES))
     network = Network(scene, errors)
     localizer = Localizer(config, UndistortedPictures(network))
     updates = [localizer.process(lit(window)) for window in windows(N)]
