@@ -137,8 +137,8 @@ class Hints:
     travel: (3,) direction of travel of earlier batches, unit vector in the primary's axes, or None.
     masks: parts of the images that show no scene, or None.
     lengths: by the neighbouring batches, as far as they are solved.
-    lenses: known lens of each camera, or None: a backbone that knows pinhole cameras alone gets
-    pictures undistorted by it.
+    lenses: known lens of each camera, or None: a backbone that models pinhole cameras only
+    gets pictures undistorted by it.
     """
 
     eyes: Int

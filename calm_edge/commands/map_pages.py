@@ -38,7 +38,7 @@ class Options:
 
     @property
     def pairs(self) -> int:
-        """Most keyframes whose pictures are in map.html."""
+        """Largest number of keyframes with pictures in map.html."""
         from calm_edge.report.keyframe_pictures import MAX_PAIRS
 
         return PREVIEW_PAIRS if self.quality == "preview" else MAX_PAIRS

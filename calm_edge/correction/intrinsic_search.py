@@ -107,7 +107,7 @@ class IntrinsicSearch:
         return self._has_changed()
 
     def _follow_lens(self, eye: Eye, camera: Camera) -> None:
-        """Begin anew for an eye whose lens has moved; its groups wait to be built again."""
+        """Restart the search of an eye whose lens has moved; queue its groups to be rebuilt."""
         lens = lens_of(camera)
         if lens_moved_px(self._lenses.setdefault(eye, lens), lens) <= LENS_MOVED_PX:
             return

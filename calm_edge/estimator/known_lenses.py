@@ -1,4 +1,4 @@
-"""The lenses of a drive whose backbone knows pinhole cameras alone: its pictures are undistorted.
+"""Lenses of a drive by which pictures are undistorted, for a backbone of pinhole cameras.
 
 They are those of a calibration, else of the kit file of earlier drives, else of `bundle`, which
 solves the first windows with a turn.
@@ -54,7 +54,7 @@ class KnownLenses:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Lines that say of which eyes the pictures are undistorted, and by which lens."""
+        """Lines for the user: whose pictures are undistorted, and the source of the lens."""
         if not self._opened:
             return ()
         eyes = dict[str, list[str]]()

@@ -243,7 +243,7 @@ def from_recording(path: Path) -> Estimate:
 def of_recording(
     source: str, recording: Recording, updates: Sequence[LocalizerUpdate], spacing_m: float | None
 ) -> Estimate:
-    """Estimate of the updates, with what a recording says besides; without live poses.
+    """Estimate of the updates, with frame count and pose age of a recording; without live poses.
 
     The pose age is the last `pose_age_ms` on the topic /status, else computed from publish time
     and exposure of the logged poses. Raises RecordingError.
